@@ -1,0 +1,91 @@
+"""Every exception Midstride raises on purpose.
+
+    MidstrideError
+    ├── SpecificationError      a specification is not well formed; carries every problem found
+    ├── ActionRefused           an action's precondition does not hold; nothing has changed
+    ├── PlanRefused             no plan meets the request; says why
+    ├── NodeError               the author's API was used wrongly
+    ├── CommandRefused          a component refused a command of the manager (token, revision, state)
+    ├── BackendError            the platform below failed
+    │   ├── StartFailed         a component did not start, register or match its declaration
+    │   ├── CallTimeout         a component did not answer in time
+    │   └── Unreachable         a component or the middleware is gone
+    ├── StepFailed              a step of a running plan failed; the plan is rolled back
+    └── ManagerError            the manager cannot do what was asked of it
+        ├── ManagerBusy         another command is running
+        └── NoManager           no manager of that system is running
+
+This module imports nothing, so that every other one may import it.
+"""
+
+from __future__ import annotations
+
+
+class MidstrideError(Exception):
+    """The root: what Midstride raises on purpose. ``str(error)`` is fit for the user's eyes."""
+
+
+class SpecificationError(MidstrideError):
+    """A specification is not well formed. ``problems`` lists every independent fault found."""
+
+    def __init__(self, problems: object) -> None:
+        self.problems = tuple(problems) if isinstance(problems, (list, tuple)) else (problems,)
+        super().__init__("\n".join(str(problem) for problem in self.problems))
+
+
+class ActionRefused(MidstrideError):
+    """An action's precondition does not hold (semantics.md section 4). Nothing has changed.
+
+    ``reasons`` names the failed preconditions with the ports, functionalities and contracts
+    on whose account they failed.
+    """
+
+    def __init__(self, action: str, reasons: tuple[object, ...]) -> None:
+        self.action = action
+        self.reasons = reasons
+        because = "; ".join(str(reason) for reason in reasons)
+        super().__init__(f"cannot {action}: {because}")
+
+
+class PlanRefused(MidstrideError):
+    """No plan takes the start to the target as asked; ``str`` of it says why."""
+
+
+class NodeError(MidstrideError):
+    """The author's API was used wrongly: what, where, and what to write instead."""
+
+
+class CommandRefused(MidstrideError):
+    """A component refused a command, and nothing in it changed."""
+
+
+class BackendError(MidstrideError):
+    """The platform below (ROS, the simulator, the operating system) failed."""
+
+
+class StartFailed(BackendError):
+    """A component did not start, did not register in time, or is not what was declared."""
+
+
+class CallTimeout(BackendError):
+    """A component did not answer a command in time."""
+
+
+class Unreachable(BackendError):
+    """A component, or the middleware itself, is gone."""
+
+
+class StepFailed(MidstrideError):
+    """A step of a running plan failed; the executor rolls the plan back."""
+
+
+class ManagerError(MidstrideError):
+    """The manager cannot do what was asked of it, and says why."""
+
+
+class ManagerBusy(ManagerError):
+    """Another command is running; the message says which, and since when."""
+
+
+class NoManager(ManagerError):
+    """No manager of that system is running."""

@@ -1,0 +1,412 @@
+"""The reconfiguration actions: values with a precondition, an effect, an undo and a description.
+
+Semantics.md section 4; the paper's section 4.3. Every action takes a valid configuration to a
+valid one (F1). ``check`` names what breaks the precondition, ``apply`` refuses with just that and
+otherwise yields the new configuration, ``undo(before)`` is a short valid sequence that takes the
+result back to ``before`` (F6). The cost of each follows the neighbourhood of what it touches.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal
+
+from immutables import Map
+
+from midstride.errors import ActionRefused
+from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.contract import explain, satisfies
+from midstride.model.rules import Judge, cap_violation, capacity_violation, normal_guarantee
+
+
+@dataclass(frozen=True, slots=True)
+class Reason:
+    """One failed precondition. ``subjects`` are the ports, functionalities, topics or resources in question."""
+
+    precondition: str
+    subjects: tuple[str, ...]
+    because: str
+
+    def __str__(self) -> str:
+        return self.because
+
+
+@dataclass(frozen=True, slots=True)
+class Swap:
+    """One exchange of a hand-over: on ``connector``, output ``new`` takes over from ``old``."""
+
+    connector: str
+    old: PortRef
+    new: PortRef
+
+    def __str__(self) -> str:
+        return f"{self.connector}: {self.old} -> {self.new}"
+
+
+class Action(ABC):
+    """What every action offers. Instances are frozen values."""
+
+    __slots__ = ()
+    kind: ClassVar[str]
+
+    @abstractmethod
+    def check(self, s: Configuration) -> tuple[Reason, ...]:
+        """The preconditions that fail in ``s``; empty iff the action may be taken. Changes nothing."""
+
+    @abstractmethod
+    def effect(self, s: Configuration) -> Configuration:
+        """The configuration after the action, whether or not its precondition holds."""
+
+    @abstractmethod
+    def undo(self, before: Configuration) -> tuple[Action, ...]:
+        """The actions that take ``apply(before)`` back to ``before``, each valid in its turn."""
+
+    @abstractmethod
+    def describe(self) -> str:
+        """The action in words."""
+
+    def apply(self, s: Configuration) -> Configuration:
+        """The configuration after the action. Raises ActionRefused where the precondition fails."""
+        if reasons := self.check(s):
+            raise ActionRefused(self.describe(), reasons)
+        return self.effect(s)
+
+    def __str__(self) -> str:
+        return self.describe()
+
+
+@dataclass(frozen=True, slots=True)
+class Create(Action):
+    """``create c``: live, isolated, every functionality in its last mode."""
+
+    kind: ClassVar[str] = "create"
+    instance: Instance
+
+    def check(self, s: Configuration) -> tuple[Reason, ...]:
+        name = self.instance.name
+        if name in s.instances:
+            return (Reason("not live", (name,), f"{name} is live already"),)
+        after = self.effect(s)
+        return tuple(
+            Reason("capacity", (resource,), str(violation))
+            for resource in sorted(self.instance.component.holds)
+            if (violation := capacity_violation(after, resource)) is not None
+        )
+
+    def effect(self, s: Configuration) -> Configuration:
+        return s.with_instance(self.instance)
+
+    def undo(self, before: Configuration) -> tuple[Action, ...]:
+        return (Remove(self.instance.name),)
+
+    def describe(self) -> str:
+        return f"create {self.instance.name} ({self.instance.component.name})"
+
+
+@dataclass(frozen=True, slots=True)
+class Remove(Action):
+    """``remove c``: a live and isolated component, in whatever modes, is no longer live."""
+
+    kind: ClassVar[str] = "remove"
+    component: str
+
+    def check(self, s: Configuration) -> tuple[Reason, ...]:
+        if self.component not in s.instances:
+            return (Reason("live", (self.component,), f"{self.component} is not live"),)
+        return tuple(
+            Reason("isolated", (str(port), connector), f"{port} is still attached to {connector}")
+            for port, connector in s.attached_ports(self.component)
+        )
+
+    def effect(self, s: Configuration) -> Configuration:
+        return s.without_instance(self.component)
+
+    def undo(self, before: Configuration) -> tuple[Action, ...]:
+        instance = before.instances[self.component]
+        raised = [
+            Upgrade(Map({ref: before.modes[ref]}))
+            for ref in instance.functionality_refs()
+            if before.modes[ref] != before.functionality(ref).last_mode
+        ]
+        return (Create(instance), *raised)
+
+    def describe(self) -> str:
+        return f"remove {self.component}"
+
+
+def _port_reasons(s: Configuration, port: PortRef, connector: str) -> tuple[Reason, ...]:
+    if port.component not in s.instances:
+        return (Reason("live", (port.component,), f"{port.component} is not live"),)
+    if not s.has_port(port):
+        return (Reason("port", (str(port),), f"{port.component} has no port {port.port}"),)
+    if connector not in s.world.connectors:
+        return (Reason("topic", (connector,), f"{connector} is not a topic of this system"),)
+    return ()
+
+
+@dataclass(frozen=True, slots=True)
+class Attach(Action):
+    """``attach p k``: the normal mode of an output, or the topic of an input, must satisfy the other side."""
+
+    kind: ClassVar[str] = "attach"
+    port: PortRef
+    connector: str
+
+    def check(self, s: Configuration) -> tuple[Reason, ...]:
+        if reasons := _port_reasons(s, self.port, self.connector):
+            return reasons
+        port, name = str(self.port), self.connector
+        if s.is_attached(self.port, name):
+            return (Reason("not attached", (port, name), f"{port} is attached to {name} already"),)
+        reasons = contract_reasons(s, self.port, s.world.connectors[name])
+        if not reasons and s.is_output(self.port):
+            if (violation := cap_violation(self.effect(s), name)) is not None:
+                return (Reason("cap", (port, name), str(violation)),)
+        return reasons
+
+    def effect(self, s: Configuration) -> Configuration:
+        return s.with_attachment(self.port, self.connector)
+
+    def undo(self, before: Configuration) -> tuple[Action, ...]:
+        return (Detach(self.port, self.connector),)
+
+    def describe(self) -> str:
+        return f"attach {self.port} to {self.connector}"
+
+
+def contract_reasons(s: Configuration, port: PortRef, connector: Connector) -> tuple[Reason, ...]:
+    """Why the contracts of a live port and a connector do not fit, clause by clause; empty iff they do."""
+    component = s.component(port.component)
+    if port.port in component.outputs:
+        mode = component.owner(port.port).modes[0]
+        clauses = explain(normal_guarantee(component, port.port), connector.guarantee)
+        told = f"{port} in mode {mode.name} does not satisfy {connector.name}"
+    else:
+        clauses = explain(connector.guarantee, component.inputs[port.port])
+        told = f"{connector.name} does not satisfy what {port} assumes"
+    if not clauses:
+        return ()
+    return (Reason("contract", (str(port), connector.name), f"{told} ({', '.join(clauses)})"),)
+
+
+@dataclass(frozen=True, slots=True)
+class Detach(Action):
+    """``detach p k``: every functionality must stay satisfied without the attachment."""
+
+    kind: ClassVar[str] = "detach"
+    port: PortRef
+    connector: str
+
+    def check(self, s: Configuration) -> tuple[Reason, ...]:
+        if reasons := _port_reasons(s, self.port, self.connector):
+            return reasons
+        if not s.is_attached(self.port, self.connector):
+            because = f"{self.port} is not attached to {self.connector}"
+            return (Reason("attached", (str(self.port), self.connector), because),)
+        after = self.effect(s)
+        if s.is_output(self.port):
+            # Only a topic that this output alone satisfied can be missed by anyone.
+            if Judge(after).connector_satisfied(self.connector):
+                return ()
+            affected: Iterable[FunctionalityRef] = s.consumers(self.connector)
+        else:
+            affected = s.users(self.port)
+        return _unsatisfied(after, affected, f"without {self.port} on {self.connector}")
+
+    def effect(self, s: Configuration) -> Configuration:
+        return s.without_attachment(self.port, self.connector)
+
+    def undo(self, before: Configuration) -> tuple[Action, ...]:
+        return (Attach(self.port, self.connector),)
+
+    def describe(self) -> str:
+        return f"detach {self.port} from {self.connector}"
+
+
+def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], when: str) -> tuple[Reason, ...]:
+    return tuple(
+        Reason("satisfied", (violation.subject.partition(" ")[0],), f"{when}, {violation} would not hold")
+        for violation in Judge(after).violations_of(refs)
+    )
+
+
+def _mode_reasons(
+    s: Configuration, modes: Mapping[FunctionalityRef, int], direction: Literal["better", "worse"]
+) -> Iterator[Reason]:
+    if not modes:
+        yield Reason("named", (), "no functionality is named")
+    for ref, index in sorted(modes.items()):
+        instance = s.instances.get(ref.component)
+        functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
+        if functionality is None:
+            yield Reason("live", (str(ref),), f"{ref} is not a functionality of a live component")
+        elif not 0 <= index <= functionality.last_mode:
+            yield Reason("mode", (str(ref),), f"{ref} has no mode number {index}")
+        elif not (index < s.modes[ref] if direction == "better" else index > s.modes[ref]):
+            now, then = functionality.modes[s.modes[ref]].name, functionality.modes[index].name
+            yield Reason("mode", (str(ref),), f"{then} is not a {direction} mode of {ref} than {now}, which it is in")
+
+
+def _told_modes(modes: Mapping[FunctionalityRef, int]) -> str:
+    return ", ".join(f"{ref} to mode {index}" for ref, index in sorted(modes.items()))
+
+
+@dataclass(frozen=True, slots=True)
+class Degrade(Action):
+    """``degrade F``: to strictly worse modes; everyone outside F, and F in its new modes, is satisfied."""
+
+    kind: ClassVar[str] = "degrade"
+    modes: Map[FunctionalityRef, int]
+
+    def check(self, s: Configuration) -> tuple[Reason, ...]:
+        if reasons := tuple(_mode_reasons(s, self.modes, "worse")):
+            return reasons
+        after = self.effect(s)
+        judge, was = Judge(after), Judge(s)
+        affected: dict[FunctionalityRef, None] = dict.fromkeys(self.modes)
+        for ref in self.modes:
+            for output in s.functionality(ref).outputs:
+                port = PortRef(ref.component, output)
+                for name in s.connectors_of.get(port, ()):
+                    if was.connector_satisfied(name) and not judge.connector_satisfied(name):
+                        affected.update(dict.fromkeys(s.consumers(name)))
+        return _unsatisfied(after, affected, f"after {self.describe()}")
+
+    def effect(self, s: Configuration) -> Configuration:
+        return s.with_modes(self.modes)
+
+    def undo(self, before: Configuration) -> tuple[Action, ...]:
+        return (Upgrade(Map({ref: before.modes[ref] for ref in self.modes})),)
+
+    def describe(self) -> str:
+        return f"degrade {_told_modes(self.modes)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Upgrade(Action):
+    """``upgrade F``: to strictly better modes, in which each of F is satisfied afterwards."""
+
+    kind: ClassVar[str] = "upgrade"
+    modes: Map[FunctionalityRef, int]
+
+    def check(self, s: Configuration) -> tuple[Reason, ...]:
+        if reasons := tuple(_mode_reasons(s, self.modes, "better")):
+            return reasons
+        return _unsatisfied(self.effect(s), self.modes, f"after {self.describe()}")
+
+    def effect(self, s: Configuration) -> Configuration:
+        return s.with_modes(self.modes)
+
+    def undo(self, before: Configuration) -> tuple[Action, ...]:
+        return (Degrade(Map({ref: before.modes[ref] for ref in self.modes})),)
+
+    def describe(self) -> str:
+        return f"upgrade {_told_modes(self.modes)}"
+
+
+@dataclass(frozen=True, slots=True)
+class Handover(Action):
+    """``handover``: on each connector ``new`` takes over from ``old``, all in one step."""
+
+    kind: ClassVar[str] = "handover"
+    swaps: tuple[Swap, ...]
+
+    def check(self, s: Configuration) -> tuple[Reason, ...]:
+        if not self.swaps:
+            return (Reason("named", (), "no swap is named"),)
+        reasons = [reason for swap in self.swaps for reason in _swap_reasons(s, swap)]
+        seen: set[tuple[PortRef, str]] = set()
+        for swap in self.swaps:
+            for port in (swap.old, swap.new):
+                if (port, swap.connector) in seen:
+                    subjects = (str(port), swap.connector)
+                    reasons.append(Reason("once", subjects, f"{port} occurs twice on {swap.connector}"))
+                seen.add((port, swap.connector))
+        if not reasons:
+            after = self.effect(s)
+            for name in sorted({swap.connector for swap in self.swaps}):
+                if (violation := cap_violation(after, name)) is not None:
+                    reasons.append(Reason("cap", (name,), str(violation)))
+        return tuple(reasons)
+
+    def effect(self, s: Configuration) -> Configuration:
+        for swap in self.swaps:
+            s = s.with_attachment(swap.new, swap.connector)
+        for swap in self.swaps:
+            s = s.without_attachment(swap.old, swap.connector)
+        return s
+
+    def undo(self, before: Configuration) -> tuple[Action, ...]:
+        back, apart = [], []
+        for swap in self.swaps:
+            if satisfies(before.guarantee(swap.old), before.world.connectors[swap.connector].guarantee):
+                back.append(Swap(swap.connector, swap.new, swap.old))
+            else:
+                apart.append(swap)
+        steps: list[Action] = [Handover(tuple(back))] if back else []
+        for swap in apart:
+            steps += [Detach(swap.new, swap.connector), Attach(swap.old, swap.connector)]
+        return tuple(steps)
+
+    def describe(self) -> str:
+        return f"hand over {', '.join(str(swap) for swap in self.swaps)}"
+
+
+def _swap_reasons(s: Configuration, swap: Swap) -> Iterator[Reason]:
+    for port in (swap.old, swap.new):
+        if reasons := _port_reasons(s, port, swap.connector):
+            yield from reasons
+            return
+        if not s.is_output(port):
+            yield Reason("output", (str(port),), f"{port} is not an output")
+            return
+    subjects = (str(swap.old), str(swap.new), swap.connector)
+    if not s.is_attached(swap.old, swap.connector):
+        yield Reason("old attached", subjects, f"{swap.old} is not attached to {swap.connector}")
+    if s.is_attached(swap.new, swap.connector):
+        yield Reason("new not attached", subjects, f"{swap.new} is attached to {swap.connector} already")
+    guarantee = s.guarantee(swap.new)
+    if clauses := explain(guarantee, s.world.connectors[swap.connector].guarantee):
+        because = f"{swap.new} in its current mode does not satisfy {swap.connector} ({', '.join(clauses)})"
+        yield Reason("contract", subjects, because)
+
+
+@dataclass(frozen=True, slots=True)
+class SetParameters(Action):
+    """``set``: changeable parameters of a live component, in place; it touches nothing else (section 6)."""
+
+    kind: ClassVar[str] = "set"
+    component: str
+    parameters: Map[str, ParameterValue] = field(default_factory=Map)
+
+    def check(self, s: Configuration) -> tuple[Reason, ...]:
+        instance = s.instances.get(self.component)
+        if instance is None:
+            return (Reason("live", (self.component,), f"{self.component} is not live"),)
+        reasons = []
+        for name in sorted(self.parameters):
+            declared = instance.component.parameters.get(name)
+            if declared is None:
+                because = f"{self.component} has no parameter {name}"
+                reasons.append(Reason("parameter", (f"{self.component}.{name}",), because))
+            elif not declared.changeable:
+                because = f"parameter {name} of {self.component} is not changeable: the node must be replaced"
+                reasons.append(Reason("changeable", (f"{self.component}.{name}",), because))
+        return tuple(reasons)
+
+    def effect(self, s: Configuration) -> Configuration:
+        return s.with_parameters(self.component, self.parameters)
+
+    def undo(self, before: Configuration) -> tuple[Action, ...]:
+        instance = before.instances[self.component]
+        old = {
+            name: instance.parameters.get(name, instance.component.parameters[name].value) for name in self.parameters
+        }
+        return (SetParameters(self.component, Map(old)),)
+
+    def describe(self) -> str:
+        told = ", ".join(f"{name} = {value}" for name, value in sorted(self.parameters.items()))
+        return f"set {told} of {self.component}"

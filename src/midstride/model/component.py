@@ -1,0 +1,270 @@
+"""What is declared of a component: ports, functionalities, chains of modes, resources.
+
+Semantics.md section 2; the paper's sections 3.2 and 4.2. A component here is a *type*; what
+runs of it is an :class:`~midstride.model.configuration.Instance`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
+
+from immutables import Map
+
+from midstride.model.contract import DEFAULT_QOS, NOTHING, Contract, Predicate, QoS
+
+ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] | list[float] | list[str]"
+
+
+class PortRef(NamedTuple):
+    """A port of an instance, written ``talker.out``."""
+
+    component: str
+    port: str
+
+    def __str__(self) -> str:
+        return f"{self.component}.{self.port}"
+
+    @classmethod
+    def parse(cls, text: str) -> PortRef:
+        component, _, port = text.rpartition(".")
+        return cls(component, port)
+
+
+class FunctionalityRef(NamedTuple):
+    """A functionality of an instance (or, in constraints and reports, of a role): ``talker.talk``."""
+
+    component: str
+    functionality: str
+
+    def __str__(self) -> str:
+        return f"{self.component}.{self.functionality}"
+
+    @classmethod
+    def parse(cls, text: str) -> FunctionalityRef:
+        component, _, functionality = text.rpartition(".")
+        return cls(component, functionality)
+
+
+@dataclass(frozen=True, slots=True)
+class NamedInputs:
+    """An assumption that names its inputs: one of them is satisfied, each by its own assumption."""
+
+    inputs: tuple[str, ...]
+
+    def __str__(self) -> str:
+        return " or ".join(self.inputs)
+
+
+Assumption: TypeAlias = NamedInputs | Predicate
+
+
+@dataclass(frozen=True, slots=True)
+class Mode:
+    """One way of working: what it assumes, and what it then guarantees on each associated output."""
+
+    name: str
+    assumptions: tuple[Assumption, ...] = ()
+    guarantees: Map[str, Predicate] = field(default_factory=Map)
+
+    def guarantee(self, output: str) -> Contract:
+        """The guarantee for ``output``; one that is not stated is ``nothing``."""
+        return self.guarantees.get(output, NOTHING)
+
+
+@dataclass(frozen=True, slots=True)
+class Functionality:
+    """A computation from associated inputs to associated outputs, with its chain of modes, best first.
+
+    ``modes[0]`` is the normal mode, ``modes[-1]`` the degraded one. ``weight`` says how much its
+    loss matters.
+    """
+
+    name: str
+    modes: tuple[Mode, ...]
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    weight: float = 1.0
+
+    @property
+    def last_mode(self) -> int:
+        return len(self.modes) - 1
+
+    def mode_index(self, name: str) -> int:
+        """The place of the mode ``name`` in the chain (0 = normal). Raises KeyError for an unknown one."""
+        for index, mode in enumerate(self.modes):
+            if mode.name == name:
+                return index
+        raise KeyError(name)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A parameter's value, and whether it may be set in place or asks for a replacement."""
+
+    value: ParameterValue
+    changeable: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """An endpoint of a node that is not a port, known and accepted (``allows service ~/reset``)."""
+
+    kind: str
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"
+
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """A component type. Two are the same implementation iff their *bodies* are equal, whatever the names.
+
+    ``run`` is the process that is this component (None: started elsewhere), ``takes`` how long its
+    creation lasts (s), where known.
+    """
+
+    name: str
+    inputs: Map[str, Predicate] = field(default_factory=Map)
+    outputs: tuple[str, ...] = ()
+    functionalities: Map[str, Functionality] = field(default_factory=Map)
+    input_order: tuple[str, ...] = ()
+    functionality_order: tuple[str, ...] = ()
+    holds: Map[str, float] = field(default_factory=Map)
+    parameters: Map[str, Parameter] = field(default_factory=Map)
+    allows: tuple[Endpoint, ...] = ()
+    run: str | None = None
+    takes: float | None = None
+
+    @classmethod
+    def of(
+        cls,
+        name: str,
+        *,
+        inputs: Mapping[str, Predicate] | None = None,
+        outputs: tuple[str, ...] = (),
+        functionalities: tuple[Functionality, ...] = (),
+        holds: Mapping[str, float] | None = None,
+        parameters: Mapping[str, Parameter] | None = None,
+        allows: tuple[Endpoint, ...] = (),
+        run: str | None = None,
+        takes: float | None = None,
+    ) -> Component:
+        """Build one from plain values, keeping the order of declaration."""
+        inputs = inputs or {}
+        return cls(
+            name=name,
+            inputs=Map(inputs),
+            outputs=tuple(outputs),
+            functionalities=Map({functionality.name: functionality for functionality in functionalities}),
+            input_order=tuple(inputs),
+            functionality_order=tuple(functionality.name for functionality in functionalities),
+            holds=Map(holds or {}),
+            parameters=Map(parameters or {}),
+            allows=tuple(allows),
+            run=run,
+            takes=takes,
+        )
+
+    def __iter__(self) -> Iterator[Functionality]:
+        """The functionalities, in order of declaration."""
+        return (self.functionalities[name] for name in self.functionality_order)
+
+    def owner(self, output: str) -> Functionality:
+        """The one functionality that owns ``output``. Raises KeyError where there is none."""
+        for functionality in self:
+            if output in functionality.outputs:
+                return functionality
+        raise KeyError(output)
+
+    def users(self, input_name: str) -> list[Functionality]:
+        """The functionalities associated with ``input_name``."""
+        return [functionality for functionality in self if input_name in functionality.inputs]
+
+    def output_guarantees(self, output: str) -> list[tuple[Mode, Contract]]:
+        """Each mode of the owner with what it guarantees on ``output``, best first."""
+        return [(mode, mode.guarantee(output)) for mode in self.owner(output).modes]
+
+    def output_endpoint(self, output: str) -> tuple[str, QoS] | None:
+        """The type and QoS of the real endpoint (rule M3), or None where no mode guarantees anything."""
+        for _, contract in self.output_guarantees(output):
+            if isinstance(contract, Predicate):
+                return contract.type, contract.qos
+        return None
+
+    def ports(self) -> list[str]:
+        """Every port, outputs first, in order of declaration."""
+        return [*self.outputs, *self.input_order]
+
+    def same_body(self, other: Component) -> bool:
+        """Whether both are one declaration but for the name and the parameters (semantics.md section 6)."""
+        return self._body() == other._body()
+
+    def _body(self) -> tuple[object, ...]:
+        return (
+            self.inputs,
+            frozenset(self.outputs),
+            self.functionalities,
+            self.holds,
+            frozenset(self.allows),
+            self.run,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Connector:
+    """A topic: one guarantee, and perhaps a cap on its publishers (semantics.md section 2).
+
+    ``name`` is the connector's identity, ``topic`` the name on the wire. They differ only while a
+    topic's contract is being changed, when the old and the new connector stand side by side.
+    """
+
+    name: str
+    guarantee: Predicate
+    cap: int | None = None
+    topic: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.topic:
+            object.__setattr__(self, "topic", self.name)
+
+    def same_contract(self, other: Connector) -> bool:
+        """Whether both are one topic with one contract; a cap is not part of the contract."""
+        return self.topic == other.topic and self.guarantee == other.guarantee
+
+
+@dataclass(frozen=True, slots=True)
+class EnvironmentGuarantee:
+    """What the environment offers. With a topic it is a publisher out of scope on that topic alone."""
+
+    name: str
+    guarantee: Predicate
+    topic: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Resource:
+    """Something of which there is only so much: 1 for a device file, MiB, percent."""
+
+    name: str
+    capacity: float = 1.0
+
+
+__all__ = [
+    "DEFAULT_QOS",
+    "Assumption",
+    "Component",
+    "Connector",
+    "Endpoint",
+    "EnvironmentGuarantee",
+    "Functionality",
+    "FunctionalityRef",
+    "Mode",
+    "NamedInputs",
+    "Parameter",
+    "ParameterValue",
+    "PortRef",
+    "Resource",
+]

@@ -1,0 +1,252 @@
+"""Configurations: what is live, what is attached to what, and which mode each functionality is in.
+
+Semantics.md section 2. A configuration is a value: it is never mutated, every change yields a
+new one that shares what did not change (``immutables.Map``), so the cost of a change does not
+depend on the size of the system. Nothing here judges: see :mod:`midstride.model.rules`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+
+from immutables import Map
+
+from midstride.model.component import (
+    Component,
+    Connector,
+    EnvironmentGuarantee,
+    Functionality,
+    FunctionalityRef,
+    Mode,
+    ParameterValue,
+    PortRef,
+    Resource,
+)
+from midstride.model.contract import Contract
+
+PortSet = Map[PortRef, None]
+NameSet = Map[str, None]
+_NO_PORTS: PortSet = Map()
+_NO_NAMES: NameSet = Map()
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """What a configuration lives in: the connectors, the environment, the resources."""
+
+    connectors: Map[str, Connector] = field(default_factory=Map)
+    environment: tuple[EnvironmentGuarantee, ...] = ()
+    resources: Map[str, Resource] = field(default_factory=Map)
+
+    def publishers_out_of_scope(self, connector: Connector) -> list[EnvironmentGuarantee]:
+        """The environment's guarantees on the connector's topic."""
+        return [offer for offer in self.environment if offer.topic == connector.topic]
+
+    def offers(self) -> list[EnvironmentGuarantee]:
+        """The environment's guarantees that no one has to attach to."""
+        return [offer for offer in self.environment if offer.topic is None]
+
+    def capacity(self, resource: str) -> float:
+        """How much there is of ``resource``; 1 for one that is not declared."""
+        declared = self.resources.get(resource)
+        return 1.0 if declared is None else declared.capacity
+
+
+@dataclass(frozen=True, slots=True)
+class Instance:
+    """What runs: an instance of a role's component. The first bears the role's name (section 6)."""
+
+    name: str
+    role: str
+    component: Component
+    parameters: Map[str, ParameterValue] = field(default_factory=Map)
+
+    def functionality_refs(self) -> list[FunctionalityRef]:
+        return [FunctionalityRef(self.name, name) for name in self.component.functionality_order]
+
+
+@dataclass(frozen=True, slots=True)
+class Configuration:
+    """The live components, the attachments, and the current mode of each functionality.
+
+    ``connectors_of`` maps an attached port to its connectors; ``publishers`` and ``subscribers``
+    are the same relation seen from a connector; ``held`` is what live components hold of each
+    resource. The last three are derived, kept so that a change costs no walk over the system.
+    """
+
+    world: World = field(default_factory=World)
+    instances: Map[str, Instance] = field(default_factory=Map)
+    connectors_of: Map[PortRef, NameSet] = field(default_factory=Map)
+    modes: Map[FunctionalityRef, int] = field(default_factory=Map)
+    publishers: Map[str, PortSet] = field(default_factory=Map)
+    subscribers: Map[str, PortSet] = field(default_factory=Map)
+    held: Map[str, float] = field(default_factory=Map)
+
+    # -- reading ---------------------------------------------------------------------------------
+
+    def component(self, instance: str) -> Component:
+        """The component that ``instance`` is one of. Raises KeyError where it is not live."""
+        return self.instances[instance].component
+
+    def functionality(self, ref: FunctionalityRef) -> Functionality:
+        return self.component(ref.component).functionalities[ref.functionality]
+
+    def mode(self, ref: FunctionalityRef) -> Mode:
+        """The current mode of a live functionality."""
+        return self.functionality(ref).modes[self.modes[ref]]
+
+    def is_output(self, port: PortRef) -> bool:
+        return port.port in self.component(port.component).outputs
+
+    def has_port(self, port: PortRef) -> bool:
+        """Whether ``port`` is a port of a live component."""
+        instance = self.instances.get(port.component)
+        if instance is None:
+            return False
+        return port.port in instance.component.inputs or port.port in instance.component.outputs
+
+    def attached_to(self, port: PortRef) -> list[str]:
+        """The connectors ``port`` is attached to, sorted."""
+        return sorted(self.connectors_of.get(port, _NO_NAMES))
+
+    def is_attached(self, port: PortRef, connector: str) -> bool:
+        return connector in self.connectors_of.get(port, _NO_NAMES)
+
+    def publishers_on(self, connector: str) -> PortSet:
+        return self.publishers.get(connector, _NO_PORTS)
+
+    def subscribers_on(self, connector: str) -> PortSet:
+        return self.subscribers.get(connector, _NO_PORTS)
+
+    def attachments(self) -> Iterator[tuple[PortRef, str]]:
+        """Every attachment, in no particular order."""
+        for port, connectors in self.connectors_of.items():
+            for connector in connectors:
+                yield port, connector
+
+    def attached_ports(self, instance: str) -> list[tuple[PortRef, str]]:
+        """The attachments of one instance, outputs first, in order of declaration."""
+        ports = (PortRef(instance, port) for port in self.component(instance).ports())
+        return [(port, connector) for port in ports for connector in self.attached_to(port)]
+
+    def guarantee(self, output: PortRef) -> Contract:
+        """What a live output guarantees in the current mode of its owner."""
+        owner = self.component(output.component).owner(output.port)
+        return owner.modes[self.modes[FunctionalityRef(output.component, owner.name)]].guarantee(output.port)
+
+    def users(self, input_port: PortRef) -> list[FunctionalityRef]:
+        """The functionalities associated with a live input."""
+        component = self.component(input_port.component)
+        return [FunctionalityRef(input_port.component, f.name) for f in component.users(input_port.port)]
+
+    def consumers(self, connector: str) -> Iterator[FunctionalityRef]:
+        """The functionalities that use an input attached to ``connector`` (some perhaps twice)."""
+        for port in self.subscribers_on(connector):
+            yield from self.users(port)
+
+    def instances_of(self, role: str) -> list[Instance]:
+        """The live instances of a role, sorted by name. Walks the system."""
+        found = [instance for instance in self.instances.values() if instance.role == role]
+        return sorted(found, key=lambda instance: instance.name)
+
+    # -- changing: each yields a new configuration, and judges nothing ------------------------------
+
+    def with_instance(self, instance: Instance) -> Configuration:
+        """``instance`` live and isolated, every functionality in its last mode."""
+        held = self.held
+        for resource, amount in instance.component.holds.items():
+            held = held.set(resource, round(held.get(resource, 0.0) + amount, 9))
+        modes = self.modes.update(
+            {FunctionalityRef(instance.name, f.name): f.last_mode for f in instance.component}
+        )
+        return replace(self, instances=self.instances.set(instance.name, instance), modes=modes, held=held)
+
+    def without_instance(self, name: str) -> Configuration:
+        """``name`` no longer live, nor any of its attachments."""
+        instance = self.instances[name]
+        bare = self
+        for port, connector in self.attached_ports(name):
+            bare = bare.without_attachment(port, connector)
+        held = bare.held
+        for resource, amount in instance.component.holds.items():
+            left = round(held[resource] - amount, 9)
+            held = held.set(resource, left) if left else held.delete(resource)
+        modes = bare.modes
+        for ref in instance.functionality_refs():
+            modes = modes.delete(ref)
+        return replace(bare, instances=bare.instances.delete(name), modes=modes, held=held)
+
+    def with_attachment(self, port: PortRef, connector: str) -> Configuration:
+        index, ports = self._index(port, connector)
+        return replace(
+            self,
+            connectors_of=self.connectors_of.set(
+                port, self.connectors_of.get(port, _NO_NAMES).set(connector, None)
+            ),
+            **{index: getattr(self, index).set(connector, ports.set(port, None))},
+        )
+
+    def without_attachment(self, port: PortRef, connector: str) -> Configuration:
+        index, ports = self._index(port, connector)
+        rest = ports.delete(port)
+        indexed = getattr(self, index)
+        names = self.connectors_of[port].delete(connector)
+        return replace(
+            self,
+            connectors_of=self.connectors_of.set(port, names) if names else self.connectors_of.delete(port),
+            **{index: indexed.set(connector, rest) if rest else indexed.delete(connector)},
+        )
+
+    def with_modes(self, modes: Mapping[FunctionalityRef, int]) -> Configuration:
+        return replace(self, modes=self.modes.update(modes)) if modes else self
+
+    def with_parameters(self, name: str, parameters: Mapping[str, ParameterValue]) -> Configuration:
+        instance = self.instances[name]
+        changed = replace(instance, parameters=instance.parameters.update(parameters))
+        return replace(self, instances=self.instances.set(name, changed))
+
+    def with_world(self, world: World) -> Configuration:
+        return replace(self, world=world)
+
+    def _index(self, port: PortRef, connector: str) -> tuple[str, PortSet]:
+        if self.is_output(port):
+            return "publishers", self.publishers_on(connector)
+        return "subscribers", self.subscribers_on(connector)
+
+
+def configure(
+    world: World,
+    instances: Iterable[Instance],
+    attachments: Iterable[tuple[PortRef, str]],
+    modes: Mapping[FunctionalityRef, int] | None = None,
+) -> Configuration:
+    """A whole configuration at once; functionalities not in ``modes`` stand in their last mode.
+
+    Linear in the system, where building it change by change would copy as it goes.
+    """
+    live: dict[str, Instance] = {instance.name: instance for instance in instances}
+    standing: dict[FunctionalityRef, int] = {}
+    held: dict[str, float] = {}
+    for instance in live.values():
+        for functionality in instance.component:
+            standing[FunctionalityRef(instance.name, functionality.name)] = functionality.last_mode
+        for resource, amount in instance.component.holds.items():
+            held[resource] = round(held.get(resource, 0.0) + amount, 9)
+    standing.update(modes or {})
+    connectors_of: dict[PortRef, dict[str, None]] = {}
+    publishers: dict[str, dict[PortRef, None]] = {}
+    subscribers: dict[str, dict[PortRef, None]] = {}
+    for port, connector in attachments:
+        connectors_of.setdefault(port, {})[connector] = None
+        side = publishers if port.port in live[port.component].component.outputs else subscribers
+        side.setdefault(connector, {})[port] = None
+    return Configuration(
+        world=world,
+        instances=Map(live),
+        connectors_of=Map({port: Map(names) for port, names in connectors_of.items()}),
+        modes=Map(standing),
+        publishers=Map({name: Map(ports) for name, ports in publishers.items()}),
+        subscribers=Map({name: Map(ports) for name, ports in subscribers.items()}),
+        held=Map(held),
+    )

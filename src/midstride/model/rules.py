@@ -1,0 +1,214 @@
+"""Validity, the safety property: what is satisfied, what is not, and why not.
+
+Semantics.md section 3; the paper's section 4.1. Every judgement is local: it looks at one
+connector, input or functionality and its neighbours, never at the whole system. Only
+:func:`violations` walks everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from midstride.model.component import Assumption, Component, Functionality, FunctionalityRef, Mode, NamedInputs, PortRef
+from midstride.model.configuration import Configuration
+from midstride.model.contract import Contract, Predicate, explain, satisfies
+
+_EPSILON = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """One way in which a configuration is not valid, as data and (``str``) in words."""
+
+    kind: Literal["assumption", "attachment", "cap", "capacity"]
+    subject: str
+    because: str
+
+    def __str__(self) -> str:
+        return f"{self.subject}: {self.because}"
+
+
+class Judge:
+    """Judges one configuration; ``overlay`` stands for modes that are only being considered."""
+
+    __slots__ = ("modes", "overlay", "s")
+
+    def __init__(self, s: Configuration, overlay: Mapping[FunctionalityRef, int] | None = None) -> None:
+        self.s = s
+        self.modes = s.modes
+        self.overlay: Mapping[FunctionalityRef, int] = {} if overlay is None else overlay
+
+    def mode_index(self, ref: FunctionalityRef) -> int:
+        index = self.overlay.get(ref)
+        return self.modes[ref] if index is None else index
+
+    def guarantee(self, output: PortRef) -> Contract:
+        """What a live output guarantees in the mode its owner stands in."""
+        owner = self.s.component(output.component).owner(output.port)
+        return owner.modes[self.mode_index(FunctionalityRef(output.component, owner.name))].guarantee(output.port)
+
+    def connector_satisfied(self, name: str) -> bool:
+        connector = self.s.world.connectors.get(name)
+        if connector is None:
+            return False
+        needed = connector.guarantee
+        if any(satisfies(self.guarantee(output), needed) for output in self.s.publishers_on(name)):
+            return True
+        return any(satisfies(offer.guarantee, needed) for offer in self.s.world.publishers_out_of_scope(connector))
+
+    def input_satisfied(self, port: PortRef) -> bool:
+        assumption = self.s.component(port.component).inputs[port.port]
+        connectors = self.s.world.connectors
+        return any(
+            satisfies(connectors[name].guarantee, assumption) and self.connector_satisfied(name)
+            for name in self.s.connectors_of.get(port, ())
+            if name in connectors
+        )
+
+    def assumption_satisfied(self, ref: FunctionalityRef, functionality: Functionality, assumption: Assumption) -> bool:
+        if isinstance(assumption, NamedInputs):
+            return any(self.input_satisfied(PortRef(ref.component, name)) for name in assumption.inputs)
+        inputs = self.s.component(ref.component).inputs
+        for name in functionality.inputs:
+            if satisfies(inputs[name], assumption) and self.input_satisfied(PortRef(ref.component, name)):
+                return True
+        return any(satisfies(offer.guarantee, assumption) for offer in self.s.world.offers())
+
+    def mode_satisfied(self, ref: FunctionalityRef, index: int) -> bool:
+        """Whether every assumption of ``ref``'s mode ``index`` is satisfied."""
+        functionality = self.s.functionality(ref)
+        return all(self.assumption_satisfied(ref, functionality, a) for a in functionality.modes[index].assumptions)
+
+    def satisfied(self, ref: FunctionalityRef) -> bool:
+        """Whether the mode ``ref`` stands in has all it assumes."""
+        return self.mode_satisfied(ref, self.mode_index(ref))
+
+    def best_satisfied_mode(self, ref: FunctionalityRef, start: int) -> int:
+        """The best mode from ``start`` on that is satisfied; the last one always is (rule M1)."""
+        last = self.s.functionality(ref).last_mode
+        return next((index for index in range(start, last) if self.mode_satisfied(ref, index)), last)
+
+    # -- the same, told ------------------------------------------------------------------------------
+
+    def why_connector_unsatisfied(self, name: str) -> str:
+        connector = self.s.world.connectors.get(name)
+        if connector is None:
+            return f"{name} is not a topic of this system"
+        shortfalls = []
+        for output in sorted(self.s.publishers_on(name)):
+            owner = self.s.component(output.component).owner(output.port)
+            mode = owner.modes[self.mode_index(FunctionalityRef(output.component, owner.name))]
+            clauses = explain(self.guarantee(output), connector.guarantee)
+            shortfalls.append(f"{output} in mode {mode.name}: {', '.join(clauses)}")
+        for offer in self.s.world.publishers_out_of_scope(connector):
+            shortfalls.append(f"environment {offer.name}: {', '.join(explain(offer.guarantee, connector.guarantee))}")
+        return f"nobody satisfies {name} ({'; '.join(shortfalls) if shortfalls else 'it has no publisher'})"
+
+    def why_input_unsatisfied(self, port: PortRef) -> str:
+        attached = self.s.attached_to(port)
+        if not attached:
+            return f"input {port} is not attached"
+        assumption = self.s.component(port.component).inputs[port.port]
+        reasons = []
+        for name in attached:
+            connector = self.s.world.connectors.get(name)
+            if connector is not None and not satisfies(connector.guarantee, assumption):
+                clauses = ", ".join(explain(connector.guarantee, assumption))
+                reasons.append(f"{name} does not satisfy what input {port} assumes ({clauses})")
+            else:
+                reasons.append(self.why_connector_unsatisfied(name))
+        return "; ".join(reasons)
+
+    def why_assumption_unsatisfied(self, ref: FunctionalityRef, assumption: Assumption) -> str:
+        """The reasons, as a chain from the assumption to what falls short."""
+        if isinstance(assumption, NamedInputs):
+            reasons = [self.why_input_unsatisfied(PortRef(ref.component, name)) for name in assumption.inputs]
+            return f"assumes {assumption}: " + "; ".join(reasons)
+        functionality = self.s.functionality(ref)
+        inputs = self.s.component(ref.component).inputs
+        reasons = []
+        for name in functionality.inputs:
+            if satisfies(inputs[name], assumption):
+                reasons.append(self.why_input_unsatisfied(PortRef(ref.component, name)))
+            else:
+                clauses = ", ".join(explain(inputs[name], assumption))
+                reasons.append(f"input {ref.component}.{name} does not count ({clauses})")
+        if not reasons:
+            reasons.append("it has no associated input, and the environment does not offer it")
+        return f"assumes {assumption}: " + "; ".join(reasons)
+
+    def violations_of(self, refs: Iterable[FunctionalityRef]) -> Iterator[Violation]:
+        """The unsatisfied assumptions of the functionalities named."""
+        for ref in sorted(set(refs)):
+            functionality = self.s.functionality(ref)
+            mode: Mode = functionality.modes[self.mode_index(ref)]
+            for assumption in mode.assumptions:
+                if not self.assumption_satisfied(ref, functionality, assumption):
+                    because = self.why_assumption_unsatisfied(ref, assumption)
+                    yield Violation("assumption", f"{ref} in mode {mode.name}", because)
+
+
+def publishers_count(s: Configuration, connector: str) -> int:
+    """How many publishers count against the connector's cap: attached outputs, and the environment's."""
+    declared = s.world.connectors[connector]
+    return len(s.publishers_on(connector)) + len(s.world.publishers_out_of_scope(declared))
+
+
+def cap_violation(s: Configuration, connector: str) -> Violation | None:
+    declared = s.world.connectors.get(connector)
+    if declared is None or declared.cap is None:
+        return None
+    count = publishers_count(s, connector)
+    if count <= declared.cap:
+        return None
+    names = [str(port) for port in sorted(s.publishers_on(connector))]
+    names += [f"environment {offer.name}" for offer in s.world.publishers_out_of_scope(declared)]
+    because = f"{count} publishers ({', '.join(names)}), at most {declared.cap} allowed"
+    return Violation("cap", connector, because)
+
+
+def capacity_violation(s: Configuration, resource: str) -> Violation | None:
+    held, capacity = s.held.get(resource, 0.0), s.world.capacity(resource)
+    if held <= capacity + _EPSILON:
+        return None
+    holders = sorted(name for name, instance in s.instances.items() if resource in instance.component.holds)
+    because = f"{held:g} held by {', '.join(holders)}, capacity {capacity:g}"
+    return Violation("capacity", f"resource {resource}", because)
+
+
+def violations(s: Configuration) -> list[Violation]:
+    """Every way in which ``s`` is not valid; empty iff it is (semantics.md section 3). Walks the system."""
+    found: list[Violation] = []
+    for port, connector in sorted(s.attachments()):
+        if not s.has_port(port):
+            found.append(Violation("attachment", f"{port} on {connector}", f"{port} is not a port of a live component"))
+        elif connector not in s.world.connectors:
+            found.append(Violation("attachment", f"{port} on {connector}", f"{connector} is not a topic of this system"))
+    found.extend(Judge(s).violations_of(s.modes))
+    found.extend(v for name in sorted(s.publishers) if (v := cap_violation(s, name)) is not None)
+    found.extend(v for name in sorted(s.held) if (v := capacity_violation(s, name)) is not None)
+    return found
+
+
+def is_valid(s: Configuration) -> bool:
+    return not violations(s)
+
+
+def normal_guarantee(component: Component, output: str) -> Contract:
+    """What ``output`` guarantees in the normal mode of its owner."""
+    return component.owner(output).modes[0].guarantee(output)
+
+
+__all__ = [
+    "Judge",
+    "Predicate",
+    "Violation",
+    "cap_violation",
+    "capacity_violation",
+    "is_valid",
+    "normal_guarantee",
+    "publishers_count",
+    "violations",
+]

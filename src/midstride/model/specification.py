@@ -1,0 +1,177 @@
+"""A specification: what a robot's software is made of, as a value (language.md; semantics.md sections 2 and 6).
+
+A node of a specification is a *role*. :func:`initial` gives the configuration a specification
+starts as; the planners take a configuration to a specification.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Final
+
+from immutables import Map
+
+from midstride.model.best import best
+from midstride.model.component import (
+    Component,
+    Connector,
+    EnvironmentGuarantee,
+    FunctionalityRef,
+    ParameterValue,
+    PortRef,
+    Resource,
+)
+from midstride.model.configuration import Configuration, Instance, World, configure
+
+# What a step takes where neither the file nor earlier runs say (s); platform.md measured the order of magnitude.
+DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
+    {
+        "create": 1.0,
+        "remove": 0.2,
+        "attach": 0.1,
+        "detach": 0.05,
+        "degrade": 0.01,
+        "upgrade": 0.01,
+        "handover": 0.1,
+        "set": 0.01,
+    }
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """A role: the component it is one of, the topics its ports are attached to, its own parameter values."""
+
+    role: str
+    component: str
+    attachments: Map[str, tuple[str, ...]] = field(default_factory=Map)
+    parameters: Map[str, ParameterValue] = field(default_factory=Map)
+
+    @property
+    def namespace(self) -> str:
+        return self.role.rpartition("/")[0]
+
+
+@dataclass(frozen=True, slots=True)
+class Keep:
+    """``keep r.f at mode``: its level never below that mode, throughout."""
+
+    functionality: FunctionalityRef
+    mode: str
+
+    def __str__(self) -> str:
+        return f"keep {self.functionality} at {self.mode}"
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """``limit r.f below baseline d s``: seconds below the baseline, summed over the plan."""
+
+    functionality: FunctionalityRef
+    seconds: float
+
+    def __str__(self) -> str:
+        return f"limit {self.functionality} below baseline {self.seconds:g} s"
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """``order a before b``: all structural actions of role ``a`` before those of ``b``."""
+
+    first: str
+    then: str
+
+    def __str__(self) -> str:
+        return f"order {self.first} before {self.then}"
+
+
+Constraint = Keep | Limit | Order
+
+
+@dataclass(frozen=True, slots=True)
+class Specification:
+    """Everything a ``.stride`` file says, resolved. ``timing`` holds seconds by kind of step, where stated."""
+
+    name: str
+    connectors: Map[str, Connector] = field(default_factory=Map)
+    components: Map[str, Component] = field(default_factory=Map)
+    nodes: Map[str, Node] = field(default_factory=Map)
+    environment: tuple[EnvironmentGuarantee, ...] = ()
+    resources: Map[str, Resource] = field(default_factory=Map)
+    constraints: tuple[Constraint, ...] = ()
+    timing: Map[str, float] = field(default_factory=Map)
+
+    @property
+    def world(self) -> World:
+        return World(self.connectors, self.environment, self.resources)
+
+    def component_of(self, role: str) -> Component:
+        """Raises KeyError for an unknown role."""
+        return self.components[self.nodes[role].component]
+
+    def instance(self, role: str, name: str | None = None) -> Instance:
+        """The instance of ``role`` called ``name`` (the role's own name where None)."""
+        node = self.nodes[role]
+        return Instance(name or role, role, self.components[node.component], self.parameters_of(role))
+
+    def parameters_of(self, role: str) -> Map[str, ParameterValue]:
+        """The values a node of that role runs with: its component's, and its own over them."""
+        node = self.nodes[role]
+        declared = self.components[node.component].parameters
+        values: dict[str, Any] = {name: parameter.value for name, parameter in declared.items()}
+        values.update(node.parameters)
+        return Map(values)
+
+    def attachments_of(self, role: str, instance: str | None = None) -> list[tuple[PortRef, str]]:
+        """The attachments a node of that role has, outputs first, in order of declaration."""
+        node, component = self.nodes[role], self.component_of(role)
+        return [
+            (PortRef(instance or role, port), connector)
+            for port in component.ports()
+            for connector in node.attachments.get(port, ())
+        ]
+
+    def roles(self) -> list[str]:
+        return sorted(self.nodes)
+
+    def seconds(self, kind: str, component: Component | None = None) -> float:
+        """How long a step of that kind takes (s): declared for the component, else in ``timing``, else the default."""
+        if kind == "create" and component is not None and component.takes is not None:
+            return component.takes
+        return self.timing.get(kind, DEFAULT_SECONDS[kind])
+
+    # -- changes that share everything else ------------------------------------------------------------
+
+    def with_node(self, node: Node) -> Specification:
+        return replace(self, nodes=self.nodes.set(node.role, node))
+
+    def without_node(self, role: str) -> Specification:
+        gone = replace(self, nodes=self.nodes.delete(role))
+        return replace(gone, constraints=tuple(c for c in self.constraints if role not in _roles_of(c)))
+
+    def with_replaced(self, role: str, component: str) -> Specification:
+        """``role`` played by another component, on the same topics. Raises KeyError for an unknown name."""
+        if component not in self.components:
+            raise KeyError(component)
+        return self.with_node(replace(self.nodes[role], component=component))
+
+
+def _roles_of(constraint: Constraint) -> Iterable[str]:
+    if isinstance(constraint, Order):
+        return (constraint.first, constraint.then)
+    return (constraint.functionality.component,)
+
+
+def structure(specification: Specification) -> Configuration:
+    """Every node live under its role's name and attached as specified, every functionality in its last mode."""
+    return configure(
+        specification.world,
+        (specification.instance(role) for role in specification.nodes),
+        (attachment for role in specification.nodes for attachment in specification.attachments_of(role)),
+    )
+
+
+def initial(specification: Specification) -> Configuration:
+    """The configuration a specification starts as: its structure, in ``best`` of it."""
+    return best(structure(specification))

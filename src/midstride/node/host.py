@@ -1,0 +1,147 @@
+"""What a component's process is given by its back end: the only way ``node`` reaches ROS.
+
+Two sides, two threads (platform.md): the *data* side runs user code and owns the endpoints; the
+*control* side is an asyncio loop that runs the agent and never user code. Whatever touches
+endpoints or modes goes through :meth:`Host.on_data` and so falls between two calls of user code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Coroutine
+from dataclasses import dataclass
+from typing import Any, Protocol, TypeVar
+
+from midstride.model.contract import QoS
+from midstride.wire.messages import Announcement, Command, Reply
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, slots=True)
+class MessageInfo:
+    """What the middleware tells of a received message; None where it cannot tell.
+
+    ``source`` is the time of publication (ns), ``number`` the publisher's own count,
+    ``publisher`` an opaque identity of the publishing endpoint.
+    """
+
+    source: int | None
+    number: int | None
+    publisher: str | None
+
+
+class Publisher(Protocol):
+    """An endpoint of an output on one topic. Used on the data side only, save :meth:`matched`."""
+
+    def publish(self, message: Any) -> None: ...
+
+    def matched(self) -> int:
+        """How many *compatible* subscriptions are matched."""
+        ...
+
+    def wait_acknowledged(self, timeout: float) -> bool | None:
+        """Whether every matched reliable reader has all; None where that cannot be known. Blocks."""
+        ...
+
+    def destroy(self) -> None: ...
+
+
+class Subscription(Protocol):
+    """An endpoint of an input on one topic."""
+
+    def matched(self) -> int: ...
+
+    def destroy(self) -> None: ...
+
+
+class Timer(Protocol):
+    """Calls at ``epoch + n * period`` on the ROS clock; a late call skips slots, it does not burst."""
+
+    def regrid(self, epoch: int) -> None:
+        """Go on along the grid through ``epoch`` (ns), from its next slot after now."""
+        ...
+
+    def cancel(self) -> None: ...
+
+
+class Host(Protocol):
+    """One per process (in the simulator: one per component)."""
+
+    backend: str
+
+    def now(self) -> int:
+        """The ROS clock, ns."""
+        ...
+
+    def steady(self) -> int:
+        """The steady clock, ns: time-outs, drains, heartbeats, times of receipt."""
+        ...
+
+    @property
+    def logger(self) -> Any: ...
+
+    @property
+    def ros_node(self) -> Any:
+        """The ROS node of the data side, for the author's own ends; None in the simulator."""
+        ...
+
+    # -- data side -------------------------------------------------------------------------------
+
+    def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
+        """Run ``function`` on the data side between two calls of user code; awaited on the control side."""
+        ...
+
+    def run_coroutine(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
+        """Drive an async mode function on the data side; called, and ``done`` is called, on the data side."""
+        ...
+
+    def create_publisher(self, topic: str, type_: type, qos: QoS) -> Publisher: ...
+
+    def create_subscription(
+        self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, MessageInfo], None]
+    ) -> Subscription: ...
+
+    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int], None]) -> Timer:
+        """``callback(slot)`` is given the slot's nominal time (ns). ``epoch`` None: the first call comes at once."""
+        ...
+
+    # -- control side ----------------------------------------------------------------------------
+
+    async def sleep(self, seconds: float) -> None:
+        """On the steady clock."""
+        ...
+
+    async def call_peer(self, instance: str, command: Command, timeout: float) -> Reply:
+        """Call another component. Raises CallTimeout or Unreachable."""
+        ...
+
+    def announce(self, announcement: Announcement) -> None: ...
+
+    def publish_state(self, state: dict[str, Any]) -> None:
+        """Let the platform's own tools see the component's state (ROS 2: parameters)."""
+        ...
+
+    def extra_endpoints(self) -> list[dict[str, str]]:
+        """Endpoints of the ROS node that are neither ports nor ROS's own, after the author's set-up."""
+        ...
+
+    def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
+        """Declare a parameter of the ROS node and return its value."""
+        ...
+
+    def set_parameters(self, values: dict[str, Any]) -> None:
+        """Set declared parameters at once or not at all. Raises CommandRefused with the reason."""
+        ...
+
+    def run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
+        """Bring the process up, serve commands, run ``main`` on the control side, and return when it does.
+
+        The only place where signal handlers are set: SIGTERM and SIGINT cancel ``main``.
+        """
+        ...
+
+
+class HostFactory(Protocol):
+    """Makes the host of a component; called in ``Component.start``."""
+
+    def __call__(self, name: str, namespace: str) -> Host: ...
