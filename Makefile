@@ -1,0 +1,29 @@
+# Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
+.DEFAULT_GOAL := help
+.PHONY: help demo test test-long bench lint
+
+# ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
+export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
+
+help: ## this list
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1|\2/p' Makefile | awk -F'|' '{ printf "%-16s %s\n", $$1, $$2 }'
+
+demo: ## replace a talker while a listener listens (on ROS 2 where there is one, else on the simulator)
+	@tools/setup run
+	@tools/in-venv midstride demo $$(tools/setup backend) $(ARGS)
+
+test: ## the tests, and those of ROS 2 once more against a second ROS 2 (ARGS='-k name' for some of them)
+	@tools/test 'not long' $(ARGS)
+
+test-long: ## the tests that take minutes
+	@tools/test long $(ARGS)
+
+bench: ## every benchmark, one after another: a table each, and JSON
+	@tools/setup test
+	@tools/in-venv tools/bench $(ARGS)
+
+lint: ## ruff and mypy
+	@tools/setup test
+	@tools/in-venv ruff check .
+	@tools/in-venv ruff format --check .
+	@tools/in-venv mypy src tests
