@@ -1,0 +1,47 @@
+"""What all tests share: ROS's environment, the markers that depend on the machine, hypothesis's profiles.
+
+A test that needs ROS is marked ``ros2`` or ``ros1`` and imports it inside the test (or a fixture), so that it can be
+collected where there is none. There it is skipped, with the reason; not so where ``MIDSTRIDE_NEEDS_ROS2`` says that
+ROS 2 is part of the environment: then it runs, and fails.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import tempfile
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+# Before any test imports ROS, and for the processes that tests start: a network of our own, on this machine alone, and
+# no files in the home folder. Domains above 101 would take ports that the system hands out to others.
+os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "midstride-ros-log"))
+
+# A deadline per example would fail on a busy machine; pytest's time-out bounds each test instead.
+settings.register_profile("default", deadline=None, print_blob=True)
+settings.register_profile(
+    "long",
+    settings.get_profile("default"),
+    max_examples=2000,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
+
+_NEEDS = {"ros2": "rclpy", "ros1": "rospy"}
+
+
+def _missing(marker: str) -> bool:
+    """Whether tests of this marker cannot run here, and need not."""
+    demanded = os.environ.get(f"MIDSTRIDE_NEEDS_{marker.upper()}")
+    return not demanded and importlib.util.find_spec(_NEEDS[marker]) is None
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    missing = {marker: _missing(marker) for marker in _NEEDS}
+    for item in items:
+        for marker, module in _NEEDS.items():
+            if missing[marker] and item.get_closest_marker(marker):
+                item.add_marker(pytest.mark.skip(reason=f"no {module} can be imported here"))

@@ -1,0 +1,194 @@
+"""Who may import whom: docs/architecture.md, held by reading the source.
+
+A room is a folder or module directly under ``midstride``; a room that does not exist yet is bound by its rule from its
+first module on, and one that has no rule fails. Imports for type checking alone count: they are dependencies too.
+"""
+
+from __future__ import annotations
+
+import ast
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent / "src"
+PACKAGE = "midstride"
+
+EVERY = frozenset("model wire lang plan verify generate runtime backends node server cli testing".split())
+
+# What each room may import of the package, besides itself and `errors`. "" is the package's own __init__.
+MAY_IMPORT: dict[str, frozenset[str]] = {
+    "errors": frozenset(),
+    "model": frozenset(),
+    "wire": frozenset({"model"}),
+    "lang": frozenset({"model"}),
+    "plan": frozenset({"model"}),
+    "generate": frozenset({"model"}),
+    "node": frozenset({"model", "wire"}),
+    "verify": frozenset({"model", "plan"}),
+    "runtime": frozenset({"model", "wire", "plan", "verify"}),
+    "backends": frozenset({"model", "wire", "node", "runtime"}),
+    "server": EVERY - {"node", "cli", "testing"} | {""},
+    "cli": EVERY - {"testing"} | {""},
+    "testing": EVERY - {"server", "cli"},
+    "": EVERY - {"server", "cli", "testing"},
+    "__main__": frozenset({"cli"}),
+}
+
+# What a room may import from outside, where that is bounded.
+OUTSIDE: dict[str, frozenset[str]] = {
+    "errors": frozenset({"__future__"}),
+    "model": (frozenset(sys.stdlib_module_names) | {"immutables"}),
+    "wire": frozenset(sys.stdlib_module_names) | {"immutables"},
+}
+
+# The model does no I/O and knows no clock.
+IMPURE = frozenset(
+    "asyncio datetime http io logging multiprocessing os pathlib random selectors shutil signal socket sqlite3 ssl "
+    "subprocess tempfile threading time urllib".split()
+)
+
+ROS = frozenset(
+    "ament_index_python catkin genmsg genpy launch launch_ros rcl rclpy rclpy_action rosgraph roslaunch roslib "
+    "rosidl_parser rosidl_runtime_py rosmaster rosparam rospkg rospy rosservice rostopic rpyutils "
+    "tf tf2_py tf2_ros xmlrpcros".split()
+)
+ROS_ENDINGS = ("_msgs", "_srvs", "_interfaces")
+
+
+def is_ros(module: str) -> bool:
+    top = module.partition(".")[0]
+    return top in ROS or top.endswith(ROS_ENDINGS)
+
+
+def imported(tree: ast.AST, module: str, is_package: bool) -> Iterator[tuple[int, str]]:
+    """The line and the absolute name of every import in a module."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            origin = node.module or ""
+            if node.level:
+                parts = module.split(".")
+                parts = parts[: len(parts) - node.level + is_package]
+                origin = ".".join([*parts, origin] if origin else parts)
+            if origin == PACKAGE:  # `from midstride import model` is about the room, not about the package
+                yield from ((node.lineno, f"{PACKAGE}.{alias.name}") for alias in node.names)
+            else:
+                yield node.lineno, origin
+        elif isinstance(node, ast.Call) and node.args:
+            called = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", None)
+            name = node.args[0].value if isinstance(node.args[0], ast.Constant) else None
+            if called in {"import_module", "__import__"} and isinstance(name, str):
+                yield node.lineno, name
+
+
+def room_of(name: str) -> str:
+    """The room that an absolute name of the package belongs to: a public name belongs to the package's own __init__."""
+    room = name.split(".")[1] if "." in name else ""
+    return room if room in MAY_IMPORT or room in EVERY else ""
+
+
+def violations(source: str, module: str, is_package: bool = False) -> list[str]:
+    """What a module's imports break, one sentence each."""
+    room = module.split(".")[1] if "." in module else ""
+    if room not in MAY_IMPORT:
+        return [f"{module}: the room {room!r} has no rule: give it one here and in docs/architecture.md"]
+    found = []
+    for line, name in imported(ast.parse(source), module, is_package):
+        top = name.partition(".")[0]
+        where = f"{module}:{line}"
+        if top == PACKAGE:
+            other = room_of(name)
+            if other not in MAY_IMPORT[room] | {room, "errors"} or room == "errors":
+                found.append(f"{where}: {room or PACKAGE!r} may not import {other or PACKAGE!r} ({name})")
+            continue
+        if is_ros(name) and room != "backends":
+            found.append(f"{where}: only 'backends' imports a ROS library ({name})")
+        elif room in OUTSIDE and top not in OUTSIDE[room]:
+            found.append(f"{where}: {room!r} may not import {top!r}")
+        elif room == "model" and top in IMPURE:
+            found.append(f"{where}: 'model' is pure, and {top!r} is not")
+        elif room == "verify" and top == "subprocess" and module != f"{PACKAGE}.verify.run":
+            found.append(f"{where}: only verify/run.py starts processes")
+    return found
+
+
+def modules() -> Iterator[tuple[Path, str, bool]]:
+    for path in sorted((ROOT / PACKAGE).rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        is_package = parts[-1] == "__init__"
+        yield path, ".".join(parts[:-1] if is_package else parts), is_package
+
+
+def test_the_package_keeps_the_rules() -> None:
+    found = [
+        fault
+        for path, module, is_package in modules()
+        for fault in violations(path.read_text(encoding="utf-8"), module, is_package)
+    ]
+    assert not found, "\n" + "\n".join(found)
+
+
+def test_the_rules_are_not_circular() -> None:
+    settled: set[str] = {"errors"}
+    waiting = dict(MAY_IMPORT)
+    while waiting:
+        ready = {room for room, others in waiting.items() if others - {room} <= settled}
+        assert ready, f"these import each other: {sorted(waiting)}"
+        settled |= ready
+        waiting = {room: others for room, others in waiting.items() if room not in ready}
+
+
+@pytest.mark.parametrize(
+    ("module", "source"),
+    [
+        (
+            "midstride.model.action",
+            "from midstride.errors import ActionRefused\nfrom .contract import Contract\nimport enum",
+        ),
+        ("midstride.model.best", "from immutables import Map"),
+        ("midstride.wire", "from midstride.model import Mode"),
+        ("midstride.plan.paper", "from ..model.action import Action"),
+        ("midstride.runtime.manager", "from midstride.wire import Command\nimport time"),
+        ("midstride.backends.ros2", "import rclpy\nfrom std_msgs.msg import String\nfrom midstride.node import ports"),
+        ("midstride.server.app", "from midstride import __version__\nimport fastapi"),
+        ("midstride.cli", "from midstride.server import app\nfrom midstride.backends import ros2"),
+        ("midstride", "from midstride.node import Component"),
+        ("midstride.verify.run", "import subprocess"),
+    ],
+)
+def test_what_is_allowed(module: str, source: str) -> None:
+    assert violations(source, module, is_package=module in {"midstride", "midstride.cli"}) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "because"),
+    [
+        ("midstride.errors", "import os", "may not import 'os'"),
+        ("midstride.errors", "from midstride import model", "may not import 'model'"),
+        ("midstride.model.best", "import time", "pure"),
+        ("midstride.model.best", "import numpy", "may not import 'numpy'"),
+        ("midstride.model.best", "from midstride.plan import paper", "may not import 'plan'"),
+        ("midstride.model.best", "from .. import plan", "may not import 'plan'"),
+        ("midstride.model.best", "from ..plan.paper import replace", "may not import 'plan'"),
+        ("midstride.model.best", "def later():\n    import midstride.runtime", "may not import 'runtime'"),
+        ("midstride.wire", "from midstride.node import Component", "may not import 'node'"),
+        ("midstride.wire", "import pydantic", "may not import 'pydantic'"),
+        ("midstride.lang.parser", "from midstride.plan import paper", "may not import 'plan'"),
+        ("midstride.node.component", "import rclpy", "only 'backends'"),
+        ("midstride.node.component", "from sensor_msgs.msg import Image", "only 'backends'"),
+        ("midstride.node.component", "import importlib\nimportlib.import_module('rclpy.node')", "only 'backends'"),
+        ("midstride.node.component", "if TYPE_CHECKING:\n    import midstride.runtime", "may not import 'runtime'"),
+        ("midstride.runtime.manager", "from midstride.backends import ros2", "may not import 'backends'"),
+        ("midstride.server.app", "from midstride.node import Component", "may not import 'node'"),
+        ("midstride.plan.paper", "from midstride import Component", "may not import 'midstride'"),
+        ("midstride.verify.export", "import subprocess", "verify/run.py"),
+        ("midstride.attic.old", "", "has no rule"),
+    ],
+)
+def test_what_is_not(module: str, source: str, because: str) -> None:
+    assert any(because in fault for fault in violations(source, module))

@@ -1,0 +1,96 @@
+"""The environment that `make` sets up: what is installed, and that its ROS 2 works between two processes."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+def test_nothing_depends_on_lark() -> None:
+    """It would fill the same folder as `lark-parser`, which the ROS wheels need, and break them when it goes."""
+    named = {
+        re.split(r"[\s\[<>=!~;(]", requirement, maxsplit=1)[0].lower()
+        for distribution in importlib.metadata.distributions()
+        if not str(distribution.metadata["Name"]).lower().startswith("ros-")
+        for requirement in distribution.requires or ()
+        if "extra ==" not in requirement
+    }
+    assert "lark" not in named
+    assert not re.search(r'"lark\b(?!-parser)', (ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+
+
+ANSWERING = """
+import rclpy
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+rclpy.init()
+node = rclpy.create_node("answering")
+heard = []
+node.create_subscription(String, "/ground/said", lambda message: heard.append(message.data), 10)
+
+def answer(request, response):
+    response.success, response.message = bool(heard), " ".join(heard)
+    return response
+
+node.create_service(Trigger, "/ground/heard", answer)
+print(rclpy.__file__, flush=True)
+while True:
+    rclpy.spin_once(node, timeout_sec=0.1)
+"""
+
+ASKING = """
+import sys, time
+import rclpy
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+rclpy.init()
+node = rclpy.create_node("asking")
+publisher = node.create_publisher(String, "/ground/said", 10)
+client = node.create_client(Trigger, "/ground/heard")
+end = time.monotonic() + 30
+while time.monotonic() < end:
+    publisher.publish(String(data="ground"))
+    future = client.call_async(Trigger.Request())
+    rclpy.spin_until_future_complete(node, future, timeout_sec=1.0)
+    if future.done() and future.result().success:
+        print(future.result().message.split()[0], flush=True)
+        break
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+@pytest.mark.ros2
+@pytest.mark.timeout(60)
+def test_a_message_and_a_service_pass_between_two_processes() -> None:
+    answering = subprocess.Popen([sys.executable, "-c", ANSWERING], stdout=subprocess.PIPE, text=True)
+    try:
+        asking = subprocess.run([sys.executable, "-c", ASKING], capture_output=True, text=True, timeout=50, check=False)
+        assert asking.stdout == "ground\n", asking.stderr
+    finally:
+        answering.kill()
+        answering.communicate()
+
+
+@pytest.mark.ros2
+@pytest.mark.skipif("MIDSTRIDE_ROS2_ON_PATHS" not in os.environ, reason="for the ROS 2 that is only on the paths")
+def test_the_second_ros_2_is_only_on_the_paths() -> None:
+    import rclpy
+
+    assert not Path(rclpy.__file__).is_relative_to(sys.prefix)
+    assert Path(rclpy.__file__).is_relative_to(os.environ["AMENT_PREFIX_PATH"])
+    assert "_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in os.environ
+    in_site_packages = importlib.metadata.distributions(path=[path for path in sys.path if path.startswith(sys.prefix)])
+    assert not [found.name for found in in_site_packages if found.name.startswith("ros-")]
+    assert os.environ["ROS_DISTRO"] == "jazzy"
+    assert hasattr(rclpy, "ok")
