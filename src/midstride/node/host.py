@@ -31,16 +31,19 @@ class MessageInfo:
 
 
 class Publisher(Protocol):
-    """An endpoint of an output on one topic. Used on the data side only, save :meth:`matched`."""
+    """An endpoint of an output on one topic. Used on the data side only, save what says otherwise."""
 
     def publish(self, message: Any) -> None: ...
 
     def matched(self) -> int:
-        """How many *compatible* subscriptions are matched."""
+        """How many *compatible* subscriptions are matched. Called on the control side."""
         ...
 
-    def wait_acknowledged(self, timeout: float) -> bool | None:
-        """Whether every matched reliable reader has all; None where that cannot be known. Blocks."""
+    async def acknowledged(self, timeout: float) -> bool | None:
+        """Whether every matched reliable reader has all; None where that cannot be known.
+
+        Awaited on the control side; neither side stands still meanwhile.
+        """
         ...
 
     def destroy(self) -> None: ...
@@ -49,13 +52,18 @@ class Publisher(Protocol):
 class Subscription(Protocol):
     """An endpoint of an input on one topic."""
 
-    def matched(self) -> int: ...
+    def matched(self) -> int:
+        """How many compatible publishers are matched. Called on the control side."""
+        ...
 
     def destroy(self) -> None: ...
 
 
 class Timer(Protocol):
-    """Calls at ``epoch + n * period`` on the ROS clock; a late call skips slots, it does not burst."""
+    """Calls at ``epoch + n * period`` on the ROS clock; a late call skips slots, it does not burst.
+
+    A late call is given the slot that came due first. Used on the data side.
+    """
 
     def regrid(self, epoch: int) -> None:
         """Go on along the grid through ``epoch`` (ns), from its next slot after now."""
@@ -68,13 +76,14 @@ class Host(Protocol):
     """One per process (in the simulator: one per component)."""
 
     backend: str
+    instance: str
 
     def now(self) -> int:
-        """The ROS clock, ns."""
+        """The ROS clock, ns; 0 while it is driven by ``/clock`` and none has come. On the data path: cheap."""
         ...
 
     def steady(self) -> int:
-        """The steady clock, ns: time-outs, drains, heartbeats, times of receipt."""
+        """The steady clock, ns: time-outs, drains, heartbeats, times of receipt. On the data path: cheap."""
         ...
 
     @property
@@ -88,18 +97,35 @@ class Host(Protocol):
     # -- data side -------------------------------------------------------------------------------
 
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
-        """Run ``function`` on the data side between two calls of user code; awaited on the control side."""
+        """Run ``function`` on the data side between two calls of user code; awaited on the control side.
+
+        It is queued when ``on_data`` is called, in order, whether or not the result is awaited.
+        """
         ...
 
     def run_coroutine(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
-        """Drive an async mode function on the data side; called, and ``done`` is called, on the data side."""
+        """Drive an async mode function on the data side; called, and ``done`` is called, on the data side.
+
+        ``coroutine`` raises nothing: whoever hands it over has wrapped it.
+        """
+        ...
+
+    def pause(self, seconds: float) -> Awaitable[None]:
+        """Something to await inside such a coroutine: done after ``seconds`` on the ROS clock."""
         ...
 
     def create_publisher(self, topic: str, type_: type, qos: QoS) -> Publisher: ...
 
     def create_subscription(
-        self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, MessageInfo], None]
-    ) -> Subscription: ...
+        self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
+    ) -> Subscription:
+        """``callback(message, info)``: ``info`` is whatever the middleware hands over, as it comes.
+
+        So a message costs nothing that nobody asks for; :meth:`read_info` tells what it says.
+        """
+        ...
+
+    def read_info(self, info: Any) -> MessageInfo: ...
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int], None]) -> Timer:
         """``callback(slot)`` is given the slot's nominal time (ns). ``epoch`` None: the first call comes at once."""
@@ -126,17 +152,22 @@ class Host(Protocol):
         ...
 
     def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
-        """Declare a parameter of the ROS node and return its value."""
+        """Declare a parameter of the ROS node, on the data side, and return its value."""
         ...
 
     def set_parameters(self, values: dict[str, Any]) -> None:
-        """Set declared parameters at once or not at all. Raises CommandRefused with the reason."""
+        """Set declared parameters at once or not at all, on the data side. Raises CommandRefused with the reason.
+
+        ``on_change`` may raise: then nothing is set, and what it raised is the reason.
+        """
         ...
 
     def run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
         """Bring the process up, serve commands, run ``main`` on the control side, and return when it does.
 
-        The only place where signal handlers are set: SIGTERM and SIGINT cancel ``main``.
+        What ``main`` raises is raised here. Commands served by then are answered before the process
+        leaves the platform. The only place where signal handlers are set: SIGTERM and SIGINT cancel
+        ``main``, which then ends in order.
         """
         ...
 
