@@ -46,6 +46,16 @@ def rebalanced(s: Configuration, seeds: Iterable[FunctionalityRef]) -> dict[Func
     return {ref: index for ref, index in overlay.items() if s.modes[ref] != index}
 
 
+def lowered(s: Configuration, seeds: Iterable[FunctionalityRef]) -> dict[FunctionalityRef, int]:
+    """The modes to which losing something takes whoever stands above what is left, and nobody is raised.
+
+    ``seeds`` are the functionalities that what was lost bears on directly.
+    """
+    overlay: dict[FunctionalityRef, int] = {}
+    _lower(s, overlay, list(dict.fromkeys(seeds)))
+    return overlay
+
+
 def consumers_of(s: Configuration, port: PortRef, connector: str) -> list[FunctionalityRef]:
     """The functionalities that an attachment of ``port`` to ``connector`` bears on directly."""
     return list(s.consumers(connector)) if s.is_output(port) else s.users(port)

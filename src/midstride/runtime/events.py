@@ -1,0 +1,47 @@
+"""What happens, told as it happens: a bounded log that clients can read from any point and follow."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable
+from typing import Any
+
+Event = dict[str, Any]
+
+
+class EventLog:
+    """Events are JSON documents: ``n`` (counted from 1), ``at`` (unix s), ``kind``, ``words`` and details."""
+
+    def __init__(self, limit: int = 10_000, wall: Callable[[], float] = time.time) -> None:
+        self._events: deque[Event] = deque(maxlen=limit)
+        self._count = 0
+        self._wall = wall
+        self._wakers: set[asyncio.Event] = set()
+
+    def add(self, kind: str, words: str, **details: Any) -> Event:
+        self._count += 1
+        event: Event = {"n": self._count, "at": self._wall(), "kind": kind, "words": words, **details}
+        self._events.append(event)
+        for waker in self._wakers:
+            waker.set()
+        return event
+
+    def since(self, n: int = 0) -> list[Event]:
+        """The events after number ``n`` that are still kept."""
+        return [event for event in self._events if event["n"] > n]
+
+    async def follow(self, n: int = 0) -> AsyncIterator[Event]:
+        """The events after number ``n``, then each new one as it comes; a slow reader loses only the oldest."""
+        waker = asyncio.Event()
+        self._wakers.add(waker)
+        try:
+            while True:
+                waker.clear()
+                for event in self.since(n):
+                    n = event["n"]
+                    yield event
+                await waker.wait()
+        finally:
+            self._wakers.discard(waker)

@@ -1,0 +1,233 @@
+"""The hand-over on live components: both publishers live, one agreed cut, nothing chased.
+
+Semantics.md section 7, *the cut is agreed*. The new component's publisher stands behind a closed
+gate until both sides have been told one future slot of the old one's time grid. The old side is
+told first, and takes up again by itself unless it learns from the new one that it has written: if
+the manager dies at any point, the topic falls silent for no longer than ``RESUME_PERIODS``.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import uuid
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from midstride.errors import CallTimeout, MidstrideError, StepFailed, Unreachable
+from midstride.model.action import Handover, Swap
+from midstride.model.component import PortRef
+from midstride.model.configuration import Configuration
+from midstride.model.contract import Predicate
+from midstride.runtime.link import Link
+
+# The old side takes up again when it has not heard of the new one's first write for this many periods,
+RESUME_PERIODS: Final = 10
+# and for at least this long (s): below it a busy machine's own jitter would look like a death.
+RESUME_AT_LEAST: Final = 0.1
+# Where no rate says how long silence may last (s).
+RESUME_WITHOUT_RATE: Final = 2.0
+# How far ahead the cut is agreed (s): many round trips, so that both sides know it before it comes.
+LEAD: Final = 0.1
+# How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
+PROBATION: Final = 5.0
+ATTACH_TIMEOUT: Final = 5.0
+DETACH_TIMEOUT: Final = 2.0
+
+
+@dataclass(slots=True)
+class Cut:
+    """One agreed cut between two components, for the outputs whose calls share one time grid."""
+
+    old: str
+    new: str
+    swaps: list[Swap]
+    id: str = field(default_factory=lambda: uuid.uuid4().hex)
+    trigger: str = "none"
+    epoch: int | None = None
+    period: float | None = None
+    at: int = 0
+
+    def resume_after(self, declared: float | None) -> float:
+        """How long the old side waits for the new one's first write (s)."""
+        period = self.period if self.period is not None else declared
+        return RESUME_WITHOUT_RATE if period is None else max(RESUME_PERIODS * period, RESUME_AT_LEAST)
+
+
+@dataclass(frozen=True, slots=True)
+class Handed:
+    """What came of a hand-over: the number of each old output's last message, and what went wrong after it."""
+
+    last: dict[PortRef, int | None]
+    warnings: tuple[str, ...] = ()
+
+
+async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
+    """Carry out ``action`` on the components of ``s``.
+
+    Raises StepFailed with the reason; then the old publishers have their topics as before and the
+    new ones no endpoint there.
+    """
+    swaps = list(action.swaps)
+    begun: list[Swap] = []
+    cuts: list[Cut] = []
+    try:
+        for swap in swaps:
+            begun.append(swap)
+            await _stand_by(link, s, swap)
+        for swap in swaps:
+            await _await_probation(link, s, swap)
+        for old, new in sorted({(swap.old.component, swap.new.component) for swap in swaps}):
+            await link.change(new, "meet", peer=old)
+        cuts = await _agree(link, s, swaps)
+        for cut in cuts:  # the old side first: it alone can go on by itself
+            await link.change(cut.old, "cut_out", **_out_arguments(s, cut))
+        for cut in cuts:
+            await link.change(cut.new, "cut_in", **_in_arguments(s, cut))
+        last = await _await_cuts(link, s, cuts)
+    except (MidstrideError, asyncio.CancelledError) as error:
+        await _take_back(link, s, cuts, begun)
+        if isinstance(error, asyncio.CancelledError):
+            raise
+        raise StepFailed(f"{action.describe()}: {error}") from error
+    warnings = [warning for swap in swaps if (warning := await _retire(link, s, swap))]
+    return Handed(last, tuple(warnings))
+
+
+def _topic(s: Configuration, connector: str) -> str:
+    return s.world.connectors[connector].topic
+
+
+async def _stand_by(link: Link, s: Configuration, swap: Swap) -> None:
+    """The new publisher on the topic, matched with every subscriber the model knows of, its gate closed."""
+    await link.change(
+        swap.new.component,
+        "attach",
+        timeout=ATTACH_TIMEOUT,
+        port=swap.new.port,
+        topic=_topic(s, swap.connector),
+        gate="closed",
+        peers=len(s.subscribers_on(swap.connector)),
+    )
+
+
+async def _await_probation(link: Link, s: Configuration, swap: Swap) -> None:
+    guarantee = s.guarantee(swap.new)
+    rate = guarantee.rate if isinstance(guarantee, Predicate) else None
+    timeout = PROBATION + (10 / rate if rate else 0.0)
+    seen = await link.read(
+        swap.new.component,
+        "await_write",
+        timeout=timeout,
+        port=swap.new.port,
+        topic=_topic(s, swap.connector),
+    )
+    if wrong := seen.get("wrong_type"):
+        raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {wrong}")
+    if not seen.get("gated"):
+        raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
+
+
+async def _agree(link: Link, s: Configuration, swaps: Iterable[Swap]) -> list[Cut]:
+    """One cut for the outputs of each functionality pair; all at the slot nearest to one common moment."""
+    groups: dict[tuple[str, str, str], Cut] = {}
+    moment: int | None = None
+    for swap in swaps:
+        owner = s.component(swap.old.component).owner(swap.old.port).name
+        cut = groups.setdefault(
+            (swap.old.component, swap.new.component, owner), Cut(swap.old.component, swap.new.component, [])
+        )
+        cut.swaps.append(swap)
+        if len(cut.swaps) > 1:
+            continue
+        grid = await link.read(swap.old.component, "grid", port=swap.old.port)
+        cut.trigger, cut.epoch, cut.period = grid["trigger"], grid["epoch"], grid["period"]
+        moment = max(moment or 0, int(grid["now"]))
+    assert moment is not None
+    moment += int(LEAD * 1e9)
+    for cut in groups.values():
+        cut.at = moment
+        if cut.trigger == "rate" and cut.epoch is not None and cut.period:
+            step = cut.period * 1e9
+            cut.at = cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
+    return list(groups.values())
+
+
+def _declared_period(s: Configuration, cut: Cut) -> float | None:
+    """The longest of the periods that the cut's topics require; None where one states no rate."""
+    rates = [s.world.connectors[swap.connector].guarantee.rate for swap in cut.swaps]
+    rates = [
+        rate or (g.rate if isinstance(g := s.guarantee(swap.old), Predicate) else None)
+        for rate, swap in zip(rates, cut.swaps, strict=True)
+    ]
+    return None if any(rate is None for rate in rates) else max(1 / rate for rate in rates if rate)
+
+
+def _out_arguments(s: Configuration, cut: Cut) -> dict[str, Any]:
+    return {
+        "cut": cut.id,
+        "swaps": [{"port": swap.old.port, "topic": _topic(s, swap.connector)} for swap in cut.swaps],
+        "at": cut.at,
+        "resume_after": cut.resume_after(_declared_period(s, cut)),
+    }
+
+
+def _in_arguments(s: Configuration, cut: Cut) -> dict[str, Any]:
+    return {
+        "cut": cut.id,
+        # What is written neither at a rate nor for a message is written once: at the cut, again.
+        "swaps": [
+            {"port": swap.new.port, "topic": _topic(s, swap.connector), "latch": cut.trigger == "none"}
+            for swap in cut.swaps
+        ],
+        "at": cut.at,
+        "epoch": cut.at if cut.trigger == "rate" else None,
+        "peer": cut.old,
+    }
+
+
+async def _await_cuts(link: Link, s: Configuration, cuts: list[Cut]) -> dict[PortRef, int | None]:
+    last: dict[PortRef, int | None] = {}
+    for cut in cuts:
+        patience = LEAD + cut.resume_after(_declared_period(s, cut)) + 2.0
+        arriving, leaving = await asyncio.gather(
+            link.read(cut.new, "await_cut", timeout=patience, cut=cut.id),
+            link.read(cut.old, "await_cut", timeout=patience, cut=cut.id),
+        )
+        if arriving["outcome"] != "done":
+            raise StepFailed(f"{cut.new} did not write after the cut, so {cut.old} goes on")
+        if leaving["outcome"] != "done":
+            raise StepFailed(f"{cut.old} had taken up again before it learnt that {cut.new} had written")
+        for swap in cut.swaps:
+            told = leaving["last"].get(f"{swap.old.port} {_topic(s, swap.connector)}")
+            last[swap.old] = int(told[0]) if told else None
+    return last
+
+
+async def _take_back(link: Link, s: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
+    """Old publishers as before, new ones off the topic. What cannot be reached is left to the roll-back's own errors."""
+    for cut in cuts:
+        for side in (cut.new, cut.old):
+            await _quietly(link, side, "cancel_cut", cut=cut.id)
+    for swap in begun:
+        topic = _topic(s, swap.connector)
+        await _quietly(link, swap.new.component, "detach", DETACH_TIMEOUT, port=swap.new.port, topic=topic)
+
+
+async def _retire(link: Link, s: Configuration, swap: Swap) -> str | None:
+    """Take the old endpoint off the topic. The swap has happened: an old side that is gone by now is only told."""
+    topic = _topic(s, swap.connector)
+    try:
+        await link.change(swap.old.component, "detach", timeout=DETACH_TIMEOUT, port=swap.old.port, topic=topic)
+    except (Unreachable, CallTimeout) as error:
+        return f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
+    return None
+
+
+async def _quietly(link: Link, instance: str, op: str, timeout: float = 0.0, **arguments: Any) -> None:
+    try:
+        link.forget(instance)
+        await link.change(instance, op, timeout=timeout, **arguments)
+    except MidstrideError:
+        pass

@@ -1,0 +1,374 @@
+"""The manager: the paper's configuration management node.
+
+It holds the run-time model, takes in what nodes register, starts and ends processes, executes
+plans with acknowledgements, and measures every swap. One command runs at a time; others wait
+their turn. The robot does not depend on it: components go on when it ends, and the next manager
+finds them again (semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+from collections.abc import AsyncIterator, Sequence
+from contextlib import asynccontextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from midstride.errors import ManagerError, MidstrideError, PlanRefused, StepFailed
+from midstride.model.best import lowered
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.specification import Specification
+from midstride.plan.change import Change
+from midstride.plan.lowering import degradations
+from midstride.plan.plan import Plan
+from midstride.plan.registry import planner
+from midstride.plan.request import Request
+from midstride.runtime import adoption, status
+from midstride.runtime.backend import Backend, Exited
+from midstride.runtime.events import Event, EventLog
+from midstride.runtime.executor import Executor
+from midstride.runtime.falling import FallClock
+from midstride.runtime.launcher import Launcher
+from midstride.runtime.link import Link
+from midstride.runtime.recording import Recording, to_documents
+from midstride.runtime.workspace import Workspace
+from midstride.wire.messages import Announcement
+
+
+@dataclass(frozen=True, slots=True)
+class Running:
+    """The command that is being carried out, and since when (steady s)."""
+
+    words: str
+    since: float
+
+
+class Manager:
+    """One running system. Every public coroutine raises MidstrideError kinds only."""
+
+    def __init__(
+        self, specification: Specification, backend: Backend, workspace: Workspace, directory: Path
+    ) -> None:
+        self.specification = specification
+        self.configuration = Configuration(world=specification.world)
+        self.revision = 0
+        self.events = EventLog()
+        self._backend = backend
+        self._workspace = workspace
+        self._directory = directory
+        self._turn = asyncio.Lock()
+        self._running: Running | None = None
+        self._gone: dict[str, Exited] = {}
+        self._unwritten: str | None = None
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._equip(secrets.token_hex(16))
+
+    def _equip(self, token: str) -> None:
+        self._token = token
+        self._link = Link(self._backend, token)
+        self._launcher = Launcher(self._backend, self._link, token, self._directory)
+
+    # -- coming and going ---------------------------------------------------------------------------
+
+    async def up(self) -> dict[str, Any]:
+        """Find again what still runs, and bring the rest of the specification up.
+
+        Raises ManagerError where the system that still runs is another one, StepFailed where a
+        component could not be brought up (what this call started is then ended again).
+        """
+        state = self._workspace.load()
+        if state is not None:
+            self._equip(str(state["token"]))
+        await self._backend.open(self._heard)
+        async with self._command(f"up {self.specification.name}"):
+            if state is not None:
+                await self._adopt(state)
+            change = Change.between(self.configuration, self.specification, self.specification)
+            plan = planner("minimal")(change)
+            if plan.steps:
+                outcome = await self._execute(plan, self.specification)
+                if outcome["outcome"] != "done":
+                    if state is None:
+                        self._workspace.forget()
+                    raise StepFailed(str(outcome["because"]), outcome["outcome"])
+            self._save()
+            self.events.add("up", f"{self.specification.name} is up: {len(self.configuration.instances)} components")
+            return {"outcome": "done", "components": sorted(self.configuration.instances)}
+
+    async def _adopt(self, state: dict[str, Any]) -> None:
+        running = adoption.specification_of(state)
+        if state["backend"] != self._backend.name:
+            raise ManagerError(
+                f"{self._workspace.name} runs on {state['backend']}; use that back end, or `midstride down` first"
+            )
+        if running != self.specification:
+            raise ManagerError(
+                f"{self._workspace.name} is running with another specification; "
+                "`midstride apply` changes a running system, `midstride down` ends it"
+            )
+        self.configuration = await adoption.adopt(
+            state, self.specification, self._launcher, self._link, lambda kind, words: self._note(kind, words)
+        )
+
+    async def close(self) -> None:
+        """Leave; the components go on."""
+        for task in self._tasks:
+            task.cancel()
+        await self._backend.close()
+
+    async def down(self) -> None:
+        """End every component and forget the system. Raises ManagerError naming what could not be ended."""
+        async with self._command("down"):
+            names = sorted({*self._launcher.handles, *self.configuration.instances})
+            ended = await asyncio.gather(*(self._end(name) for name in names))
+            if faults := [fault for fault in ended if fault is not None]:
+                raise ManagerError("; ".join(faults))
+            self.configuration = Configuration(world=self.specification.world)
+            self._workspace.forget()
+            self.events.add("down", f"{self.specification.name} is down")
+
+    async def _end(self, name: str) -> str | None:
+        if name not in self._launcher.handles:
+            self.events.add("note", f"{name} was started elsewhere and is left running")
+            return None
+        try:
+            await self._launcher.end(name)
+        except MidstrideError as error:
+            return f"{name}: {error}"
+        self.events.add("ended", f"{name} has ended")
+        return None
+
+    # -- asking -------------------------------------------------------------------------------------
+
+    async def status(self) -> dict[str, Any]:
+        """What is live, in which modes, and why; each component is asked and one that is silent is shown so."""
+        running = None
+        if self._running is not None:
+            seconds = self._backend.clock.steady() - self._running.since
+            running = {"command": self._running.words, "since": round(seconds, 3)}
+        document = await status.status(self.configuration, self._link, self._backend.clock, self._gone)
+        document["system"] = self.specification.name
+        document["backend"] = self._backend.name
+        document["revision"] = self.revision
+        document["running"] = running
+        document["unwritten"] = self._unwritten
+        return document
+
+    async def why(self, functionality: str) -> dict[str, Any]:
+        """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
+        return await status.why(self.configuration, self._link, self._backend.clock, functionality)
+
+    async def plan(self, request: Request) -> Plan:
+        """The plan for ``request`` from the current configuration. Raises PlanRefused."""
+        return self._plan(request)[0]
+
+    def _plan(self, request: Request) -> tuple[Plan, Specification]:
+        target = request.target(self.specification)
+        if request.to is None and len(request.replace) + len(request.remove) + len(request.add) == 1:
+            change = Change.of_request(self.configuration, self.specification, request, target)
+        else:
+            change = Change.between(self.configuration, self.specification, target)
+        return planner(request.strategy)(change), target
+
+    def log(self, since: int = 0) -> list[Event]:
+        """The events after number ``since``."""
+        return self.events.since(since)
+
+    def subscribe(self, since: int = 0) -> AsyncIterator[Event]:
+        """The events after number ``since``, and each new one as it comes."""
+        return self.events.follow(since)
+
+    # -- changing -----------------------------------------------------------------------------------
+
+    async def change(self, request: Request, *, expected: int | None = None) -> dict[str, Any]:
+        """Carry out ``request``: the outcome document of interfaces.md.
+
+        ``expected`` is the revision a preview was made at; where the configuration has moved on
+        since, the change is refused, since its user has seen another plan.
+        """
+        async with self._command(_told(request)):
+            if expected is not None and expected != self.revision:
+                return _refused("the configuration has changed since the plan was shown; look at the new plan")
+            try:
+                plan, target = self._plan(request)
+                self._writable()
+            except (PlanRefused, ManagerError) as error:
+                self.events.add("outcome", f"refused: {error}", outcome="refused")
+                return _refused(str(error))
+            return await self._execute(plan, target)
+
+    async def _execute(self, plan: Plan, target: Specification) -> dict[str, Any]:
+        clock = self._backend.clock
+        actions = [step.action for step in plan.steps]
+        documents = plan.step_documents()
+        self.events.add("plan", f"{len(actions)} steps, disruption {plan.disruption:g}", plan=plan.to_document())
+        recording = Recording(self._link, clock)
+        await recording.begin(self.configuration, actions)
+        falls = FallClock(plan.change, clock.steady)
+        begun = clock.steady()
+        executor = self._executor(falls)
+        executor.configuration = executor.configuration.with_world(plan.change.start.world)
+        outcome, because = "done", None
+        try:
+            await executor.run(actions, documents)
+            self.specification = target
+            self.configuration = self.configuration.with_world(plan.change.end_world)
+        except StepFailed as error:
+            outcome, because = (error.args[1] if len(error.args) > 1 else "failed"), str(error.args[0])
+        seconds = clock.steady() - begun
+        fallen = falls.stop(self.configuration)
+        self._save()
+        if recording.subjects:
+            self.events.add("measuring", "watching the subscribers for 20 periods more")
+        swaps = await recording.finish(executor.last_numbers)
+        documents_of_swaps = to_documents(swaps)
+        if documents_of_swaps:
+            self.events.add("measured", f"measured at {len(swaps)} subscribers", swaps=documents_of_swaps)
+        told = f"{outcome}: {because}" if because else outcome
+        self.events.add("outcome", told, outcome=outcome)
+        return {
+            "outcome": outcome,
+            "plan": plan.to_document(),
+            "seconds": round(seconds, 6),
+            "fallen": fallen,
+            "swaps": documents_of_swaps,
+            "because": because,
+        }
+
+    def _executor(self, falls: FallClock | None = None) -> Executor:
+        async def moved(configuration: Configuration) -> None:
+            self.configuration = configuration
+            self.revision += 1
+            if falls is not None:
+                falls.moved(configuration)
+            self._save()
+
+        return Executor(
+            link=self._link,
+            launcher=self._launcher,
+            configuration=self.configuration,
+            moved=moved,
+            tell=lambda kind, words, details: self._note(kind, words, **details),
+            is_gone=lambda name: name in self._gone,
+            starting=lambda instances: self._save(instances),
+        )
+
+    def _note(self, kind: str, words: str, **details: Any) -> None:
+        self.events.add(kind, words, **details)
+
+    @asynccontextmanager
+    async def _command(self, words: str) -> AsyncIterator[None]:
+        """One command at a time, first come first served; who must wait is told for whom."""
+        if self._running is not None:
+            self.events.add("waiting", f"`{words}` waits for `{self._running.words}`", command=words)
+        async with self._turn:
+            self._running = Running(words, self._backend.clock.steady())
+            self.events.add("command", words)
+            try:
+                await self._settle()
+                yield
+            finally:
+                self._running = None
+
+    # -- what happens by itself ------------------------------------------------------------------------
+
+    def _heard(self, event: Announcement | Exited) -> None:
+        self._launcher.heard(event)
+        if isinstance(event, Exited) and event.instance in self._launcher.handles:
+            self._gone[event.instance] = event
+            status_words = "" if event.status is None else f" (status {event.status})"
+            self.events.add("exited", f"{event.instance} has ended by itself{status_words}", log=event.log_tail)
+            if self._running is None:
+                task = asyncio.get_running_loop().create_task(self._settle_alone())
+                self._tasks.add(task)
+                task.add_done_callback(self._tasks.discard)
+
+    async def _settle_alone(self) -> None:
+        async with self._turn:
+            await self._settle()
+
+    async def _settle(self) -> None:
+        """Bring the model to what is true: crashed components are gone, own degradations are known.
+
+        A crash is an unplanned removal: exactly those that `best` of what is left asks for are
+        lowered. Raising again is a plan's affair.
+        """
+        s, seeds = self.configuration, set[FunctionalityRef]()
+        for name in [name for name in self._gone if name in s.instances]:
+            for port, connector in s.attached_ports(name):
+                if s.is_output(port):
+                    seeds.update(s.consumers(connector))
+            s = s.without_instance(name)
+            self._launcher.handles.pop(name, None)
+            self._link.forget(name)
+        worse = await status.own_degradations(s, self._link, self._backend.clock)
+        for ref in worse:
+            for output in s.functionality(ref).outputs:
+                for connector in s.attached_to(PortRef(ref.component, output)):
+                    seeds.update(s.consumers(connector))
+        s = s.with_modes(worse)
+        if s is self.configuration:
+            return
+        for ref, index in sorted(worse.items()):
+            words = f"{ref} has gone to {s.functionality(ref).modes[index].name} by itself"
+            self.events.add("degraded", words, functionality=str(ref))
+        self.configuration = s
+        self.revision += 1
+        executor = self._executor()
+        fallen = lowered(s, [ref for ref in seeds if ref.component in s.instances])
+        for action in degradations(s, fallen):
+            try:
+                await executor.perform(action)
+                self.events.add("degraded", executor.describe(action))
+            except MidstrideError as error:
+                self.events.add("note", f"{executor.describe(action)} failed: {error}")
+        self._save()
+
+    # -- what is kept for the next manager ---------------------------------------------------------------
+
+    def _document(self, starting: Sequence[Instance] = ()) -> dict[str, Any]:
+        return adoption.state_document(
+            self.specification,
+            self._backend.name,
+            self._token,
+            self.configuration,
+            self._launcher.handles,
+            {instance.name: instance for instance in starting},
+        )
+
+    def _save(self, starting: Sequence[Instance] = ()) -> None:
+        """Keep the state. A disk that refuses does not stop a change half way: it is told, here and in `status`."""
+        try:
+            self._workspace.save(self._document(starting))
+            self._unwritten = None
+        except ManagerError as error:
+            if self._unwritten is None:
+                self.events.add("note", f"{error}; a later manager would not find everything again")
+            self._unwritten = str(error)
+
+    def _writable(self) -> None:
+        """Raises ManagerError where the state cannot be kept: then nothing is begun."""
+        self._workspace.save(self._document())
+
+
+def _refused(because: str) -> dict[str, Any]:
+    return {
+        "outcome": "refused",
+        "plan": None,
+        "seconds": 0.0,
+        "fallen": {},
+        "swaps": [],
+        "because": because,
+    }
+
+
+def _told(request: Request) -> str:
+    parts = [f"replace {role} by {name}" for role, name in request.replace]
+    parts += [f"add {node.role}" for node in request.add]
+    parts += [f"remove {role}" for role in request.remove]
+    if request.to is not None:
+        parts.append(f"apply {request.to.name}")
+    return ", ".join(parts) or "nothing"

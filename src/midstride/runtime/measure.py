@@ -1,0 +1,210 @@
+"""What a subscriber saw while a publisher was exchanged: gap, missed, lost, duplicates.
+
+Semantics.md section 7, last paragraph. Pure: rows in, figures out. A row is a received message:
+time of receipt (steady clock of the subscriber, ns), source time (ns), the publisher's number and
+the publisher's identity; what the middleware cannot tell is None, and then so is every figure
+that would need it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final, NamedTuple
+
+# The window reaches this many periods before the first step and after the last.
+WINDOW_PERIODS: Final = 20
+# A message may come this part of a period before its slot by the publisher's own jitter.
+_EARLY: Final = 0.25
+
+
+class Row(NamedTuple):
+    received: int
+    source: int | None
+    number: int | None
+    publisher: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class SwapReport:
+    """The figures of one subscriber of one swapped topic. ``period`` and ``gap`` in seconds; None: not known."""
+
+    topic: str
+    subscriber: str
+    period: float | None
+    gap: float | None
+    gap_periods: float | None
+    missed: int | None
+    lost: int | None
+    duplicates: int | None
+
+    def to_document(self) -> dict[str, Any]:
+        return asdict(self)
+
+
+@dataclass(frozen=True, slots=True)
+class Observation:
+    """What was recorded at one input, and between which moments of its own steady clock (ns)."""
+
+    topic: str
+    subscriber: str
+    rows: Sequence[Row]
+    begun: int
+    ended: int
+    guaranteed_period: float | None
+    grid_period: float | None = None
+    last_numbers: frozenset[int] = frozenset()
+
+
+def report(seen: Observation) -> SwapReport:
+    """The figures of one observation. ``ended`` includes the tail after the last step."""
+    period = seen.guaranteed_period
+    rows = _window(seen.rows, seen.begun, seen.ended, period or seen.grid_period)
+    gap = _gap(rows, seen.ended) if period else None
+    sides = _sides(rows, seen.begun)
+    missed = duplicates = None
+    grid = seen.grid_period or period
+    if grid and sides is not None:
+        missed, duplicates = _slots(rows, sides, grid, seen.begun, seen.ended)
+    return SwapReport(
+        topic=seen.topic,
+        subscriber=seen.subscriber,
+        period=period,
+        gap=None if gap is None else round(gap, 6),
+        gap_periods=None if gap is None or not period else round(gap / period, 3),
+        missed=missed,
+        lost=_lost(rows, sides, seen.last_numbers),
+        duplicates=duplicates,
+    )
+
+
+def _window(rows: Sequence[Row], begun: int, ended: int, period: float | None) -> list[Row]:
+    start = begun - int(WINDOW_PERIODS * period * 1e9) if period else -math.inf
+    return sorted((row for row in rows if start <= row.received <= ended), key=lambda row: row.received)
+
+
+def _gap(rows: Sequence[Row], ended: int) -> float | None:
+    """The longest silence, the one before the end of the window included: a topic gone silent has no second message."""
+    if not rows:
+        return None
+    times = [row.received for row in rows] + [ended]
+    return max(later - earlier for earlier, later in zip(times, times[1:], strict=False)) / 1e9
+
+
+def _sides(rows: Sequence[Row], begun: int) -> dict[int, str] | None:
+    """The publisher of each row (by its place in ``rows``), told apart by identity or else by numbering."""
+    if all(row.publisher is not None for row in rows):
+        return {index: str(row.publisher) for index, row in enumerate(rows)}
+    if any(row.number is None for row in rows):
+        return None
+    # Without identities: numbers of one publisher count up; a row that goes on no numbering begins another.
+    tails: dict[str, int] = {}
+    sides: dict[int, str] = {}
+    for index, row in enumerate(rows):
+        number = row.number
+        assert number is not None
+        nearest = [name for name, tail in tails.items() if 0 < number - tail <= 1000]
+        exact = [name for name in nearest if tails[name] == number - 1]
+        if len(exact) > 1 or (not exact and len(nearest) > 1):
+            return None  # two numberings meet: nobody can tell whose this is
+        name = (exact or nearest or [f"#{len(tails)}"])[0]
+        if not exact and nearest and row.received > begun and number <= 2:
+            name = f"#{len(tails)}"  # a fresh numbering, not a jump of the old one
+        tails[name] = number
+        sides[index] = name
+    return sides
+
+
+def _swapped(rows: Sequence[Row], sides: dict[int, str], begun: int, tail: float) -> dict[str, list[Row]]:
+    """The rows of the publishers that came or went; of all, where none did. A bystander would blur the slots."""
+    by_side: dict[str, list[Row]] = {}
+    for index, row in enumerate(rows):
+        by_side.setdefault(sides[index], []).append(row)
+    moved = {
+        name: own for name, own in by_side.items() if own[0].received > begun or own[-1].received < tail
+    }
+    return moved if moved else by_side
+
+
+def _slots(
+    rows: Sequence[Row], sides: dict[int, str], period: float, begun: int, ended: int
+) -> tuple[int | None, int | None]:
+    """Empty slots of the old publisher's grid by source time, and slots with messages of two publishers."""
+    if not rows:
+        return None, None
+    if any(row.source is None for row in rows):
+        return None, None
+    step = period * 1e9
+    by_side = _swapped(rows, sides, begun, ended - WINDOW_PERIODS / 2 * step)
+    names = list(by_side)
+    old = min(names, key=lambda name: by_side[name][0].received)
+    origin = _phase([_source(row) for row in by_side[old]], step)
+    taken: dict[int, set[str]] = {}
+    for name in names:
+        for slot in _assign([_source(row) for row in by_side[name]], origin, step):
+            taken.setdefault(slot, set()).add(name)
+    # What the end of the window is on the source's clock, from the quickest passage seen.
+    offset = min(row.received - _source(row) for row in rows)
+    first, last = min(taken), max(taken)
+    last_due = math.floor((ended - offset - origin) / step) - 1
+    missed = sum(1 for slot in range(first, max(last, last_due) + 1) if slot not in taken)
+    duplicates = sum(1 for owners in taken.values() if len(owners) > 1)
+    return missed, duplicates
+
+
+def _source(row: Row) -> int:
+    assert row.source is not None
+    return row.source
+
+
+def _phase(sources: Sequence[int], step: float) -> float:
+    """A source time that is *on time* on the grid of ``sources``: the low end of their spread around it."""
+    best_spread, best_origin = math.inf, float(sources[0])
+    for reference in sources[:: max(1, len(sources) // 16)]:
+        deviations = sorted(_wrapped(source - reference, step) for source in sources)
+        middle = deviations[len(deviations) // 2]
+        spread = sum(abs(deviation - middle) for deviation in deviations)
+        if spread < best_spread:
+            best_spread, best_origin = spread, reference + deviations[len(deviations) // 10]
+    return best_origin
+
+
+def _wrapped(difference: float, step: float) -> float:
+    return (difference + step / 2) % step - step / 2
+
+
+def _assign(sources: Sequence[int], origin: float, step: float) -> Iterable[int]:
+    """The slot of each message of one publisher, on the old grid.
+
+    A publisher keeps one phase, so its place within a slot is decided once, for all its messages;
+    one that is late by more than it, and followed by the next in time, belongs to the slot before.
+    """
+    own = _phase(sources, step)
+    shift = math.floor((own - origin) / step + _EARLY)
+    following: int | None = None
+    slots: list[int] = []
+    for source in sorted(sources, reverse=True):
+        slot = math.floor((source - own) / step + _EARLY)
+        if following is not None and slot >= following:
+            slot = max(slot - 1, following - 1)
+        following = slot
+        slots.append(slot + shift)
+    return slots
+
+
+def _lost(rows: Sequence[Row], sides: dict[int, str] | None, last_numbers: frozenset[int]) -> int | None:
+    """Holes in each publisher's numbering, and what the old one wrote last and nobody received."""
+    if sides is None or any(row.number is None for row in rows):
+        return None
+    numbers: dict[str, set[int]] = {}
+    for index, row in enumerate(rows):
+        assert row.number is not None
+        numbers.setdefault(sides[index], set()).add(row.number)
+    lost = sum(max(own) - min(own) + 1 - len(own) for own in numbers.values())
+    for last in last_numbers:
+        behind = [last - max(own) for own in numbers.values() if 0 < last - max(own) <= 1000]
+        ended_at = any(max(own) == last for own in numbers.values())
+        if not ended_at and behind:
+            lost += min(behind)
+    return lost

@@ -1,0 +1,142 @@
+"""Recording what every subscriber of a swapped topic sees, from before the first step to after the last."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from midstride.errors import MidstrideError
+from midstride.model.action import Action, Attach, Create, Detach, Handover, Remove
+from midstride.model.component import PortRef
+from midstride.model.configuration import Configuration
+from midstride.model.contract import Predicate
+from midstride.runtime.clock import Clock
+from midstride.runtime.link import Link
+from midstride.runtime.measure import WINDOW_PERIODS, Observation, Row, SwapReport, report
+
+# The tail after the last step is 20 periods, but a slow topic does not keep the user waiting longer than this (s).
+LONGEST_TAIL: Final = 10.0
+# The tail where no rate says how long a period is (s).
+TAIL_WITHOUT_RATE: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Exchange:
+    """A publisher of a topic that a plan exchanges for another one of the same role."""
+
+    connector: str
+    old: PortRef
+    new: PortRef
+
+
+def exchanges(s: Configuration, actions: Iterable[Action]) -> list[Exchange]:
+    """The publishers that ``actions`` exchange, whether by hand-over or by taking away and putting back."""
+    found: list[Exchange] = []
+    roles = {name: instance.role for name, instance in s.instances.items()}
+    gone: list[tuple[str, PortRef]] = []
+    for action in actions:
+        match action:
+            case Create(instance):
+                roles[instance.name] = instance.role
+            case Handover(swaps):
+                found.extend(Exchange(swap.connector, swap.old, swap.new) for swap in swaps)
+            case Detach(port, connector) if s.has_port(port) and s.is_output(port):
+                gone.append((connector, port))
+            case Attach(port, connector):
+                found.extend(
+                    Exchange(connector, old, port)
+                    for name, old in gone
+                    if name == connector and old.port == port.port and roles[old.component] == roles[port.component]
+                )
+            case _:
+                pass
+    return found
+
+
+@dataclass(slots=True)
+class _Subject:
+    exchange: Exchange
+    topic: str
+    input: PortRef
+    begun: int
+    guaranteed_period: float | None
+    grid_period: float | None
+
+
+@dataclass(slots=True)
+class Recording:
+    """One recording. It never stands in the way of the plan: what cannot be recorded is reported as unknown."""
+
+    link: Link
+    clock: Clock
+    subjects: list[_Subject] = field(default_factory=list)
+    unknown: list[SwapReport] = field(default_factory=list)
+
+    async def begin(self, s: Configuration, actions: Sequence[Action]) -> None:
+        """Turn recording on at each subscriber that is there before and after."""
+        leaving = {action.component for action in actions if isinstance(action, Remove)}
+        for exchange in exchanges(s, actions):
+            topic = s.world.connectors[exchange.connector].topic
+            guarantee = _normal(s, exchange.old)
+            period = 1 / guarantee.rate if guarantee is not None and guarantee.rate else None
+            grid_period = await self._grid_period(exchange.old)
+            for port in sorted(s.subscribers_on(exchange.connector)):
+                if port.component in leaving:
+                    continue
+                try:
+                    reply = await self.link.change(port.component, "record", inputs=[port.port], on=True)
+                except MidstrideError:
+                    self.unknown.append(_unknown(topic, port, period))
+                    continue
+                self.subjects.append(_Subject(exchange, topic, port, int(reply["now"]), period, grid_period))
+
+    async def _grid_period(self, old: PortRef) -> float | None:
+        try:
+            period = (await self.link.read(old.component, "grid", port=old.port))["period"]
+        except MidstrideError:
+            return None
+        return None if period is None else float(period)
+
+    async def finish(self, last_numbers: dict[PortRef, int | None]) -> list[SwapReport]:
+        """Wait for the tail, turn recording off, and work out the figures."""
+        if not self.subjects:
+            return self.unknown
+        periods = [subject.guaranteed_period for subject in self.subjects]
+        tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
+        await self.clock.sleep(min(max(tails), LONGEST_TAIL))
+        return [await self._report(subject, last_numbers) for subject in self.subjects] + self.unknown
+
+    async def _report(self, subject: _Subject, last_numbers: dict[PortRef, int | None]) -> SwapReport:
+        port = subject.input
+        try:
+            reply = await self.link.read(port.component, "records", input=port.port)
+            await self.link.change(port.component, "record", inputs=[port.port], on=False)
+        except MidstrideError:
+            return _unknown(subject.topic, port, subject.guaranteed_period)
+        last = last_numbers.get(subject.exchange.old)
+        return report(
+            Observation(
+                topic=subject.topic,
+                subscriber=str(port),
+                rows=[Row(*row) for row in reply["rows"]],
+                begun=subject.begun,
+                ended=int(reply["now"]),
+                guaranteed_period=subject.guaranteed_period,
+                grid_period=subject.grid_period,
+                last_numbers=frozenset() if last is None else frozenset({last}),
+            )
+        )
+
+
+def _normal(s: Configuration, output: PortRef) -> Predicate | None:
+    guarantee = s.component(output.component).owner(output.port).modes[0].guarantee(output.port)
+    return guarantee if isinstance(guarantee, Predicate) else None
+
+
+def _unknown(topic: str, port: PortRef, period: float | None) -> SwapReport:
+    return SwapReport(topic, str(port), period, None, None, None, None, None)
+
+
+def to_documents(reports: Iterable[SwapReport]) -> list[dict[str, Any]]:
+    return [entry.to_document() for entry in reports]

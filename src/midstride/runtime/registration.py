@@ -1,0 +1,102 @@
+"""Whether a component that registered is what the specification says it is.
+
+The paper's section 5.2: the user's API registers the model of each node with the management node.
+Here the specification comes first, and what registers must keep its promise: the same ports and
+functionalities, guarantees at least as strong, assumptions no stronger.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from midstride.model.component import Component, Functionality, Mode, NamedInputs
+from midstride.model.contract import NOTHING, Predicate, explain
+
+
+def mismatches(declared: Component, registered: Component) -> list[str]:
+    """Every way in which ``registered`` breaks what the specification declares; empty iff it keeps it."""
+    return list(_mismatches(declared, registered))
+
+
+def unexpected_endpoints(declared: Component, role: str, endpoints: Sequence[dict[str, Any]]) -> list[str]:
+    """The endpoints of a node that are no ports and that its component does not ``allow``."""
+    allowed = {(endpoint.kind, _resolved(endpoint.name, role)) for endpoint in declared.allows}
+    return [
+        f"{endpoint['kind']} {endpoint['name']}"
+        for endpoint in endpoints
+        if (endpoint["kind"], endpoint["name"]) not in allowed
+        and (endpoint["kind"], _resolved(endpoint["name"], role)) not in allowed
+    ]
+
+
+def _resolved(name: str, role: str) -> str:
+    """``~/reset`` of node ``detector`` is ``/detector/reset``; a relative name lives in the node's namespace."""
+    node = role if role.startswith("/") else f"/{role}"
+    if name.startswith("~"):
+        return f"{node}/{name.lstrip('~/')}"
+    return name if name.startswith("/") else f"{node.rpartition('/')[0]}/{name}"
+
+
+def _mismatches(declared: Component, registered: Component) -> Iterator[str]:
+    yield from _names("input", declared.input_order, registered.input_order)
+    yield from _names("output", declared.outputs, registered.outputs)
+    yield from _names("functionality", declared.functionality_order, registered.functionality_order)
+    for name in declared.input_order:
+        ours = registered.inputs.get(name)
+        if ours is None:
+            continue
+        needed = declared.inputs[name]
+        if clauses := explain(needed, ours):
+            yield f"input {name} assumes {ours}, more than the declared {needed} ({', '.join(clauses)})"
+    for functionality in declared:
+        registered_one = registered.functionalities.get(functionality.name)
+        if registered_one is not None:
+            yield from _functionality(declared, functionality, registered_one)
+
+
+def _names(kind: str, declared: Sequence[str], registered: Sequence[str]) -> Iterator[str]:
+    for name in declared:
+        if name not in registered:
+            yield f"{kind} {name} is declared, but the node does not have it"
+    for name in registered:
+        if name not in declared:
+            yield f"the node has {kind} {name}, which is not declared"
+
+
+def _functionality(component: Component, declared: Functionality, registered: Functionality) -> Iterator[str]:
+    for kind, ours, theirs in (
+        ("input", declared.inputs, registered.inputs),
+        ("output", declared.outputs, registered.outputs),
+    ):
+        if set(ours) != set(theirs):
+            told = f"{', '.join(theirs) or 'none'} instead of {', '.join(ours) or 'none'}"
+            yield f"functionality {declared.name} is associated with other {kind}s: {told}"
+    names, own = [mode.name for mode in declared.modes], [mode.name for mode in registered.modes]
+    if names != own:
+        yield f"functionality {declared.name} has the modes {', '.join(own)} instead of {', '.join(names)}"
+        return
+    for promised, kept in zip(declared.modes, registered.modes, strict=True):
+        where = f"{declared.name} in mode {promised.name}"
+        for output in declared.outputs:
+            guarantee, own_guarantee = promised.guarantee(output), kept.guarantee(output)
+            if guarantee is not NOTHING and (clauses := explain(own_guarantee, guarantee)):
+                yield f"{where} guarantees {own_guarantee} on {output} instead of {guarantee} ({', '.join(clauses)})"
+        yield from _assumptions(component, declared, where, promised, kept)
+
+
+def _assumptions(
+    component: Component, declared: Functionality, where: str, promised: Mode, kept: Mode
+) -> Iterator[str]:
+    """The node may assume less than is declared, never more: each own assumption follows from a declared one."""
+    alternatives = [_alternatives(component, declared, assumption) for assumption in promised.assumptions]
+    for assumption in kept.assumptions:
+        own = _alternatives(component, declared, assumption)
+        if not any(options and options <= own for options in alternatives):
+            yield f"{where} assumes {assumption}, which is not declared"
+
+
+def _alternatives(component: Component, functionality: Functionality, assumption: NamedInputs | Predicate) -> set[str]:
+    if isinstance(assumption, NamedInputs):
+        return set(assumption.inputs)
+    return {name for name in functionality.inputs if not explain(component.inputs[name], assumption)}
