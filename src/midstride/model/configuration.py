@@ -72,7 +72,8 @@ class Configuration:
 
     ``connectors_of`` maps an attached port to its connectors; ``publishers`` and ``subscribers``
     are the same relation seen from a connector; ``held`` is what live components hold of each
-    resource. The last three are derived, kept so that a change costs no walk over the system.
+    resource, ``players`` the names of a role's live instances. The last four are derived, kept so that a
+    change costs no walk over the system.
     """
 
     world: World = field(default_factory=World)
@@ -82,6 +83,7 @@ class Configuration:
     publishers: Map[str, PortSet] = field(default_factory=Map)
     subscribers: Map[str, PortSet] = field(default_factory=Map)
     held: Map[str, float] = field(default_factory=Map)
+    players: Map[str, NameSet] = field(default_factory=Map)
 
     # -- reading ---------------------------------------------------------------------------------
 
@@ -146,9 +148,8 @@ class Configuration:
             yield from self.users(port)
 
     def instances_of(self, role: str) -> list[Instance]:
-        """The live instances of a role, sorted by name. Walks the system."""
-        found = [instance for instance in self.instances.values() if instance.role == role]
-        return sorted(found, key=lambda instance: instance.name)
+        """The live instances of a role, sorted by name."""
+        return [self.instances[name] for name in sorted(self.players.get(role, _NO_NAMES))]
 
     # -- changing: each yields a new configuration, and judges nothing ------------------------------
 
@@ -157,10 +158,10 @@ class Configuration:
         held = self.held
         for resource, amount in instance.component.holds.items():
             held = held.set(resource, round(held.get(resource, 0.0) + amount, 9))
-        modes = self.modes.update(
-            {FunctionalityRef(instance.name, f.name): f.last_mode for f in instance.component}
-        )
-        return replace(self, instances=self.instances.set(instance.name, instance), modes=modes, held=held)
+        modes = self.modes.update({FunctionalityRef(instance.name, f.name): f.last_mode for f in instance.component})
+        players = self.players.set(instance.role, self.players.get(instance.role, _NO_NAMES).set(instance.name, None))
+        instances = self.instances.set(instance.name, instance)
+        return replace(self, instances=instances, modes=modes, held=held, players=players)
 
     def without_instance(self, name: str) -> Configuration:
         """``name`` no longer live, nor any of its attachments."""
@@ -175,15 +176,15 @@ class Configuration:
         modes = bare.modes
         for ref in instance.functionality_refs():
             modes = modes.delete(ref)
-        return replace(bare, instances=bare.instances.delete(name), modes=modes, held=held)
+        others = bare.players[instance.role].delete(name)
+        players = bare.players.set(instance.role, others) if others else bare.players.delete(instance.role)
+        return replace(bare, instances=bare.instances.delete(name), modes=modes, held=held, players=players)
 
     def with_attachment(self, port: PortRef, connector: str) -> Configuration:
         index, ports = self._index(port, connector)
         return replace(
             self,
-            connectors_of=self.connectors_of.set(
-                port, self.connectors_of.get(port, _NO_NAMES).set(connector, None)
-            ),
+            connectors_of=self.connectors_of.set(port, self.connectors_of.get(port, _NO_NAMES).set(connector, None)),
             **{index: getattr(self, index).set(connector, ports.set(port, None))},
         )
 
@@ -228,7 +229,9 @@ def configure(
     live: dict[str, Instance] = {instance.name: instance for instance in instances}
     standing: dict[FunctionalityRef, int] = {}
     held: dict[str, float] = {}
+    players: dict[str, dict[str, None]] = {}
     for instance in live.values():
+        players.setdefault(instance.role, {})[instance.name] = None
         for functionality in instance.component:
             standing[FunctionalityRef(instance.name, functionality.name)] = functionality.last_mode
         for resource, amount in instance.component.holds.items():
@@ -246,7 +249,14 @@ def configure(
         instances=Map(live),
         connectors_of=Map({port: Map(names) for port, names in connectors_of.items()}),
         modes=Map(standing),
-        publishers=Map({name: Map(ports) for name, ports in publishers.items()}),
-        subscribers=Map({name: Map(ports) for name, ports in subscribers.items()}),
+        publishers=_frozen(publishers),
+        subscribers=_frozen(subscribers),
         held=Map(held),
+        players=Map({role: Map(names) for role, names in players.items()}),
     )
+
+
+def _frozen(index: Mapping[str, dict[PortRef, None]]) -> Map[str, PortSet]:
+    # A named variable of the key's type: mypy cannot choose the overload for a tuple-like key from the dict alone.
+    sets: dict[str, PortSet] = {name: Map((port, None) for port in ports) for name, ports in index.items()}
+    return Map(sets)

@@ -185,7 +185,9 @@ def violations(s: Configuration) -> list[Violation]:
         if not s.has_port(port):
             found.append(Violation("attachment", f"{port} on {connector}", f"{port} is not a port of a live component"))
         elif connector not in s.world.connectors:
-            found.append(Violation("attachment", f"{port} on {connector}", f"{connector} is not a topic of this system"))
+            found.append(
+                Violation("attachment", f"{port} on {connector}", f"{connector} is not a topic of this system")
+            )
     found.extend(Judge(s).violations_of(s.modes))
     found.extend(v for name in sorted(s.publishers) if (v := cap_violation(s, name)) is not None)
     found.extend(v for name in sorted(s.held) if (v := capacity_violation(s, name)) is not None)
