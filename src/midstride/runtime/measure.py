@@ -54,19 +54,22 @@ class Observation:
     ended: int
     guaranteed_period: float | None
     grid_period: float | None = None
-    last_numbers: frozenset[int] = frozenset()
+    last_number: int | None = None
 
 
 def report(seen: Observation) -> SwapReport:
     """The figures of one observation. ``ended`` includes the tail after the last step."""
     period = seen.guaranteed_period
     rows = _window(seen.rows, seen.begun, seen.ended, period or seen.grid_period)
-    gap = _gap(rows, seen.ended) if period else None
+    gap = _gap(rows, seen.begun, seen.ended) if period else None
     sides = _sides(rows, seen.begun)
     missed = duplicates = None
     grid = seen.grid_period or period
-    if grid and sides is not None:
-        missed, duplicates = _slots(rows, sides, grid, seen.begun, seen.ended)
+    tail = seen.ended - WINDOW_PERIODS / 2 * (grid or 0.0) * 1e9
+    if grid and not rows:
+        missed = math.floor((seen.ended - seen.begun) / (grid * 1e9))
+    elif grid and sides is not None:
+        missed, duplicates = _slots(rows, _swapped(rows, sides, seen.begun, tail), grid, seen.ended)
     return SwapReport(
         topic=seen.topic,
         subscriber=seen.subscriber,
@@ -74,7 +77,7 @@ def report(seen: Observation) -> SwapReport:
         gap=None if gap is None else round(gap, 6),
         gap_periods=None if gap is None or not period else round(gap / period, 3),
         missed=missed,
-        lost=_lost(rows, sides, seen.last_numbers),
+        lost=_lost(rows, sides, seen.begun, tail, seen.last_number),
         duplicates=duplicates,
     )
 
@@ -84,11 +87,10 @@ def _window(rows: Sequence[Row], begun: int, ended: int, period: float | None) -
     return sorted((row for row in rows if start <= row.received <= ended), key=lambda row: row.received)
 
 
-def _gap(rows: Sequence[Row], ended: int) -> float | None:
+def _gap(rows: Sequence[Row], begun: int, ended: int) -> float:
     """The longest silence, the one before the end of the window included: a topic gone silent has no second message."""
-    if not rows:
-        return None
-    times = [row.received for row in rows] + [ended]
+    times = [row.received for row in rows] or [begun]
+    times.append(ended)
     return max(later - earlier for earlier, later in zip(times, times[1:], strict=False)) / 1e9
 
 
@@ -128,15 +130,12 @@ def _swapped(rows: Sequence[Row], sides: dict[int, str], begun: int, tail: float
 
 
 def _slots(
-    rows: Sequence[Row], sides: dict[int, str], period: float, begun: int, ended: int
+    rows: Sequence[Row], by_side: dict[str, list[Row]], period: float, ended: int
 ) -> tuple[int | None, int | None]:
     """Empty slots of the old publisher's grid by source time, and slots with messages of two publishers."""
-    if not rows:
-        return None, None
     if any(row.source is None for row in rows):
         return None, None
     step = period * 1e9
-    by_side = _swapped(rows, sides, begun, ended - WINDOW_PERIODS / 2 * step)
     names = list(by_side)
     old = min(names, key=lambda name: by_side[name][0].received)
     origin = _phase([_source(row) for row in by_side[old]], step)
@@ -182,29 +181,30 @@ def _assign(sources: Sequence[int], origin: float, step: float) -> Iterable[int]
     """
     own = _phase(sources, step)
     shift = math.floor((own - origin) / step + _EARLY)
-    following: int | None = None
-    slots: list[int] = []
-    for source in sorted(sources, reverse=True):
-        slot = math.floor((source - own) / step + _EARLY)
-        if following is not None and slot >= following:
-            slot = max(slot - 1, following - 1)
-        following = slot
-        slots.append(slot + shift)
-    return slots
+    places = [(source - own) / step for source in sorted(sources)]
+    slots = [math.floor(place + _EARLY) for place in places]
+    for index in range(len(slots) - 2, -1, -1):
+        if slots[index] >= slots[index + 1]:
+            slots[index] = max(slots[index] - 1, slots[index + 1] - 1)
+    for index in range(1, len(slots)):  # not early by a hair, after a hole, but late for the slot before
+        if slots[index] - slots[index - 1] == 2 and places[index] < slots[index]:
+            slots[index] -= 1
+    return [slot + shift for slot in slots]
 
 
-def _lost(rows: Sequence[Row], sides: dict[int, str] | None, last_numbers: frozenset[int]) -> int | None:
+def _lost(
+    rows: Sequence[Row], sides: dict[int, str] | None, begun: int, tail: float, last_number: int | None
+) -> int | None:
     """Holes in each publisher's numbering, and what the old one wrote last and nobody received."""
-    if sides is None or any(row.number is None for row in rows):
+    if sides is None or not rows or any(row.number is None for row in rows):
         return None
     numbers: dict[str, set[int]] = {}
     for index, row in enumerate(rows):
         assert row.number is not None
         numbers.setdefault(sides[index], set()).add(row.number)
     lost = sum(max(own) - min(own) + 1 - len(own) for own in numbers.values())
-    for last in last_numbers:
-        behind = [last - max(own) for own in numbers.values() if 0 < last - max(own) <= 1000]
-        ended_at = any(max(own) == last for own in numbers.values())
-        if not ended_at and behind:
-            lost += min(behind)
+    if last_number is not None:
+        moved = _swapped(rows, sides, begun, tail)
+        old = min(moved, key=lambda name: moved[name][0].received)
+        lost += max(0, last_number - max(numbers[old]))
     return lost

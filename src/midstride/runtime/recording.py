@@ -114,7 +114,6 @@ class Recording:
             await self.link.change(port.component, "record", inputs=[port.port], on=False)
         except MidstrideError:
             return _unknown(subject.topic, port, subject.guaranteed_period)
-        last = last_numbers.get(subject.exchange.old)
         return report(
             Observation(
                 topic=subject.topic,
@@ -124,7 +123,7 @@ class Recording:
                 ended=int(reply["now"]),
                 guaranteed_period=subject.guaranteed_period,
                 grid_period=subject.grid_period,
-                last_numbers=frozenset() if last is None else frozenset({last}),
+                last_number=last_numbers.get(subject.exchange.old),
             )
         )
 

@@ -1,0 +1,190 @@
+"""The figures of a swap, against recordings whose truth is planted."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+
+from midstride.runtime.measure import Observation, Row, SwapReport, report
+
+MS = 1_000_000
+PERIOD = 20 * MS  # 50 Hz
+SKEW = 7_000_000_000_000  # the steady clock of the subscriber against the source's clock
+
+
+class Recorder:
+    """A subscriber's recording, written slot by slot."""
+
+    def __init__(self, seed: int = 0, jitter: int = 2 * MS) -> None:
+        self.random = random.Random(seed)
+        self.jitter = jitter
+        self.rows: list[Row] = []
+        self.numbers: dict[str, int] = {}
+
+    def write(self, publisher: str, slot: float, *, received: bool = True, late: int = 0) -> None:
+        self.numbers[publisher] = self.numbers.get(publisher, 0) + 1
+        source = int(slot * PERIOD) + self.random.randrange(self.jitter) + late
+        if received:
+            at = source + SKEW + MS + self.random.randrange(MS)
+            self.rows.append(Row(at, source, self.numbers[publisher], publisher))
+
+    def observe(self, begun: float, ended: float, *, last: int | None = None, known: bool = True) -> SwapReport:
+        rows = self.rows if known else [row._replace(publisher=None) for row in self.rows]
+        return report(
+            Observation(
+                "/t",
+                "sub.in",
+                rows,
+                begun=int(begun * PERIOD) + SKEW,
+                ended=int(ended * PERIOD) + SKEW,
+                guaranteed_period=0.02,
+                grid_period=0.02,
+                last_number=last,
+            )
+        )
+
+
+def swap(recorder: Recorder, cut: int = 40, end: int = 80, old: int | None = None, new: int | None = None) -> None:
+    """Old slots 0..cut-1 (or to ``old``), new from ``cut`` (or ``new``) to ``end``."""
+    for slot in range(cut if old is None else old):
+        recorder.write("old", slot)
+    for slot in range(cut if new is None else new, end):
+        recorder.write("new", slot)
+
+
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("known", [True, False], ids=["identity", "numbering"])
+def test_an_agreed_cut_loses_nothing(seed: int, known: bool) -> None:
+    recorder = Recorder(seed)
+    swap(recorder)
+    seen = recorder.observe(35, 80, last=40, known=known)
+    assert (seen.missed, seen.lost, seen.duplicates) == (0, 0, 0)
+    assert seen.gap_periods is not None and 1.0 <= seen.gap_periods < 1.3
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["identity", "numbering"])
+def test_close_then_open_shows_as_missed(known: bool) -> None:
+    recorder = Recorder()
+    swap(recorder, old=40, new=43)
+    seen = recorder.observe(35, 80, known=known)
+    assert (seen.missed, seen.duplicates) == (3, 0)
+    assert seen.gap_periods is not None and seen.gap_periods > 3.5
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["identity", "numbering"])
+def test_open_then_close_shows_as_duplicates(known: bool) -> None:
+    recorder = Recorder()
+    for slot in range(80):
+        if slot < 42:
+            recorder.write("old", slot)
+        if slot >= 40:
+            recorder.write("new", slot)
+    seen = recorder.observe(35, 80, known=known)
+    assert (seen.missed, seen.duplicates) == (0, 2)
+
+
+def test_a_stall_of_the_new_one_shows_as_missed() -> None:
+    recorder = Recorder()
+    swap(recorder, old=40, new=41)
+    recorder.rows = [row for row in recorder.rows if not (41 * PERIOD < (row.source or 0) < 56 * PERIOD)]
+    seen = recorder.observe(35, 80)
+    assert seen.missed == 16  # slot 40, and 41 to 55
+
+
+def test_a_topic_that_falls_silent_for_ever_is_a_gap_and_missed() -> None:
+    recorder = Recorder()
+    for slot in range(40):
+        recorder.write("old", slot)
+    seen = recorder.observe(35, 80)
+    assert seen.missed is not None and 38 <= seen.missed <= 40
+    assert seen.gap_periods is not None and seen.gap_periods > 39
+
+
+def test_a_subscriber_that_hears_nothing_at_all_is_no_picture_of_health() -> None:
+    seen = Recorder().observe(35, 80)
+    assert (seen.gap, seen.missed, seen.lost) == (0.9, 45, None)
+
+
+def test_messages_nobody_received_are_lost() -> None:
+    recorder = Recorder()
+    for slot in range(40):
+        recorder.write("old", slot, received=slot not in {30, 39})
+    for slot in range(40, 80):
+        recorder.write("new", slot, received=slot != 60)
+    assert recorder.observe(35, 80, last=40).lost == 3
+
+
+def test_a_late_message_is_not_taken_for_two_faults() -> None:
+    recorder = Recorder()
+    for slot in range(40):
+        recorder.write("old", slot, late=18 * MS if slot in (20, 39) else 0)
+    for slot in range(40, 80):
+        recorder.write("new", slot, late=17 * MS if slot == 55 else 0)
+    seen = recorder.observe(35, 80)
+    assert (seen.missed, seen.duplicates) == (0, 0)
+
+
+@pytest.mark.parametrize("phase", [0.1, 0.3, 0.5, 0.7, 0.74, 0.76, 0.9])
+def test_a_new_grid_of_another_phase_is_counted_evenly(phase: float) -> None:
+    recorder = Recorder()
+    for slot in range(40):
+        recorder.write("old", slot)
+    for slot in range(50, 90):
+        recorder.write("new", slot + phase)
+    seen = recorder.observe(35, 90)
+    assert seen.duplicates == 0
+    assert seen.missed in (10, 11)
+
+
+def test_a_bystander_on_the_topic_does_not_hide_a_miss() -> None:
+    recorder = Recorder()
+    for slot in range(80):
+        recorder.write("bystander", slot + 0.5)
+        if slot < 40:
+            recorder.write("old", slot)
+        elif slot >= 42:
+            recorder.write("new", slot)
+    seen = recorder.observe(35, 80)
+    assert (seen.missed, seen.duplicates) == (2, 0)
+
+
+@pytest.mark.parametrize(
+    ("hide", "unknown"),
+    [
+        (lambda row: row._replace(source=None), {"missed", "duplicates"}),
+        (lambda row: row._replace(number=None), {"lost"}),
+        (lambda row: row._replace(number=None, publisher=None), {"lost", "missed", "duplicates"}),
+    ],
+    ids=["no source time", "no number", "neither number nor identity"],
+)
+def test_what_the_middleware_cannot_tell_is_null_and_never_zero(
+    hide: Callable[[Row], Row], unknown: set[str]
+) -> None:
+    recorder = Recorder()
+    swap(recorder)
+    recorder.rows = [hide(row) for row in recorder.rows]
+    document = recorder.observe(35, 80).to_document()
+    figures = {"gap", "missed", "lost", "duplicates"}
+    assert {name for name in figures if document[name] is None} == unknown
+
+
+def test_without_a_rate_there_is_no_gap_to_speak_of() -> None:
+    recorder = Recorder()
+    swap(recorder)
+    seen = report(Observation("/t", "sub.in", recorder.rows, SKEW, SKEW + 80 * PERIOD, None))
+    assert (seen.period, seen.gap, seen.gap_periods, seen.missed) == (None, None, None, None)
+    assert seen.lost == 0
+
+
+def test_only_the_window_counts() -> None:
+    recorder = Recorder()
+    for slot in range(120):
+        if slot < 60:
+            if slot != 10:  # long before the first step
+                recorder.write("old", slot)
+        elif slot < 110:
+            recorder.write("new", slot)
+    seen = recorder.observe(55, 105)
+    assert (seen.missed, seen.lost) == (0, 0)

@@ -1,0 +1,71 @@
+"""The workspace: private, locked by one manager, and never half written."""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+import pytest
+
+from midstride.errors import ManagerBusy, ManagerError
+from midstride.runtime.workspace import Workspace
+
+
+@pytest.fixture(autouse=True)
+def runtime_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path
+
+
+def test_it_is_a_private_folder_named_after_the_system(runtime_folder: Path) -> None:
+    workspace = Workspace.of("patrol")
+    assert workspace.path == runtime_folder / "midstride" / "patrol"
+    assert stat.S_IMODE(workspace.path.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("name", ["", "../patrol", "a/b", ".hidden"])
+def test_a_name_that_is_no_folder_is_refused(name: str) -> None:
+    with pytest.raises(ManagerError, match="cannot name a running system"):
+        Workspace.of(name)
+
+
+def test_one_manager_at_a_time() -> None:
+    workspace = Workspace.of("patrol")
+    with workspace.lock():
+        with pytest.raises(ManagerBusy, match=str(os.getpid())):
+            with workspace.lock():
+                pass
+    with workspace.lock():
+        pass
+
+
+def test_a_state_comes_back_as_it_was_kept_and_is_listed_until_forgotten() -> None:
+    workspace = Workspace.of("patrol")
+    assert workspace.load() is None and Workspace.all() == []
+    workspace.save({"token": "t"})
+    assert workspace.load() == {"token": "t"} and Workspace.all() == [workspace]
+    workspace.forget()
+    assert workspace.load() is None and Workspace.all() == []
+
+
+def test_a_disk_that_refuses_leaves_the_old_state(monkeypatch: pytest.MonkeyPatch) -> None:
+    workspace = Workspace.of("patrol")
+    workspace.save({"token": "old"})
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ManagerError, match="No space left on device"):
+        workspace.save({"token": "new"})
+    assert workspace.load() == {"token": "old"}
+    assert sorted(path.name for path in workspace.path.iterdir()) == ["state.json"]
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "\x00"])
+def test_a_state_that_cannot_be_read_says_what_to_do(text: str) -> None:
+    workspace = Workspace.of("patrol")
+    workspace.state.write_text(text)
+    with pytest.raises(ManagerError, match="midstride down"):
+        workspace.load()
