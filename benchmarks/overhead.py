@@ -1,0 +1,97 @@
+"""What a port costs over bare rclpy: latency at 100 Hz and throughput flat out, at 100 B, 1 kB and 1 MB.
+
+Interleaved pairs of runs (bare, component, bare again), so that a drift of the machine falls on
+all alike; the ratio of each pair, its median over the pairs, and a bootstrapped 95 % interval.
+``bare again / bare`` is the control: what this machine calls the same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).parent
+SIZES = {"100 B": 100, "1 kB": 1_000, "1 MB": 1_000_000}
+
+
+def environment() -> dict[str, str]:
+    from midstride.backends.ros2.tuning import tuned_environment
+
+    own = {"ROS_DOMAIN_ID": os.environ.get("ROS_DOMAIN_ID", "87"), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    return tuned_environment({**os.environ, **own})
+
+
+def run(kind: str, size: int, rate: float, seconds: float, env: dict[str, str]) -> dict[str, Any]:
+    """One publisher and one subscriber process; the subscriber's figures."""
+    common = ["--size", str(size), "--rate", str(rate), "--seconds", str(seconds)]
+    remap = {"publisher": ["--standalone", "out:=/overhead"], "subscriber": ["--standalone", "in:=/overhead"]}
+    processes = {}
+    for side in ("subscriber", "publisher"):
+        command = [sys.executable, str(HERE / "_overhead_nodes.py"), kind, side, *common]
+        processes[side] = subprocess.Popen(
+            command + (remap[side] if kind == "component" else []),
+            env=env,
+            stdout=subprocess.PIPE if side == "subscriber" else subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+    try:
+        # A component lives on until it is told to end; its figures are one line.
+        stream = processes["subscriber"].stdout
+        assert stream is not None
+        figures: dict[str, Any] = json.loads(stream.readline())
+        return figures
+    finally:
+        for process in processes.values():
+            process.kill()
+        for process in processes.values():
+            process.wait()
+
+
+def interval(ratios: list[float], seed: int = 1) -> tuple[float, float, float]:
+    """Median, and the 95 % interval of it by bootstrap."""
+    chance = random.Random(seed)
+    medians = sorted(statistics.median(chance.choices(ratios, k=len(ratios))) for _ in range(4000))
+    return statistics.median(ratios), medians[100], medians[3899]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--pairs", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=3)
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "overhead.json")
+    options = parser.parse_args()
+    env = environment()
+    results = []
+    print(f"{'what':<28}{'component/bare':>16}{'95 %':>18}{'bare/bare':>12}{'95 %':>18}")
+    for label, size in SIZES.items():
+        for what, rate, figure in (("latency", 100.0, "median_ms"), ("throughput", 0.0, "per_second")):
+            pairs: list[dict[str, float]] = []
+            for _ in range(options.pairs):
+                values = [
+                    run(kind, size, rate, options.seconds, env)[figure] for kind in ("bare", "component", "bare")
+                ]
+                pairs.append(dict(zip(("bare", "component", "again"), values, strict=True)))
+                time.sleep(0.2)
+            component = interval([pair["component"] / pair["bare"] for pair in pairs])
+            control = interval([pair["again"] / pair["bare"] for pair in pairs])
+            name = f"{what} {label}" + (" (100 Hz)" if rate else "")
+            shown = [f"{values[0]:.3f} {values[1]:.3f}..{values[2]:.3f}".split() for values in (component, control)]
+            print(f"{name:<28}{shown[0][0]:>16}{shown[0][1]:>18}{shown[1][0]:>12}{shown[1][1]:>18}", flush=True)
+            results.append(
+                {"what": what, "size": size, "ratio": component, "control": control, "figure": figure, "pairs": pairs}
+            )
+    options.out.parent.mkdir(exist_ok=True)
+    options.out.write_text(json.dumps({"results": results}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
