@@ -1,0 +1,297 @@
+"""Processes of components, and the guardian, on real processes."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from midstride.errors import StartFailed
+from midstride.runtime import guardian
+from midstride.runtime.guardian import Guardian, look, members
+from midstride.runtime.process import Process, find, spawn, tail
+
+VARIABLE = "MIDSTRIDE_TOKEN"
+
+# Says its own number and that of a child, then waits; `stubborn` ignores SIGTERM, and so does its child.
+FAMILY = """
+import os, signal, subprocess, sys, time
+if "stubborn" in sys.argv:
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+child = subprocess.Popen([sys.executable, "-S", "-c", "import time; time.sleep(600)"])
+print("up", os.getpid(), child.pid, flush=True)
+if "leaves" in sys.argv:
+    os._exit(3)
+time.sleep(600)
+"""
+
+
+def until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come true in time"
+        time.sleep(0.005)
+
+
+def alive(pid: int) -> bool:
+    seen = look(pid)
+    return seen is not None and seen.alive
+
+
+@pytest.fixture
+def token() -> Iterator[str]:
+    """A token of our own; whatever still carries it at the end is ended, and was left behind by a fault."""
+    token = f"test-{uuid.uuid4().hex}"
+    yield token
+    guardian.end_all({}, VARIABLE, token, grace=0.0)
+
+
+def family(tmp_path: Path, token: str, *arguments: str) -> Process:
+    environment = {"PATH": os.environ["PATH"], VARIABLE: token}
+    return spawn([sys.executable, "-S", "-c", FAMILY, *arguments], tmp_path, environment, tmp_path / "log.txt")
+
+
+async def told(process: Process) -> int:
+    """The child's number, once the family is up."""
+    while not (text := tail(process.log)).startswith("up "):
+        await asyncio.sleep(0.005)
+    return int(text.split()[2])
+
+
+@pytest.mark.parametrize(
+    ("code", "status"),
+    [("raise SystemExit(7)", 7), ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", -9), ("pass", 0)],
+)
+def test_the_exit_is_told_with_its_status(tmp_path: Path, code: str, status: int) -> None:
+    async def run() -> tuple[int | None, list[int | None]]:
+        heard: list[int | None] = []
+        process = spawn([sys.executable, "-S", "-c", code], tmp_path, {}, tmp_path / "log.txt")
+        process.on_exit(heard.append)
+        await asyncio.wait_for(process.wait(), 10)
+        process.close()
+        return process.status, heard
+
+    assert asyncio.run(run()) == (status, [status])
+
+
+def test_an_exit_is_known_within_milliseconds(tmp_path: Path, token: str) -> None:
+    async def run() -> float:
+        process = family(tmp_path, token)
+        await told(process)
+        killed = time.monotonic()
+        os.killpg(process.pid, signal.SIGKILL)
+        await asyncio.wait_for(process.wait(), 10)
+        process.close()
+        return time.monotonic() - killed
+
+    assert asyncio.run(run()) < 0.25
+
+
+def test_it_is_not_a_zombie_afterwards(tmp_path: Path) -> None:
+    async def run() -> int:
+        process = spawn([sys.executable, "-S", "-c", ""], tmp_path, {}, tmp_path / "log.txt")
+        await asyncio.wait_for(process.wait(), 10)
+        process.close()
+        return process.pid
+
+    assert look(asyncio.run(run())) is None
+
+
+def test_it_leads_a_session_of_its_own_and_the_log_has_what_it_says(tmp_path: Path, token: str) -> None:
+    async def run() -> tuple[int, int, str]:
+        process = family(tmp_path, token)
+        await told(process)
+        found = os.getsid(process.pid), os.getpgid(process.pid), tail(process.log)
+        await process.end(grace=5.0)
+        process.close()
+        assert found[:2] == (process.pid, process.pid)
+        return found
+
+    assert asyncio.run(run())[2].startswith("up ")
+
+
+@pytest.mark.parametrize("arguments", [(), ("stubborn",), ("leaves",)])
+def test_ending_reaches_the_whole_group(tmp_path: Path, token: str, arguments: tuple[str, ...]) -> None:
+    async def run() -> tuple[int, list[int]]:
+        process = family(tmp_path, token, *arguments)
+        child = await told(process)
+        await process.end(grace=0.3)
+        process.close()
+        return child, members(process.pid)
+
+    child, rest = asyncio.run(run())
+    assert rest == []
+    assert not alive(child)
+
+
+def test_a_stopped_process_ends_in_order(tmp_path: Path, token: str) -> None:
+    async def run() -> int | None:
+        process = family(tmp_path, token)
+        await told(process)
+        os.killpg(process.pid, signal.SIGSTOP)
+        await process.end(grace=10.0)
+        process.close()
+        return process.status
+
+    assert asyncio.run(run()) == -signal.SIGTERM
+
+
+def test_what_cannot_be_started_is_named(tmp_path: Path) -> None:
+    async def run(arguments: list[str], directory: Path) -> None:
+        spawn(arguments, directory, {}, tmp_path / "log.txt")
+
+    with pytest.raises(StartFailed, match=r"cannot start `/no/such/program x`: No such file"):
+        asyncio.run(run(["/no/such/program", "x"], tmp_path))
+    with pytest.raises(StartFailed, match=r"the folder .*/nowhere does not exist"):
+        asyncio.run(run([sys.executable], tmp_path / "nowhere"))
+
+
+def test_the_tail_of_a_log_is_whole_lines(tmp_path: Path) -> None:
+    log = tmp_path / "log.txt"
+    log.write_text("".join(f"line {number}\n" for number in range(100)))
+    assert tail(log, 20) == "line 98\nline 99\n"
+    assert tail(log, 10_000).startswith("line 0\n")
+    assert tail(tmp_path / "none") == tail(None) == ""
+
+
+def test_a_process_of_an_earlier_manager_is_found_and_watched(tmp_path: Path, token: str) -> None:
+    starting = (
+        "import asyncio, os, sys; from pathlib import Path; from midstride.runtime.process import spawn\n"
+        "async def main():\n"
+        "    process = spawn([sys.executable, '-S', '-c', 'import time; time.sleep(600)'], Path.cwd(),"
+        " dict(os.environ), Path('log.txt'))\n"
+        "    print(process.pid, process.started)\n"
+        "    process.close()\n"
+        "asyncio.run(main())\n"
+    )
+    earlier = subprocess.run(
+        [sys.executable, "-W", "error", "-c", starting],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+        env={**os.environ, VARIABLE: token},
+    )
+    assert earlier.stderr == ""
+    pid, started = int(earlier.stdout.split()[0]), float(earlier.stdout.split()[1])
+
+    async def run() -> tuple[bool, int | None]:
+        process = find(pid, started, VARIABLE, token)
+        assert process is not None
+        running = process.running
+        await process.end(grace=5.0)
+        process.close()
+        return running, process.status
+
+    assert asyncio.run(run()) == (True, None)
+    assert not alive(pid)
+
+
+def test_another_process_of_the_same_number_is_not_taken_for_it(tmp_path: Path, token: str) -> None:
+    async def run() -> None:
+        process = family(tmp_path, token)
+        await told(process)
+        pid, started = process.pid, process.started
+        assert find(pid, started - 0.01, VARIABLE, token) is None
+        assert find(pid, started, VARIABLE, "another token") is None
+        again = find(pid, started, VARIABLE, token)
+        assert again is not None
+        again.close()
+        await process.end(grace=5.0)
+        process.close()
+        assert find(pid, started, VARIABLE, token) is None
+
+    asyncio.run(run())
+
+
+# A manager that starts one family it tells the guardian of, and one it does not, and one without the token.
+MANAGER = """
+import asyncio, os, sys, time
+from pathlib import Path
+from midstride.runtime.guardian import Guardian
+from midstride.runtime.process import spawn, tail
+
+async def main(token, family):
+    guardian = Guardian("MIDSTRIDE_TOKEN", token)
+    bare = {"PATH": os.environ["PATH"]}
+    started = []
+    for name, environment in (("told", bare), ("untold", {**bare, "MIDSTRIDE_TOKEN": token}), ("released", bare)):
+        process = spawn([sys.executable, "-S", "-c", family], Path.cwd(), environment, Path(f"{name}.txt"))
+        started.append(process.pid)
+        if name != "untold":
+            guardian.watch(process.pid, process.started)
+        while not tail(Path(f"{name}.txt")).startswith("up "):
+            await asyncio.sleep(0.005)
+    guardian.release(process.pid)
+    print(guardian.pid, *started, flush=True)
+    await asyncio.sleep(600)
+
+asyncio.run(main(*sys.argv[1:]))
+"""
+
+
+def test_a_killed_manager_leaves_nothing_behind(tmp_path: Path, token: str) -> None:
+    manager = subprocess.Popen(
+        [sys.executable, "-c", MANAGER, token, FAMILY], stdout=subprocess.PIPE, text=True, cwd=tmp_path
+    )
+    assert manager.stdout is not None
+    pids = [int(word) for word in manager.stdout.readline().split()]
+    assert len(pids) == 4
+    watching, told, untold, released = pids
+    children = {name: int((tmp_path / f"{name}.txt").read_text().split()[2]) for name in ("told", "untold", "released")}
+    try:
+        assert all(map(alive, (*pids, *children.values())))
+        os.kill(watching, signal.SIGTERM)  # what ends everything else in sight does not end the guardian
+        manager.kill()
+        manager.wait()
+        until(lambda: not any(map(alive, (told, untold, children["told"], children["untold"], watching))))
+        assert alive(released)
+        assert alive(children["released"])
+    finally:
+        manager.stdout.close()
+        for pid in (told, untold, released):
+            with suppress(ProcessLookupError):
+                os.killpg(pid, signal.SIGKILL)
+        until(lambda: not any(map(alive, (*pids, *children.values()))))
+
+
+def test_closing_the_guardian_ends_what_is_left(tmp_path: Path, token: str) -> None:
+    async def run() -> tuple[int, int]:
+        with Guardian(VARIABLE, token) as watching:
+            process = family(tmp_path, token, "stubborn")
+            watching.watch(process.pid, process.started)
+            child = await told(process)
+            assert os.getsid(watching.pid) == watching.pid
+            process.close()
+        return process.pid, child
+
+    pid, child = asyncio.run(run())
+    assert not alive(pid)
+    assert not alive(child)
+    with suppress(ChildProcessError):
+        os.waitpid(pid, 0)
+
+
+def test_the_guardian_spares_a_later_process_of_the_same_number(tmp_path: Path, token: str) -> None:
+    async def run() -> bool:
+        environment = {"PATH": os.environ["PATH"]}
+        process = spawn(
+            [sys.executable, "-S", "-c", "import time; time.sleep(600)"], tmp_path, environment, tmp_path / "log.txt"
+        )
+        with Guardian(VARIABLE, token) as watching:
+            watching.watch(process.pid, process.started - 5.0)
+        survived = alive(process.pid)
+        await process.end(grace=5.0)
+        process.close()
+        return survived
+
+    assert asyncio.run(run())
