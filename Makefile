@@ -16,7 +16,7 @@ test: ## the tests, and those of ROS 2 once more against a second ROS 2 (ARGS='-
 	@tools/test 'not long' $(ARGS)
 
 test-long: ## the tests that take minutes
-	@tools/test long $(ARGS)
+	@HYPOTHESIS_PROFILE=long tools/test long --timeout=1800 -o faulthandler_timeout=1830 $(ARGS)
 
 bench: ## every benchmark, one after another: a table each, and JSON
 	@tools/setup test
