@@ -1,0 +1,45 @@
+"""The command line: thin commands over the manager's HTTP API and the planners; the composition root.
+
+Exit status (interfaces.md): 0 the answer is yes or done, 1 the answer is no, with the reason, 2
+wrong usage. A user's mistake costs one clear line, never a traceback. Modules are imported when a
+command needs them, so that ``midstride --help`` is there at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Sequence
+
+INTERRUPTED = 130
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; the exit status."""
+    import click
+
+    from midstride.cli.app import cli
+    from midstride.errors import MidstrideError
+
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        status = cli.main(words, prog_name="midstride", standalone_mode=False)
+        sys.stdout.flush()
+        return status if isinstance(status, int) else 0
+    except click.UsageError as error:
+        from midstride.cli.faults import usage
+
+        return usage(error, words)
+    except MidstrideError as error:
+        from midstride.cli.faults import refused
+
+        return refused(error, words)
+    except (click.Abort, KeyboardInterrupt):
+        print("\nmidstride: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:  # the reader has seen enough; the interpreter must not complain of it at its end
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+
+
+__all__ = ["main"]

@@ -1,0 +1,123 @@
+"""The client of a manager's HTTP API over its Unix socket, on the standard library alone (it must start fast)."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlencode
+
+from midstride import errors
+
+Document = dict[str, Any]
+Event = dict[str, Any]
+
+# What only reads is answered at once, or something is wrong (s).
+READ_TIMEOUT = 10.0
+
+
+class _OverSocket(http.client.HTTPConnection):
+    def __init__(self, path: Path, timeout: float | None) -> None:
+        super().__init__("localhost")
+        self._path = path
+        self._timeout = timeout
+
+    def connect(self) -> None:
+        self.sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self.sock.settimeout(self._timeout)
+        self.sock.connect(str(self._path))
+
+
+class Client:
+    """One manager. Raises NoManager where none answers, else what the manager raised, by its kind."""
+
+    def __init__(self, path: Path) -> None:
+        self._socket = path
+
+    @property
+    def log_file(self) -> Path:
+        """What the manager itself has to say, where it ends in an unforeseen way."""
+        return self._socket.parent / "logs" / "manager.log"
+
+    def get(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> Any:
+        return self._ask("GET", path + (f"?{urlencode(query)}" if query else ""), None, timeout)
+
+    def post(self, path: str, document: Document | None = None, timeout: float | None = None) -> Any:
+        return self._ask("POST", path, document, timeout)
+
+    def service(self) -> Document | None:
+        """Who answers, or None where nobody does."""
+        try:
+            found: Document = self.get("", timeout=2.0)
+            return found
+        except errors.ManagerError:
+            return None
+
+    def events(self, since: int = 0) -> Iterator[Event]:
+        """The events after number ``since`` and each new one, until the manager ends the stream or itself."""
+        connection = _OverSocket(self._socket, None)
+        try:
+            response = self._send(connection, "GET", f"/events?since={since}", None)
+            while line := response.readline():
+                if line.startswith(b"data: "):
+                    yield json.loads(line[len(b"data: ") :])
+        except (OSError, http.client.HTTPException):  # the manager was killed: the stream is over
+            return
+        finally:
+            connection.close()
+
+    def _ask(self, method: str, path: str, document: Document | None, timeout: float | None) -> Any:
+        connection = _OverSocket(self._socket, timeout)
+        try:
+            response = self._send(connection, method, path, document)
+            return json.loads(response.read())
+        except TimeoutError:
+            raise errors.ManagerError(f"the manager did not answer within {timeout:g} s") from None
+        except (OSError, http.client.HTTPException, ValueError) as error:
+            reason = str(error) or type(error).__name__
+            raise errors.ManagerError(f"the manager ended before it answered ({reason}); see {self.log_file}") from None
+        finally:
+            connection.close()
+
+    def _send(
+        self, connection: _OverSocket, method: str, path: str, document: Document | None
+    ) -> http.client.HTTPResponse:
+        try:
+            connection.connect()
+        except (FileNotFoundError, ConnectionRefusedError):
+            name = self._socket.parent.name
+            raise errors.NoManager(f"no manager of {name} is running; start one with `midstride up FILE`") from None
+        body = None if document is None else json.dumps(document)
+        connection.request(method, f"/api/v1{path}", body, {"Content-Type": "application/json"} if body else {})
+        response = connection.getresponse()
+        if response.status >= 400:
+            raise _error(response.read())
+        return response
+
+
+# Those whose only argument is their message.
+_KINDS = (
+    errors.PlanRefused,
+    errors.StepFailed,
+    errors.CommandRefused,
+    errors.BackendError,
+    errors.StartFailed,
+    errors.CallTimeout,
+    errors.Unreachable,
+    errors.ManagerBusy,
+    errors.NoManager,
+)
+
+
+def _error(body: bytes) -> errors.MidstrideError:
+    try:
+        told = json.loads(body)["error"]
+        kind, message = str(told["kind"]), str(told["message"])
+    except (ValueError, KeyError, TypeError):
+        return errors.ManagerError(f"the manager answered something unforeseen: {body[:200]!r}")
+    if kind == "SpecificationError":
+        return errors.SpecificationError(told.get("problems") or [message])
+    return next((found(message) for found in _KINDS if found.__name__ == kind), errors.ManagerError(message))

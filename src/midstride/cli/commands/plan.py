@@ -1,0 +1,67 @@
+"""``plan``: the plan for a change of a specification, without anything running."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+import click
+
+from midstride.cli import asking
+from midstride.cli.app import json_option
+
+
+@click.command("plan")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--to", type=click.Path(path_type=Path), metavar="NEW", help="Change to the specification NEW.")
+@click.option("--replace", "replaced", multiple=True, metavar="NODE=COMPONENT", help="Replace what plays NODE.")
+@click.option("--add", "added", multiple=True, metavar="'NODE COMPONENT PORT=TOPIC...'", help="Add a node.")
+@click.option("--remove", "removed", multiple=True, metavar="NODE", help="Remove a node.")
+@asking.strategy_option
+@json_option
+def plan_command(
+    file: Path,
+    to: Path | None,
+    replaced: tuple[str, ...],
+    added: tuple[str, ...],
+    removed: tuple[str, ...],
+    strategy: str,
+) -> int:
+    """Show the plan for a change of the system of FILE: its steps, who falls and for how long.
+
+    \b
+    midstride plan talker.json --replace talker=NewTalker
+    midstride plan talker.json --add 'second Listener in=/chatter'
+    """
+    from midstride.cli.files import load
+    from midstride.cli.output import console, print_json, wants_json
+    from midstride.model.specification import initial
+    from midstride.plan.change import Change
+    from midstride.plan.registry import planner
+    from midstride.plan.request import Request
+
+    if not (to or replaced or added or removed):
+        raise click.UsageError("say what is to change: --to NEW, --replace, --add or --remove")
+    specification = load(file)
+    request = Request.from_document(
+        {
+            "replace": [asking.pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
+            "add": [asking.added(shlex.split(text)) for text in added],
+            "remove": removed,
+            "strategy": strategy,
+        }
+    )
+    if to is not None:
+        if replaced or added or removed:
+            raise click.UsageError("--to names a whole specification: it goes without --replace, --add and --remove")
+        target = load(to)
+    else:
+        target = request.target(specification)
+    document = planner(strategy)(Change.between(initial(specification), specification, target)).to_document()
+    if wants_json():
+        print_json(document)
+    else:
+        from midstride.cli import render
+
+        console().print(render.plan(document, f"from {file.name} to {to.name if to else 'the change'}"))
+    return 0

@@ -1,0 +1,109 @@
+"""``status``, ``why``, ``log``, ``watch``, ``down``: the running system."""
+
+from __future__ import annotations
+
+import click
+
+from midstride.cli.app import json_option
+from midstride.cli.output import console, print_json, wants_json
+from midstride.cli.systems import find, system_option
+
+
+@click.command("status")
+@system_option
+@json_option
+def status_command(system: str | None) -> int:
+    """What is live, in which modes, as the components themselves tell it. Exits 1 where that is not valid."""
+    client, _ = find(system)
+    document = client.get("/status")
+    if wants_json():
+        print_json(document)
+    else:
+        from midstride.cli import render
+
+        console().print(render.status(document))
+    return 0 if document["valid"] else 1
+
+
+@click.command("why")
+@click.argument("functionality", metavar="NODE.FUNCTIONALITY")
+@system_option
+@json_option
+def why_command(functionality: str, system: str | None) -> int:
+    """Why a functionality is in the mode it is in, such as `midstride why listener.listen`."""
+    client, _ = find(system)
+    document = client.get("/why", functionality=functionality)
+    if wants_json():
+        print_json(document)
+        return 0
+    click.echo(f"{document['functionality']} is in mode {document['mode']}")
+    if document.get("because"):
+        click.echo(f"  because: {document['because']}")
+    for reason in document["chain"]:
+        click.echo(f"  {reason}")
+    return 0
+
+
+@click.command("log")
+@click.option("--since", default=0, show_default=True, metavar="N", help="Only the events after number N.")
+@system_option
+@json_option
+def log_command(since: int, system: str | None) -> int:
+    """What has happened since the manager began."""
+    client, _ = find(system)
+    events = client.get("/log", since=since)
+    if wants_json():
+        print_json(events)
+        return 0
+    from midstride.cli import render
+
+    for event in events:
+        console().print(render.event(event))
+    return 0
+
+
+@click.command("watch")
+@system_option
+@json_option
+def watch_command(system: str | None) -> int:
+    """Watch the running system until Ctrl-C; it does not depend on being watched.
+
+    With --json: the events as one JSON array, each on its own line as it comes.
+    """
+    client, workspace = find(system)
+    if wants_json():
+        _stream(client.events())
+        return 0
+    from midstride.cli.view import watch
+
+    return watch(client, workspace.name)
+
+
+def _stream(events: object) -> None:
+    import json
+    from collections.abc import Iterable
+
+    assert isinstance(events, Iterable)
+    lead = "["
+    try:
+        for event in events:
+            print(f"{lead}\n{json.dumps(event)}", end="", flush=True)
+            lead = ","
+    except KeyboardInterrupt:
+        pass
+    print("[]" if lead == "[" else "\n]")
+
+
+@click.command("down")
+@system_option
+@json_option
+def down_command(system: str | None) -> int:
+    """End a system: every component, and its manager."""
+    from midstride.cli.ending import take_down
+
+    name = take_down(system)
+    if wants_json():
+        print_json({"outcome": "done", "system": name})
+    else:
+        click.echo(f"{name} is down.")
+    return 0

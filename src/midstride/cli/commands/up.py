@@ -1,0 +1,114 @@
+"""``up``: a manager of its own, the system under it, and a view of both."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+
+from midstride.cli.app import json_option
+from midstride.cli.client import Client, Document
+from midstride.cli.commands.manage import BACKENDS
+from midstride.errors import ManagerBusy, ManagerError
+
+# How long a manager may take to answer for the first time (s): a cold start on a busy machine.
+FIRST_ANSWER = 30.0
+POLL = 0.02
+
+
+@click.command("up")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("--backend", type=click.Choice(BACKENDS), default="ros2", show_default=True, help="What it runs on.")
+@click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
+@click.option("--http", type=click.IntRange(0, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
+@click.option("--http-host", metavar="ADDRESS", help="With --http: on this address of the machine instead of loopback.")
+@json_option
+def up_command(file: Path, backend: str, detach: bool, http: int | None, http_host: str | None) -> int:
+    """Start the system of FILE under a manager of its own, and watch it.
+
+    Components and manager go on when the view is left (Ctrl-C); a manager that was killed is followed by the next
+    `up`, which finds its components again. `midstride down` ends everything.
+    """
+    from midstride.cli.files import load
+    from midstride.cli.output import print_json, wants_json
+    from midstride.runtime.workspace import Workspace
+
+    if http_host is not None and http is None:
+        raise click.UsageError("--http-host needs --http PORT")
+    workspace = Workspace.of(load(file).name)
+    client = Client(workspace.socket)
+    if (running := client.service()) is not None:
+        raise ManagerBusy(
+            f"{workspace.name} is running already, under the manager with process {running['pid']}: "
+            "`midstride status` shows it, `midstride apply` changes it, `midstride down` ends it"
+        )
+    arguments = [str(file.resolve()), "--backend", backend]
+    if http is not None:
+        arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
+    manager = _start(arguments, workspace.logs / "manager.log")
+    _first_answer(client, manager, workspace.logs / "manager.log")
+    answer = _until_up(client, workspace.name)
+    if wants_json():
+        print_json(answer)
+        return 0
+    click.echo(f"{workspace.name} is up ({', '.join(answer['components'])}).")
+    if http is not None:
+        click.echo(f"API: http://{http_host or '127.0.0.1'}:{http}/api/v1, token in {workspace.path / 'token'}")
+    if detach:
+        return 0
+    from midstride.cli.view import watch
+
+    return watch(client, workspace.name)
+
+
+def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
+    """The manager in a session of its own: what happens to this terminal does not concern it."""
+    with log.open("wb") as output:
+        return subprocess.Popen(
+            [sys.executable, "-m", "midstride", "_manager", *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env={**os.environ, "PYTHONUNBUFFERED": "1"},
+        )
+
+
+def _first_answer(client: Client, manager: subprocess.Popen[bytes], log: Path) -> None:
+    """Wait until the manager answers. Raises ManagerError with its own words where it ends or stays silent."""
+    end = time.monotonic() + FIRST_ANSWER
+    while time.monotonic() < end:
+        service = client.service()
+        if service is not None:
+            if service["pid"] != manager.pid:
+                raise ManagerBusy(f"another manager of this system has just been started (process {service['pid']})")
+            return
+        if manager.poll() is not None:
+            told = log.read_text(errors="replace").strip().splitlines() or ["it wrote nothing to its log"]
+            raise ManagerError(told[-1].removeprefix("midstride: "))
+        time.sleep(POLL)
+    manager.kill()
+    raise ManagerError(f"the manager did not answer within {FIRST_ANSWER:g} s; see {log}")
+
+
+def _until_up(client: Client, name: str) -> Document:
+    """Show what happens until the system is up; what the manager says then. Raises what bringing up failed with."""
+    from midstride.cli.follow import Following
+    from midstride.cli.output import console, wants_json
+    from midstride.cli.progress import Progress
+
+    following = Following(client, lambda: dict(client.get("/up", timeout=None)), since=0, until="up")
+    try:
+        with Progress(console(stderr=wants_json())) as progress:
+            for event in following:
+                if not wants_json():
+                    progress.show(event)
+        return following.answer()
+    except KeyboardInterrupt:
+        click.echo(f"\nEnding what has been started of {name} …", err=True)
+        client.post("/down")
+        raise

@@ -1,0 +1,56 @@
+"""``down``: through the manager where there is one, else directly, by what a killed one left written."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import Any
+
+from midstride import backends
+from midstride.cli.systems import find
+from midstride.errors import ManagerError, MidstrideError, NoManager
+from midstride.runtime.backend import Backend, Handle
+from midstride.runtime.launcher import STOP_GRACE
+from midstride.runtime.workspace import Workspace
+
+
+def take_down(system: str | None) -> str:
+    """End a system; its name. Raises NoManager where none is running, ManagerError where something would not end."""
+    try:
+        client, workspace = find(system)
+    except NoManager:
+        left = [workspace for workspace in Workspace.all() if system in (None, workspace.name)]
+        if len(left) != 1:
+            raise
+        with left[0].lock():
+            _end_what_is_left(left[0])
+        return left[0].name
+    client.post("/down")
+    return workspace.name
+
+
+def _end_what_is_left(workspace: Workspace) -> None:
+    state = workspace.load()
+    if state is None:
+        return
+    handles = [Handle(**entry["handle"]) for entry in state["instances"] if entry["handle"]]
+    backend = backends.make(str(state["backend"]))
+    if faults := asyncio.run(_end(backend, handles)):
+        raise ManagerError("; ".join(faults))
+    workspace.forget()
+
+
+async def _end(backend: Backend, handles: list[Handle]) -> list[str]:
+    def ignore(_: Any) -> None: ...
+
+    await backend.open(ignore)
+    faults = []
+    try:
+        for handle in handles:
+            try:
+                if await backend.adopt(handle):
+                    await backend.end(handle.instance, STOP_GRACE)
+            except MidstrideError as error:
+                faults.append(f"{handle.instance}: {error}")
+    finally:
+        await backend.close()
+    return faults

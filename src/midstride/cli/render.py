@@ -1,0 +1,207 @@
+"""Plans, reports and states for people: Rich tables, and the words of a step. Reads JSON documents alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from rich.console import Group, RenderableType
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
+
+Document = Mapping[str, Any]
+
+UNKNOWN = "unknown"
+
+
+def seconds(value: float | None) -> str:
+    """A duration with the digits that matter."""
+    if value is None:
+        return UNKNOWN
+    if value >= 10:
+        return f"{value:.1f} s"
+    if value >= 1:
+        return f"{value:.2f} s"
+    return f"{value * 1000:.0f} ms"
+
+
+def step_words(step: Document) -> str:
+    """One step of a plan in a few words."""
+    action = step["action"]
+    match action:
+        case "create":
+            instance, role = step["component"], step.get("role")
+            played = f", as {role}" if role and role != instance else ""
+            return f"create {instance} ({step['of']}{played})"
+        case "remove":
+            return f"remove {step['component']}"
+        case "attach" | "detach":
+            return f"{action} {step['port']} {'to' if action == 'attach' else 'from'} {step['connector']}"
+        case "degrade" | "upgrade":
+            moves = [f"{name}: {modes['from']} → {modes['to']}" for name, modes in step["modes"].items()]
+            return f"{action} {', '.join(moves)}"
+        case "handover":
+            swaps = [f"{swap['connector']} from {swap['old']} to {swap['new']}" for swap in step["swaps"]]
+            return f"hand over {', '.join(swaps)}"
+        case "set":
+            values = ", ".join(f"{name} = {value!r}" for name, value in step.get("parameters", {}).items())
+            return f"set {step['component']}: {values}"
+        case _:
+            return str(action)
+
+
+def plan(document: Document, title: str) -> RenderableType:
+    """The steps, who falls, how far and for how long, and what it costs."""
+    table = Table(title=escape(title), title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table.add_column("#", justify="right", style="dim")
+    table.add_column("step")
+    table.add_column("takes about", justify="right")
+    for number, step in enumerate(document["steps"], 1):
+        table.add_row(str(number), escape(step_words(step)), seconds(step.get("seconds")))
+    return Group(table, Text.from_markup(falls(document)), Text(cost(document)))
+
+
+def falls(document: Document) -> str:
+    """Who falls on the way, by role."""
+    fallen: list[str] = list(document["fallen"])
+    if not fallen:
+        return "[green]Nothing falls:[/green] every functionality keeps its level throughout."
+    losses: Mapping[str, Any] = {loss["functionality"]: loss for loss in document.get("losses") or ()}
+    lines = [f"[yellow]Falls:[/yellow] {escape(_fall(name, losses.get(name)))}" for name in fallen]
+    return "\n".join(lines)
+
+
+def _fall(name: str, loss: Document | None) -> str:
+    if loss is None:
+        return name
+    return f"{name} to {loss['to']} for about {seconds(loss['seconds'])}"
+
+
+def cost(document: Document) -> str:
+    """The figures of a plan, and whether the least disruption is proved."""
+    least = "proved minimal" if document.get("proved_minimal") else f"at least {document.get('lower_bound', 0):.3g}"
+    disruption = f"Disruption {document['disruption']:.3g} weighted functionality-seconds ({least})"
+    return f"{disruption}; takes about {seconds(document['makespan'])}; strategy {document['strategy']}."
+
+
+def swaps(document: Document) -> RenderableType:
+    """What was measured at each subscriber; what cannot be known says so."""
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in ("topic", "subscriber"):
+        table.add_column(name)
+    for name in ("longest gap", "in periods", "missed", "lost", "duplicates"):
+        table.add_column(name, justify="right")
+    for swap in document["swaps"]:
+        periods = swap.get("gap_periods")
+        counts = [swap.get(name) for name in ("missed", "lost", "duplicates")]
+        table.add_row(
+            swap["topic"],
+            swap["subscriber"],
+            seconds(swap.get("gap")),
+            UNKNOWN if periods is None else f"{periods:.2f}",
+            *(_count(count) for count in counts),
+        )
+    return table
+
+
+def _count(count: int | None) -> Text:
+    if count is None:
+        return Text(UNKNOWN, style="dim")
+    return Text(str(count), style="green" if count == 0 else "yellow")
+
+
+def outcome(document: Document) -> RenderableType:
+    """How it ended, in words, and what was measured."""
+    kind, because = document["outcome"], document.get("because")
+    words = {
+        "done": "[green]Done[/green]",
+        "refused": "[red]Refused[/red], nothing was changed",
+        "rolled_back": "[red]Rolled back[/red], the system is as it was",
+        "failed": "[red bold]Failed[/red bold]",
+    }[kind]
+    lines: list[RenderableType] = []
+    if kind != "refused":
+        words += f" in {seconds(document['seconds'])}"
+    lines.append(Text.from_markup(words + (f": {escape(str(because))}" if because else ".")))
+    if kind != "refused":
+        lines.extend(Text(line) for line in fallen_words(document))
+    if document.get("swaps"):
+        lines.append(swaps(document))
+    return Group(*lines)
+
+
+def fallen_words(document: Document) -> list[str]:
+    """What really fell, and for how long, as measured."""
+    fell = {name: spent for name, spent in (document.get("fallen") or {}).items() if spent}
+    if not fell:
+        return ["Nothing fell below its level."]
+    return [f"{name} was below its level for {seconds(spent)}." for name, spent in sorted(fell.items())]
+
+
+def status(document: Document) -> RenderableType:
+    """What is live, each functionality on its line."""
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in ("node", "component", "process", "functionality", "mode", "why"):
+        table.add_column(name)
+    for component in document["components"]:
+        first = [component["name"], component["component"], _process(component)]
+        rows: list[Document] = component["functionalities"] or [{}]
+        for row in rows:
+            table.add_row(*first, *_functionality(row))
+            first = ["", "", ""]
+    return Group(Text.from_markup(_heading(document)), table, *_topics(document), *_faults(document))
+
+
+def _heading(document: Document) -> str:
+    running = document.get("running")
+    doing = f", carrying out `{escape(running['command'])}` since {seconds(running['since'])}" if running else ""
+    state = "[green]valid[/green]" if document["valid"] else "[red]not valid[/red]"
+    return f"[bold]{document['system']}[/bold] on {document['backend']}, {state}{doing}"
+
+
+def _process(component: Document) -> Text:
+    if not component["reachable"]:
+        return Text("no answer", style="red")
+    return Text(str(component["pid"] or "–"), style="dim")
+
+
+def _functionality(row: Document) -> tuple[Text, Text, Text]:
+    if not row:
+        return Text("none", style="dim"), Text(""), Text("")
+    mode = Text(row["mode"], style="green" if row["normal"] else "yellow")
+    why = [] if row["normal"] or not row.get("because") else [str(row["because"]).strip().splitlines()[-1]]
+    if row.get("busy") is not None:
+        why.append(f"busy for {seconds(row['busy'])}")
+    return Text(row["name"].rpartition(".")[2]), mode, Text("; ".join(why))
+
+
+def _topics(document: Document) -> list[RenderableType]:
+    lines = []
+    for topic in document["topics"]:
+        publishers = ", ".join(topic["publishers"]) or "nobody"
+        subscribers = ", ".join(topic["subscribers"]) or "nobody"
+        style = "dim" if topic["satisfied"] else "yellow"
+        lacking = "" if topic["satisfied"] else "  (not satisfied)"
+        lines.append(Text(f"{topic['name']}: {publishers} → {subscribers}{lacking}", style=style))
+    return list(lines)
+
+
+def _faults(document: Document) -> list[RenderableType]:
+    faults = [Text(str(violation), style="red") for violation in document["violations"]]
+    for gone in document.get("crashed") or ():
+        faults.append(Text(f"{gone['name']} has ended by itself (status {gone['status']})", style="red"))
+    if document.get("unwritten"):
+        faults.append(Text(str(document["unwritten"]), style="red"))
+    return list(faults)
+
+
+def event(document: Document) -> Text:
+    """One event on one line."""
+    import time
+
+    at = time.strftime("%H:%M:%S", time.localtime(document["at"]))
+    millis = int(document["at"] % 1 * 1000)
+    styles = {"step_failed": "red", "up_failed": "red", "exited": "red", "degraded": "yellow", "rollback": "yellow"}
+    line = Text(f"{at}.{millis:03d} ", style="dim")
+    return line.append(str(document["words"]), style=styles.get(document["kind"], "default"))

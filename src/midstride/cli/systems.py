@@ -1,0 +1,51 @@
+"""Which running system is meant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from midstride.cli.client import Client
+from midstride.errors import NoManager
+from midstride.model.problems import suggestion
+from midstride.runtime.workspace import Workspace
+
+
+def system_option(function: Any) -> Any:
+    """``--system``: needed only where several run."""
+    return click.option(
+        "--system", metavar="NAME", help="Which running system is meant; needed only where several run."
+    )(function)
+
+
+def find(system: str | None) -> tuple[Client, Workspace]:
+    """The manager of ``system``, or of the one that runs.
+
+    Raises NoManager where none does, UsageError where it is not clear which is meant.
+    """
+    known = {workspace.name: workspace for workspace in Workspace.all()}
+    if system is not None:
+        if system not in known:
+            hint = suggestion(system, known) or "none does; start it with `midstride up FILE`"
+            raise NoManager(f"no system {system} is running; {hint}")
+        return _answering(known[system]), known[system]
+    running = [workspace for workspace in known.values() if Client(workspace.socket).service() is not None]
+    if len(running) > 1:
+        names = ", ".join(workspace.name for workspace in running)
+        raise click.UsageError(f"several systems are running ({names}): say which with --system NAME")
+    if running:
+        return Client(running[0].socket), running[0]
+    if known:
+        return _answering(next(iter(known.values()))), next(iter(known.values()))
+    raise NoManager("no system is running; start one with `midstride up FILE`")
+
+
+def _answering(workspace: Workspace) -> Client:
+    client = Client(workspace.socket)
+    if client.service() is None:
+        raise NoManager(
+            f"the manager of {workspace.name} has ended, its components may still run: "
+            "`midstride up` with its file finds them again, `midstride down` ends them"
+        )
+    return client

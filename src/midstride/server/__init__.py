@@ -1,0 +1,1 @@
+"""The manager's operations over HTTP: the only way in, for the command line and for everybody else (interfaces.md)."""

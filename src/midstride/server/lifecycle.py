@@ -1,0 +1,107 @@
+"""From the start of a manager to its end: bringing up, serving, going down or leaving.
+
+The system is brought up while the API already answers, so that a client can watch it come. A
+manager that could not bring its system up ends, once its client has been told why.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+import time
+from typing import Any, Final, Literal
+
+from midstride.errors import ManagerError, MidstrideError
+from midstride.runtime.manager import Manager
+
+log = logging.getLogger(__name__)
+
+Phase = Literal["starting", "up", "failed", "down"]
+
+# How long a manager that has failed waits for somebody to ask why (s).
+LINGER: Final = 5.0
+
+
+class Lifecycle:
+    """Owns the tasks that outlive the request that began them. Used on the manager's loop alone."""
+
+    def __init__(self, manager: Manager) -> None:
+        self.manager = manager
+        self.phase: Phase = "starting"
+        self.ended = asyncio.Event()
+        self.failure: MidstrideError | None = None
+        self._settled = asyncio.Event()
+        self._told = asyncio.Event()
+        self._outcome: dict[str, Any] = {}
+        self._tasks: set[asyncio.Task[Any]] = set()
+
+    async def bring_up(self) -> None:
+        """Bring the system up; afterwards ``phase`` is ``up`` or ``failed``. Raises nothing."""
+        try:
+            self._outcome = await self.manager.up()
+            self.phase = "up"
+        except MidstrideError as error:
+            self.failure, self.phase = error, "failed"
+        except Exception as error:  # ours, not the user's: it must still end in an answer
+            log.exception("bringing the system up failed")
+            self.failure = ManagerError(f"internal error while bringing the system up: {error!r}")
+            self.phase = "failed"
+        finally:
+            self._settled.set()
+
+    async def outcome_of_up(self) -> dict[str, Any]:
+        """What came of bringing up, once that is known. Raises the MidstrideError it failed with."""
+        await self._settled.wait()
+        if self.failure is not None:
+            self._told.set()
+            raise self.failure
+        return self._outcome
+
+    async def carry_out(self, work: Any) -> Any:
+        """Await ``work`` even if the client that asked for it goes away meanwhile."""
+        task = asyncio.ensure_future(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+        return await asyncio.shield(task)
+
+    def require_up(self) -> None:
+        """Raises ManagerError while there is no running system to change."""
+        if self.phase == "starting":
+            raise ManagerError("the system is still being brought up; ask again when it is up")
+        if self.phase == "failed":
+            raise ManagerError(f"the system could not be brought up: {self.failure}")
+        if self.phase == "down":
+            raise ManagerError("the system is down")
+
+    async def take_down(self) -> None:
+        """End the system and then the manager. Raises ManagerError where a component would not end."""
+        await self.manager.down()
+        self.phase = "down"
+        self.ended.set()
+
+    def leave(self) -> None:
+        """End the manager alone: the components go on."""
+        self.ended.set()
+
+    async def until_over(self) -> None:
+        """Wait for the end: the system is down, or it failed to come up and that has been told."""
+        ended = asyncio.ensure_future(self.ended.wait())
+        settled = asyncio.ensure_future(self._settled.wait())
+        await asyncio.wait({ended, settled}, return_when=asyncio.FIRST_COMPLETED)
+        settled.cancel()
+        if self.phase == "failed":
+            with contextlib.suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._told.wait(), LINGER)
+            ended.cancel()
+        else:
+            await ended
+
+    def failure_event(self, n: int) -> dict[str, Any]:
+        """The failure as an event, numbered ``n``: the last one that its listeners hear."""
+        return {"n": n, "at": time.time(), "kind": "up_failed", "words": str(self.failure)}
+
+    @property
+    def settled(self) -> asyncio.Event:
+        """Set once it is known whether the system came up."""
+        return self._settled
