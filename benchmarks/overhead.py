@@ -76,9 +76,7 @@ def main() -> None:
         for what, rate, figure in (("latency", 100.0, "median_ms"), ("throughput", 0.0, "per_second")):
             pairs: list[dict[str, float]] = []
             for _ in range(options.pairs):
-                values = [
-                    run(kind, size, rate, options.seconds, env)[figure] for kind in ("bare", "component", "bare")
-                ]
+                values = [run(kind, size, rate, options.seconds, env)[figure] for kind in ("bare", "component", "bare")]
                 pairs.append(dict(zip(("bare", "component", "again"), values, strict=True)))
                 time.sleep(0.2)
             component = interval([pair["component"] / pair["bare"] for pair in pairs])

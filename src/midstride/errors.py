@@ -76,7 +76,15 @@ class Unreachable(BackendError):
 
 
 class StepFailed(MidstrideError):
-    """A step of a running plan failed; the executor rolls the plan back."""
+    """A step of a running plan failed.
+
+    ``outcome`` is ``rolled_back`` once everything has been taken back, and ``failed`` where that
+    failed too; the message then says both.
+    """
+
+    def __init__(self, because: str, outcome: str = "failed") -> None:
+        self.outcome = outcome
+        super().__init__(because)
 
 
 class ManagerError(MidstrideError):

@@ -159,9 +159,7 @@ def test_a_bystander_on_the_topic_does_not_hide_a_miss() -> None:
     ],
     ids=["no source time", "no number", "neither number nor identity"],
 )
-def test_what_the_middleware_cannot_tell_is_null_and_never_zero(
-    hide: Callable[[Row], Row], unknown: set[str]
-) -> None:
+def test_what_the_middleware_cannot_tell_is_null_and_never_zero(hide: Callable[[Row], Row], unknown: set[str]) -> None:
     recorder = Recorder()
     swap(recorder)
     recorder.rows = [hide(row) for row in recorder.rows]

@@ -23,9 +23,7 @@ def controller(
     last: str = "stop",
     assumes: tuple[str, ...] | None = None,
 ) -> Component:
-    normal = Mode(
-        "normal", (NamedInputs(assumes or inputs[:1]),), Map(cmd=Predicate(TWIST, promised, QoS(depth=5)))
-    )
+    normal = Mode("normal", (NamedInputs(assumes or inputs[:1]),), Map(cmd=Predicate(TWIST, promised, QoS(depth=5))))
     return Component.of(
         "Controller",
         inputs={name: Predicate(RANGE, needed) for name in inputs},

@@ -55,8 +55,7 @@ class Executor:
     async def run(self, actions: Sequence[Action], documents: Sequence[Mapping[str, Any]] = ()) -> None:
         """Carry out ``actions`` in order.
 
-        Raises StepFailed once everything has been taken back; its message says so, and says it
-        plainly where that failed too (``StepFailed.args[1]`` is then "failed", else "rolled_back").
+        Raises StepFailed once everything has been taken back, or could not be: its ``outcome`` says which.
         """
         done: list[tuple[Action, Configuration]] = []
         for index, action in enumerate(actions):
@@ -200,9 +199,7 @@ class Executor:
 
     async def _detach(self, action: Detach) -> None:
         port, topic = action.port, self.configuration.world.connectors[action.connector].topic
-        reply = await self.link.change(
-            port.component, "detach", timeout=DETACH_TIMEOUT, port=port.port, topic=topic
-        )
+        reply = await self.link.change(port.component, "detach", timeout=DETACH_TIMEOUT, port=port.port, topic=topic)
         if reply.get("acknowledged") is None and self.configuration.is_output(port):
             self.tell("note", f"{port}: nobody can tell whether its last messages on {topic} arrived", {})
 
@@ -220,11 +217,17 @@ class Executor:
             for component, modes in sorted(wanted.items()):
                 changed.append(component)
                 await self.link.change(
-                    component, "modes", timeout=self.drain_timeout, modes=modes, because=f"the plan asked for it: {because}"
+                    component,
+                    "modes",
+                    timeout=self.drain_timeout,
+                    modes=modes,
+                    because=f"the plan asked for it: {because}",
                 )
         except MidstrideError:
             for component in reversed(changed):
-                await self._quietly(component, "modes", timeout=self.drain_timeout, modes=before[component], because="roll-back")
+                await self._quietly(
+                    component, "modes", timeout=self.drain_timeout, modes=before[component], because="roll-back"
+                )
             raise
 
     async def _hand_over(self, action: Handover) -> None:

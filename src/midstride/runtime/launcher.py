@@ -108,8 +108,9 @@ class Launcher:
     async def _announced(self, instance: Instance) -> Announcement:
         waiting = self._waiting[instance.name]
         patience = asyncio.ensure_future(self._backend.clock.sleep(REGISTRATION_TIMEOUT))
+        first: set[asyncio.Future[Any]] = {waiting, patience}
         try:
-            await asyncio.wait({waiting, patience}, return_when=asyncio.FIRST_COMPLETED)
+            await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
             if waiting.done():
                 return waiting.result()
         finally:

@@ -49,9 +49,7 @@ class Running:
 class Manager:
     """One running system. Every public coroutine raises MidstrideError kinds only."""
 
-    def __init__(
-        self, specification: Specification, backend: Backend, workspace: Workspace, directory: Path
-    ) -> None:
+    def __init__(self, specification: Specification, backend: Backend, workspace: Workspace, directory: Path) -> None:
         self.specification = specification
         self.configuration = Configuration(world=specification.world)
         self.revision = 0
@@ -209,17 +207,20 @@ class Manager:
         await recording.begin(self.configuration, actions)
         falls = FallClock(plan.change, clock.steady)
         begun = clock.steady()
+        before = self.configuration
+        self.configuration = plan.change.start
         executor = self._executor(falls)
-        executor.configuration = executor.configuration.with_world(plan.change.start.world)
         outcome, because = "done", None
         try:
             await executor.run(actions, documents)
             self.specification = target
-            self.configuration = self.configuration.with_world(plan.change.end_world)
+            self.configuration = plan.change.settled(self.configuration)
         except StepFailed as error:
-            outcome, because = (error.args[1] if len(error.args) > 1 else "failed"), str(error.args[0])
+            outcome, because = error.outcome, str(error)
+            if outcome == "rolled_back":
+                self.configuration = before
         seconds = clock.steady() - begun
-        fallen = falls.stop(self.configuration)
+        fallen = falls.stop()
         self._save()
         if recording.subjects:
             self.events.add("measuring", "watching the subscribers for 20 periods more")

@@ -123,9 +123,7 @@ def _swapped(rows: Sequence[Row], sides: dict[int, str], begun: int, tail: float
     by_side: dict[str, list[Row]] = {}
     for index, row in enumerate(rows):
         by_side.setdefault(sides[index], []).append(row)
-    moved = {
-        name: own for name, own in by_side.items() if own[0].received > begun or own[-1].received < tail
-    }
+    moved = {name: own for name, own in by_side.items() if own[0].received > begun or own[-1].received < tail}
     return moved if moved else by_side
 
 

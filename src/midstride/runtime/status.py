@@ -27,8 +27,9 @@ async def observed(names: list[str], link: Link, clock: Clock, timeout: float = 
         return {}
     patience = asyncio.ensure_future(clock.sleep(timeout))
     everyone = asyncio.gather(*asking.values())
+    first: set[asyncio.Future[Any]] = {everyone, patience}
     try:
-        await asyncio.wait({everyone, patience}, return_when=asyncio.FIRST_COMPLETED)
+        await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
         return {name: task.result() if task.done() else None for name, task in asking.items()}
     finally:
         patience.cancel()

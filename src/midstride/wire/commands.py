@@ -7,9 +7,9 @@ component writes and passes nothing on, ``open`` passes it on.
 Reading (no revision needed, nothing changes):
 
 ``observe``       {} -> State (below)
-``grid``          {port} -> {"trigger": "rate"|"message"|"none", "epoch": ns|None, "period": s|None, "now": ns}
-                  the time grid of the mode that drives the output: slot n is at epoch + n * period
-``records``       {input} -> {"rows": [[received ns (steady), source ns|None, number|None, publisher|None], …],
+``grid``          {port} -> {"trigger": "rate"|"message"|"none", "epoch": ns|None, "period": s|None, "now": ns}; the
+                  time grid of the mode that drives the output: slot n is at epoch + n * period
+``records``       {input} -> {"rows": [[received ns (steady), source ns|None, number|None, publisher|None], ...],
                   "publisher_identity": bool, "now": ns (steady)}
 ``export_state``  {} -> {"state": base64 | None}
 ``await_write``   {port, topic, timeout} -> {"gated": n, "wrong_type": null | words}; waits for a write behind the gate
@@ -26,14 +26,15 @@ Changing (with the expected revision):
                   between two calls of user code; refused (and taken back) if a call does not return in time
 ``set``           {parameters: {name: value}} -> {"from": {name: value}}
 ``import_state``  {state: base64} -> {}
-``record``        {inputs: [...], on: bool} -> {"now": ns (steady)}; an input always keeps its last 64 receipts, while on all of them
+``record``        {inputs: [...], on: bool} -> {"now": ns (steady)}; an input always keeps its last 64 receipts, and
+                  all of them while this is on
 ``meet``          {peer} -> {}; makes sure the component can call its peer of a hand-over (a `ping` answered)
-``cut_out``       {cut, swaps: [{port, topic}], at: ns, resume_after: s} -> {}; the old side: writes up to ``at``, then its
-                  gates close; they open again if it does not hear ``taken`` within ``resume_after`` after ``at`` (a message-driven
-                  output: after the first input newer than ``at``, since before that there was nothing to write)
-``cut_in``        {cut, swaps: [{port, topic, latch: bool}], at: ns, epoch: ns|None, peer} -> {}; the new side: its (closed)
-                  gates open at ``at``; a rate-driven mode takes up the grid of ``epoch``; tells ``taken`` to its peer
-                  after its first write; ``latch``: writes the last gated message again where nothing else will write
+``cut_out``       {cut, swaps: [{port, topic}], at: ns, resume_after: s} -> {}; the old side: writes up to ``at``, then
+                  its gates close; they open again if it does not hear ``taken`` within ``resume_after`` after ``at``
+                  (a message-driven output: after the first input newer than ``at``: before, nothing was to be written)
+``cut_in``        {cut, swaps: [{port, topic, latch: bool}], at: ns, epoch: ns|None, peer} -> {}; the new side: its
+                  (closed) gates open at ``at``; a rate-driven mode takes up the grid of ``epoch``; tells ``taken`` to
+                  its peer after its first write; ``latch``: writes the last gated message again at ``at``
 ``cancel_cut``    {cut} -> {}; the old side's gates stay or become open, the new side's closed
 ``gate``          {port, topic, gate} -> {}
 ``stop``          {} -> {}; ends the process in order
@@ -43,7 +44,7 @@ Between components (by the token of the system, no revision):
 ``taken``         {cut} -> {"resumed": bool}; the new side has written. True: too late, the old side writes again
 
 CutEnd, old side: {"outcome": "done"|"resumed"|"cancelled", "last": {port topic: [number, source ns] | None}};
-new side: {"outcome": "done"|"cancelled"|"waiting", "first": {…}}. Keys are "port topic" with a space between.
+new side: {"outcome": "done"|"cancelled"|"waiting", "first": {...}}. Keys are "port topic" with a space between.
 
 State: {"instance", "uuid", "pid", "revision", "functionalities": {name: {"mode", "since": s ago, "because",
 "busy": s | None}}, "ports": {port: {topic: {"gate": "open"|"closed"|None, "count": n, "gated": n}}},
