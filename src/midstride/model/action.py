@@ -16,7 +16,7 @@ from typing import ClassVar, Literal
 from immutables import Map
 
 from midstride.errors import ActionRefused
-from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef
+from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef, value_fits, value_kind
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import explain, satisfies
 from midstride.model.rules import Judge, cap_violation, capacity_violation, normal_guarantee
@@ -65,13 +65,13 @@ class Action(ABC):
         """The actions that take ``apply(before)`` back to ``before``, each valid in its turn."""
 
     @abstractmethod
-    def describe(self) -> str:
-        """The action in words."""
+    def describe(self, s: Configuration | None = None) -> str:
+        """The action in words; with the configuration it is taken in, modes are called by their names."""
 
     def apply(self, s: Configuration) -> Configuration:
         """The configuration after the action. Raises ActionRefused where the precondition fails."""
         if reasons := self.check(s):
-            raise ActionRefused(self.describe(), reasons)
+            raise ActionRefused(self.describe(s), reasons)
         return self.effect(s)
 
     def __str__(self) -> str:
@@ -102,7 +102,7 @@ class Create(Action):
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Remove(self.instance.name),)
 
-    def describe(self) -> str:
+    def describe(self, s: Configuration | None = None) -> str:
         return f"create {self.instance.name} ({self.instance.component.name})"
 
 
@@ -133,7 +133,7 @@ class Remove(Action):
         ]
         return (Create(instance), *raised)
 
-    def describe(self) -> str:
+    def describe(self, s: Configuration | None = None) -> str:
         return f"remove {self.component}"
 
 
@@ -162,10 +162,10 @@ class Attach(Action):
         if s.is_attached(self.port, name):
             return (Reason("not attached", (port, name), f"{port} is attached to {name} already"),)
         reasons = contract_reasons(s, self.port, s.world.connectors[name])
-        if not reasons and s.is_output(self.port):
-            if (violation := cap_violation(self.effect(s), name)) is not None:
-                return (Reason("cap", (port, name), str(violation)),)
-        return reasons
+        if reasons or not s.is_output(self.port):
+            return reasons
+        violation = cap_violation(self.effect(s), name)
+        return () if violation is None else (Reason("cap", (port, name), str(violation)),)
 
     def effect(self, s: Configuration) -> Configuration:
         return s.with_attachment(self.port, self.connector)
@@ -173,7 +173,7 @@ class Attach(Action):
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Detach(self.port, self.connector),)
 
-    def describe(self) -> str:
+    def describe(self, s: Configuration | None = None) -> str:
         return f"attach {self.port} to {self.connector}"
 
 
@@ -214,7 +214,7 @@ class Detach(Action):
             affected: Iterable[FunctionalityRef] = s.consumers(self.connector)
         else:
             affected = s.users(self.port)
-        return _unsatisfied(after, affected, f"without {self.port} on {self.connector}")
+        return _unsatisfied(after, affected, f"without {self.port} on {self.connector}", str(self.port), self.connector)
 
     def effect(self, s: Configuration) -> Configuration:
         return s.without_attachment(self.port, self.connector)
@@ -222,13 +222,14 @@ class Detach(Action):
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Attach(self.port, self.connector),)
 
-    def describe(self) -> str:
+    def describe(self, s: Configuration | None = None) -> str:
         return f"detach {self.port} from {self.connector}"
 
 
-def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], when: str) -> tuple[Reason, ...]:
+def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], when: str, *others: str) -> tuple[Reason, ...]:
+    """One reason for each assumption of ``refs`` that would not hold; ``others`` are subjects besides them."""
     return tuple(
-        Reason("satisfied", (violation.subject.partition(" ")[0],), f"{when}, {violation} would not hold")
+        Reason("satisfied", (*violation.names, *others), f"{when}, {violation}")
         for violation in Judge(after).violations_of(refs)
     )
 
@@ -250,8 +251,16 @@ def _mode_reasons(
             yield Reason("mode", (str(ref),), f"{then} is not a {direction} mode of {ref} than {now}, which it is in")
 
 
-def _told_modes(modes: Mapping[FunctionalityRef, int]) -> str:
-    return ", ".join(f"{ref} to mode {index}" for ref, index in sorted(modes.items()))
+def _told_modes(modes: Mapping[FunctionalityRef, int], s: Configuration | None) -> str:
+    return ", ".join(f"{ref} to {_mode_name(ref, index, s)}" for ref, index in sorted(modes.items()))
+
+
+def _mode_name(ref: FunctionalityRef, index: int, s: Configuration | None) -> str:
+    instance = None if s is None else s.instances.get(ref.component)
+    functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
+    if functionality is None or not 0 <= index <= functionality.last_mode:
+        return f"mode {index}"
+    return functionality.modes[index].name
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,7 +282,7 @@ class Degrade(Action):
                 for name in s.connectors_of.get(port, ()):
                     if was.connector_satisfied(name) and not judge.connector_satisfied(name):
                         affected.update(dict.fromkeys(s.consumers(name)))
-        return _unsatisfied(after, affected, f"after {self.describe()}")
+        return _unsatisfied(after, affected, f"after {self.describe(s)}")
 
     def effect(self, s: Configuration) -> Configuration:
         return s.with_modes(self.modes)
@@ -281,8 +290,8 @@ class Degrade(Action):
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Upgrade(Map({ref: before.modes[ref] for ref in self.modes})),)
 
-    def describe(self) -> str:
-        return f"degrade {_told_modes(self.modes)}"
+    def describe(self, s: Configuration | None = None) -> str:
+        return f"degrade {_told_modes(self.modes, s)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +304,7 @@ class Upgrade(Action):
     def check(self, s: Configuration) -> tuple[Reason, ...]:
         if reasons := tuple(_mode_reasons(s, self.modes, "better")):
             return reasons
-        return _unsatisfied(self.effect(s), self.modes, f"after {self.describe()}")
+        return _unsatisfied(self.effect(s), self.modes, f"after {self.describe(s)}")
 
     def effect(self, s: Configuration) -> Configuration:
         return s.with_modes(self.modes)
@@ -303,8 +312,8 @@ class Upgrade(Action):
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Degrade(Map({ref: before.modes[ref] for ref in self.modes})),)
 
-    def describe(self) -> str:
-        return f"upgrade {_told_modes(self.modes)}"
+    def describe(self, s: Configuration | None = None) -> str:
+        return f"upgrade {_told_modes(self.modes, s)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -351,7 +360,7 @@ class Handover(Action):
             steps += [Detach(swap.new, swap.connector), Attach(swap.old, swap.connector)]
         return tuple(steps)
 
-    def describe(self) -> str:
+    def describe(self, s: Configuration | None = None) -> str:
         return f"hand over {', '.join(str(swap) for swap in self.swaps)}"
 
 
@@ -395,6 +404,10 @@ class SetParameters(Action):
             elif not declared.changeable:
                 because = f"parameter {name} of {self.component} is not changeable: the node must be replaced"
                 reasons.append(Reason("changeable", (f"{self.component}.{name}",), because))
+            elif not value_fits(self.parameters[name], declared.value):
+                kind, given = value_kind(declared.value), value_kind(self.parameters[name])
+                because = f"parameter {name} of {self.component} takes {kind}, not {given}"
+                reasons.append(Reason("type", (f"{self.component}.{name}",), because))
         return tuple(reasons)
 
     def effect(self, s: Configuration) -> Configuration:
@@ -407,6 +420,6 @@ class SetParameters(Action):
         }
         return (SetParameters(self.component, Map(old)),)
 
-    def describe(self) -> str:
+    def describe(self, s: Configuration | None = None) -> str:
         told = ", ".join(f"{name} = {value}" for name, value in sorted(self.parameters.items()))
         return f"set {told} of {self.component}"

@@ -3,11 +3,12 @@
 It is a greatest fixed point, so no search is needed: start every functionality at its best mode
 and lower whatever is unsatisfied until nothing changes. :func:`rebalanced` does the same after a
 change, at a cost that follows the forward cone of what changed and not the system (F5).
+Both rely on M2: a publisher that falls short in one mode falls short in every worse one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
@@ -19,37 +20,47 @@ def best(s: Configuration) -> Configuration:
     """``s`` with every functionality in the best mode its structure allows. Walks the system."""
     overlay = dict.fromkeys(s.modes, 0)
     _lower(s, overlay, list(overlay))
-    return s.with_modes(overlay)
+    return s.with_modes({ref: index for ref, index in overlay.items() if s.modes[ref] != index})
 
 
-def rebalanced(s: Configuration, seeds: Iterable[FunctionalityRef]) -> dict[FunctionalityRef, int]:
+def rebalanced(
+    s: Configuration,
+    seeds: Iterable[FunctionalityRef],
+    ceiling: Callable[[FunctionalityRef], int] | None = None,
+) -> dict[FunctionalityRef, int]:
     """The modes that differ between ``s`` and ``best`` of its structure.
 
     ``s`` stands in ``best`` of a structure from which its own differs only at ``seeds``: the
-    functionalities whose inputs or connectors were touched (:func:`consumers_of` names them).
+    functionalities whose inputs or connectors were touched (:func:`consumers_of` names them), and
+    those of new instances.
+    Where a ``ceiling`` is given, nobody is raised above it, and "best" means the best below it.
     """
     overlay: dict[FunctionalityRef, int] = {}
     judge = Judge(s, overlay)
     pending = list(seeds)
     touched: dict[FunctionalityRef, None] = dict.fromkeys(pending)
-    while pending:  # raise, hoping for the best: whoever could gain stands at its normal mode for a moment
+    settled: set[str] = set()  # connectors that are satisfied: a further publisher changes nothing for anyone
+    while pending:  # raise, hoping for the best: whoever could gain stands at its highest mode for a moment
         ref = pending.pop()
-        before = judge.mode_index(ref)
-        if before == 0:
+        before, highest = judge.mode_index(ref), 0 if ceiling is None else ceiling(ref)
+        if before <= highest:
             continue
-        overlay[ref] = 0
-        for consumer in _affected_by(s, ref, before, 0):
-            touched[consumer] = None
-            if judge.mode_index(consumer) > 0:
+        gained = [name for name in _swayed(s, ref, before, highest) if name not in settled]
+        settled.update(gained)
+        gained = [name for name in gained if not judge.connector_satisfied(name)]
+        overlay[ref] = highest
+        for name in gained:
+            for consumer in s.consumers(name):
+                touched[consumer] = None
                 pending.append(consumer)
     _lower(s, overlay, list(touched))
     return {ref: index for ref, index in overlay.items() if s.modes[ref] != index}
 
 
 def lowered(s: Configuration, seeds: Iterable[FunctionalityRef]) -> dict[FunctionalityRef, int]:
-    """The modes to which losing something takes whoever stands above what is left, and nobody is raised.
+    """The modes to fall to so that everybody is satisfied, from those of ``s``; nobody is raised.
 
-    ``seeds`` are the functionalities that what was lost bears on directly.
+    Only ``seeds`` may be unsatisfied in ``s``, and whoever depends on them. This is the least degradation.
     """
     overlay: dict[FunctionalityRef, int] = {}
     _lower(s, overlay, list(dict.fromkeys(seeds)))
@@ -61,9 +72,42 @@ def consumers_of(s: Configuration, port: PortRef, connector: str) -> list[Functi
     return list(s.consumers(connector)) if s.is_output(port) else s.users(port)
 
 
+class _Falling(Judge):
+    """A judge for modes that only ever get worse.
+
+    For each connector it keeps one publisher that satisfies it and looks for the next when that one falls; it
+    never looks back. So a topic with many publishers costs one walk over them in all, not one for each that falls.
+    """
+
+    __slots__ = ("_supports",)
+
+    def __init__(self, s: Configuration, overlay: Mapping[FunctionalityRef, int]) -> None:
+        super().__init__(s, overlay)
+        self._supports: dict[str, tuple[PortRef | None, Iterator[PortRef]]] = {}
+
+    def connector_satisfied(self, name: str) -> bool:
+        connector = self.s.world.connectors.get(name)
+        if connector is None:
+            return False
+        needed = connector.guarantee
+        if name in self._supports:
+            support, others = self._supports[name]
+        else:
+            if any(satisfies(offer.guarantee, needed) for offer in self.s.world.publishers_out_of_scope(connector)):
+                return True
+            others = iter(self.s.publishers_on(name))
+            support = next(others, None)
+        while support is not None and not satisfies(self.guarantee(support), needed):
+            support = next(others, None)
+        self._supports[name] = support, others
+        return support is not None
+
+
 def _lower(s: Configuration, overlay: dict[FunctionalityRef, int], pending: list[FunctionalityRef]) -> None:
-    judge = Judge(s, overlay)
+    """Lower in ``overlay`` whatever is unsatisfied, and whatever is so in turn. All that may be is in ``pending``."""
+    judge = _Falling(s, overlay)
     waiting = set(pending)
+    fallen: set[str] = set()
     while pending:
         ref = pending.pop()
         waiting.discard(ref)
@@ -72,14 +116,18 @@ def _lower(s: Configuration, overlay: dict[FunctionalityRef, int], pending: list
         if after == before:
             continue
         overlay[ref] = after
-        for consumer in _affected_by(s, ref, before, after):
-            if consumer not in waiting:
-                waiting.add(consumer)
-                pending.append(consumer)
+        for name in _swayed(s, ref, before, after):
+            if name in fallen or judge.connector_satisfied(name):
+                continue
+            fallen.add(name)
+            for consumer in s.consumers(name):
+                if consumer not in waiting:
+                    waiting.add(consumer)
+                    pending.append(consumer)
 
 
-def _affected_by(s: Configuration, ref: FunctionalityRef, before: int, after: int) -> Iterable[FunctionalityRef]:
-    """The consumers of the connectors that ``ref`` satisfies in one of the two modes and not in the other."""
+def _swayed(s: Configuration, ref: FunctionalityRef, before: int, after: int) -> Iterator[str]:
+    """The connectors that ``ref`` satisfies in one of the two modes and not in the other."""
     functionality = s.functionality(ref)
     for output in functionality.outputs:
         was, will = functionality.modes[before].guarantee(output), functionality.modes[after].guarantee(output)
@@ -90,4 +138,4 @@ def _affected_by(s: Configuration, ref: FunctionalityRef, before: int, after: in
             if connector is None:
                 continue
             if satisfies(was, connector.guarantee) != satisfies(will, connector.guarantee):
-                yield from s.consumers(name)
+                yield name

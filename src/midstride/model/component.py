@@ -8,13 +8,31 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeAlias
+from typing import Final, NamedTuple, TypeAlias
 
 from immutables import Map
 
 from midstride.model.contract import DEFAULT_QOS, NOTHING, Contract, Predicate, QoS
 
 ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] | list[float] | list[str]"
+
+
+_KINDS: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "real", str: "text"}
+
+
+def value_kind(value: ParameterValue) -> str:
+    """The type of a parameter's value, in words."""
+    if isinstance(value, list):
+        return f"a list of {_KINDS[type(value[0])]}s" if value else "an empty list"
+    kind = _KINDS[type(value)]
+    return f"{'an' if kind == 'integer' else 'a'} {kind}"
+
+
+def value_fits(value: ParameterValue, declared: ParameterValue) -> bool:
+    """Whether a parameter declared with one value takes the other: a whole number serves as a real one."""
+    if isinstance(declared, list):
+        return isinstance(value, list) and (not declared or all(value_fits(member, declared[0]) for member in value))
+    return type(value) is type(declared) or (type(value) is int and type(declared) is float)
 
 
 class PortRef(NamedTuple):
@@ -137,6 +155,21 @@ class Component:
     allows: tuple[Endpoint, ...] = ()
     run: str | None = None
     takes: float | None = None
+    _owners: dict[str, Functionality] = field(init=False, compare=False, repr=False)
+    _users: dict[str, list[Functionality]] = field(init=False, compare=False, repr=False)
+    _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        owners: dict[str, Functionality] = {}
+        users: dict[str, list[Functionality]] = {}
+        for functionality in self:
+            for output in functionality.outputs:
+                owners.setdefault(output, functionality)
+            for name in dict.fromkeys(functionality.inputs):
+                users.setdefault(name, []).append(functionality)
+        object.__setattr__(self, "_owners", owners)
+        object.__setattr__(self, "_users", users)
+        object.__setattr__(self, "_outputs", frozenset(self.outputs))
 
     @classmethod
     def of(
@@ -172,16 +205,20 @@ class Component:
         """The functionalities, in order of declaration."""
         return (self.functionalities[name] for name in self.functionality_order)
 
+    def has_output(self, name: str) -> bool:
+        return name in self._outputs
+
     def owner(self, output: str) -> Functionality:
         """The one functionality that owns ``output``. Raises KeyError where there is none."""
-        for functionality in self:
-            if output in functionality.outputs:
-                return functionality
-        raise KeyError(output)
+        return self._owners[output]
+
+    def find_owner(self, output: str) -> Functionality | None:
+        """The same, or None: for declarations not checked yet."""
+        return self._owners.get(output)
 
     def users(self, input_name: str) -> list[Functionality]:
-        """The functionalities associated with ``input_name``."""
-        return [functionality for functionality in self if input_name in functionality.inputs]
+        """The functionalities associated with ``input_name``, in order of declaration."""
+        return self._users.get(input_name, [])
 
     def output_guarantees(self, output: str) -> list[tuple[Mode, Contract]]:
         """Each mode of the owner with what it guarantees on ``output``, best first."""
@@ -267,4 +304,6 @@ __all__ = [
     "ParameterValue",
     "PortRef",
     "Resource",
+    "value_fits",
+    "value_kind",
 ]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from fractions import Fraction
 
 from immutables import Map
 
@@ -29,6 +30,7 @@ PortSet = Map[PortRef, None]
 NameSet = Map[str, None]
 _NO_PORTS: PortSet = Map()
 _NO_NAMES: NameSet = Map()
+_NONE_HELD = Fraction()
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,19 +40,31 @@ class World:
     connectors: Map[str, Connector] = field(default_factory=Map)
     environment: tuple[EnvironmentGuarantee, ...] = ()
     resources: Map[str, Resource] = field(default_factory=Map)
+    _by_topic: dict[str | None, tuple[EnvironmentGuarantee, ...]] = field(init=False, compare=False, repr=False)
 
-    def publishers_out_of_scope(self, connector: Connector) -> list[EnvironmentGuarantee]:
+    def __post_init__(self) -> None:
+        by_topic: dict[str | None, tuple[EnvironmentGuarantee, ...]] = {}
+        for offer in self.environment:
+            by_topic[offer.topic] = (*by_topic.get(offer.topic, ()), offer)
+        object.__setattr__(self, "_by_topic", by_topic)
+
+    def publishers_out_of_scope(self, connector: Connector) -> tuple[EnvironmentGuarantee, ...]:
         """The environment's guarantees on the connector's topic."""
-        return [offer for offer in self.environment if offer.topic == connector.topic]
+        return self._by_topic.get(connector.topic, ())
 
-    def offers(self) -> list[EnvironmentGuarantee]:
+    def offers(self) -> tuple[EnvironmentGuarantee, ...]:
         """The environment's guarantees that no one has to attach to."""
-        return [offer for offer in self.environment if offer.topic is None]
+        return self._by_topic.get(None, ())
 
     def capacity(self, resource: str) -> float:
         """How much there is of ``resource``; 1 for one that is not declared."""
         declared = self.resources.get(resource)
         return 1.0 if declared is None else declared.capacity
+
+
+def exact(amount: float) -> Fraction:
+    """The number as it is written: sums of such do not depend on their order, and 0.1 + 0.2 is 0.3."""
+    return Fraction(repr(amount))
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +85,10 @@ class Configuration:
     """The live components, the attachments, and the current mode of each functionality.
 
     ``connectors_of`` maps an attached port to its connectors; ``publishers`` and ``subscribers``
-    are the same relation seen from a connector; ``held`` is what live components hold of each
-    resource, ``players`` the names of a role's live instances. The last four are derived, kept so that a
-    change costs no walk over the system.
+    are the same relation seen from a connector; ``held`` is how much live components hold of each
+    resource together, ``holders`` which of them do; ``players`` the names of a role's live instances.
+    The last five are derived, kept so that a change costs no walk over the system. Nothing empty is
+    kept, so that equal configurations are equal values, by whatever way they were reached.
     """
 
     world: World = field(default_factory=World)
@@ -82,7 +97,8 @@ class Configuration:
     modes: Map[FunctionalityRef, int] = field(default_factory=Map)
     publishers: Map[str, PortSet] = field(default_factory=Map)
     subscribers: Map[str, PortSet] = field(default_factory=Map)
-    held: Map[str, float] = field(default_factory=Map)
+    held: Map[str, Fraction] = field(default_factory=Map)
+    holders: Map[str, NameSet] = field(default_factory=Map)
     players: Map[str, NameSet] = field(default_factory=Map)
 
     # -- reading ---------------------------------------------------------------------------------
@@ -99,14 +115,14 @@ class Configuration:
         return self.functionality(ref).modes[self.modes[ref]]
 
     def is_output(self, port: PortRef) -> bool:
-        return port.port in self.component(port.component).outputs
+        return self.component(port.component).has_output(port.port)
 
     def has_port(self, port: PortRef) -> bool:
         """Whether ``port`` is a port of a live component."""
         instance = self.instances.get(port.component)
         if instance is None:
             return False
-        return port.port in instance.component.inputs or port.port in instance.component.outputs
+        return port.port in instance.component.inputs or instance.component.has_output(port.port)
 
     def attached_to(self, port: PortRef) -> list[str]:
         """The connectors ``port`` is attached to, sorted."""
@@ -155,13 +171,14 @@ class Configuration:
 
     def with_instance(self, instance: Instance) -> Configuration:
         """``instance`` live and isolated, every functionality in its last mode."""
-        held = self.held
+        held, holders = self.held, self.holders
         for resource, amount in instance.component.holds.items():
-            held = held.set(resource, round(held.get(resource, 0.0) + amount, 9))
+            held = held.set(resource, held.get(resource, _NONE_HELD) + exact(amount))
+            holders = holders.set(resource, holders.get(resource, _NO_NAMES).set(instance.name, None))
         modes = self.modes.update({FunctionalityRef(instance.name, f.name): f.last_mode for f in instance.component})
         players = self.players.set(instance.role, self.players.get(instance.role, _NO_NAMES).set(instance.name, None))
         instances = self.instances.set(instance.name, instance)
-        return replace(self, instances=instances, modes=modes, held=held, players=players)
+        return replace(self, instances=instances, modes=modes, held=held, holders=holders, players=players)
 
     def without_instance(self, name: str) -> Configuration:
         """``name`` no longer live, nor any of its attachments."""
@@ -169,16 +186,21 @@ class Configuration:
         bare = self
         for port, connector in self.attached_ports(name):
             bare = bare.without_attachment(port, connector)
-        held = bare.held
+        held, holders = bare.held, bare.holders
         for resource, amount in instance.component.holds.items():
-            left = round(held[resource] - amount, 9)
-            held = held.set(resource, left) if left else held.delete(resource)
+            rest = holders[resource].delete(name)
+            if rest:
+                held = held.set(resource, held[resource] - exact(amount))
+                holders = holders.set(resource, rest)
+            else:
+                held, holders = held.delete(resource), holders.delete(resource)
         modes = bare.modes
         for ref in instance.functionality_refs():
             modes = modes.delete(ref)
         others = bare.players[instance.role].delete(name)
         players = bare.players.set(instance.role, others) if others else bare.players.delete(instance.role)
-        return replace(bare, instances=bare.instances.delete(name), modes=modes, held=held, players=players)
+        instances = bare.instances.delete(name)
+        return replace(bare, instances=instances, modes=modes, held=held, holders=holders, players=players)
 
     def with_attachment(self, port: PortRef, connector: str) -> Configuration:
         index, ports = self._index(port, connector)
@@ -228,21 +250,23 @@ def configure(
     """
     live: dict[str, Instance] = {instance.name: instance for instance in instances}
     standing: dict[FunctionalityRef, int] = {}
-    held: dict[str, float] = {}
+    held: dict[str, Fraction] = {}
+    holders: dict[str, dict[str, None]] = {}
     players: dict[str, dict[str, None]] = {}
     for instance in live.values():
         players.setdefault(instance.role, {})[instance.name] = None
         for functionality in instance.component:
             standing[FunctionalityRef(instance.name, functionality.name)] = functionality.last_mode
         for resource, amount in instance.component.holds.items():
-            held[resource] = round(held.get(resource, 0.0) + amount, 9)
+            held[resource] = held.get(resource, _NONE_HELD) + exact(amount)
+            holders.setdefault(resource, {})[instance.name] = None
     standing.update(modes or {})
     connectors_of: dict[PortRef, dict[str, None]] = {}
     publishers: dict[str, dict[PortRef, None]] = {}
     subscribers: dict[str, dict[PortRef, None]] = {}
     for port, connector in attachments:
         connectors_of.setdefault(port, {})[connector] = None
-        side = publishers if port.port in live[port.component].component.outputs else subscribers
+        side = publishers if live[port.component].component.has_output(port.port) else subscribers
         side.setdefault(connector, {})[port] = None
     return Configuration(
         world=world,
@@ -252,6 +276,7 @@ def configure(
         publishers=_frozen(publishers),
         subscribers=_frozen(subscribers),
         held=Map(held),
+        holders=Map({name: Map(names) for name, names in holders.items()}),
         players=Map({role: Map(names) for role, names in players.items()}),
     )
 

@@ -113,6 +113,12 @@ class Interval:
     low_open: bool = False
     high_open: bool = False
 
+    def __post_init__(self) -> None:
+        if math.isinf(self.low):  # an infinite end is never reached: open and closed mean the same
+            object.__setattr__(self, "low_open", False)
+        if math.isinf(self.high):
+            object.__setattr__(self, "high_open", False)
+
     def __contains__(self, value: object) -> bool:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             return False
@@ -218,7 +224,8 @@ class Predicate:
     """What the messages on a port are like: their type, rate (Hz), QoS, and the values of fields.
 
     As a guarantee it says what is produced (at least ``rate``), as an assumption what is needed.
-    ``fields`` holds one set of values for each constrained field, sorted by the field's path.
+    ``fields`` holds one set of values for each constrained field, sorted by the field's path; several
+    that are given for one field are made one.
     """
 
     type: str
@@ -227,8 +234,16 @@ class Predicate:
     fields: tuple[tuple[str, ValueSet], ...] = field(default=())
 
     def __post_init__(self) -> None:
+        """One way of writing for what means the same: constraints on one field are one set, a point is a value."""
         object.__setattr__(self, "type", canonical_type(self.type))
-        object.__setattr__(self, "fields", tuple(sorted(self.fields, key=lambda entry: entry[0])))
+        if self.fields:
+            sets: dict[str, ValueSet] = {}
+            for path, values in self.fields:
+                sets[path] = sets[path].intersection(values) if path in sets else values
+            for path, values in sets.items():
+                if isinstance(values, Interval) and values.low == values.high and not values.is_empty:
+                    sets[path] = OneOf.of([values.low])
+            object.__setattr__(self, "fields", tuple(sorted(sets.items(), key=lambda entry: entry[0])))
 
     def constraint(self, path: str) -> ValueSet | None:
         """The set of values the field at ``path`` is constrained to, or None."""

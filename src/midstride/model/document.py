@@ -220,7 +220,7 @@ def _assumption(assumption: Assumption) -> str | Document:
 
 
 def _value(value: ParameterValue) -> Any:
-    return list(value) if isinstance(value, (list, tuple)) else value
+    return list(value) if isinstance(value, list) else value
 
 
 def _values_of(parameters: Mapping[str, ParameterValue]) -> Document:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
 from midstride.model.component import Component, Functionality, Mode, NamedInputs
@@ -56,8 +56,9 @@ def _twice(kind: str, names: Sequence[str], path: Path) -> Iterator[Problem]:
             yield Problem("E007", (*path, str(index)), f"the {kind} `{name}` is named twice", "once is enough")
 
 
-def _unknown(kind: str, name: str, known: Iterable[str], path: Path, declared: Path, of: str = "") -> Iterator[Problem]:
-    known = set(known)
+def _unknown(
+    kind: str, name: str, known: Collection[str], path: Path, declared: Path, of: str = ""
+) -> Iterator[Problem]:
     if name and name not in known:
         help = suggestion(name, known) or "none is declared"
         yield Problem("E008", path, f"there is no {kind} `{name}`{of}", help, declared)

@@ -120,7 +120,7 @@ def suggestion(wrong: str, known: Iterable[str]) -> str:
     if not names:
         return ""
     shown = ", ".join(names[:8])
-    return f"there is {shown}" + (" and more" if len(names) > 8 else "")
+    return f"known: {shown}" + (", …" if len(names) > 8 else "")
 
 
 def independent(form: Iterable[Problem], names: Iterable[Problem]) -> list[Problem]:

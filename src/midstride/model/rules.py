@@ -12,19 +12,23 @@ from dataclasses import dataclass
 from typing import Literal
 
 from midstride.model.component import Assumption, Component, Functionality, FunctionalityRef, Mode, NamedInputs, PortRef
-from midstride.model.configuration import Configuration
-from midstride.model.contract import Contract, Predicate, explain, satisfies
+from midstride.model.configuration import Configuration, exact
+from midstride.model.contract import Contract, explain, satisfies
 
-_EPSILON = 1e-9
+_SHOWN = 8  # so many names a message lists
 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """One way in which a configuration is not valid, as data and (``str``) in words."""
+    """One way in which a configuration is not valid, as data and (``str``) in words.
+
+    ``names`` are the functionality, ports, topics or resources on whose account it is not.
+    """
 
     kind: Literal["assumption", "attachment", "cap", "capacity"]
     subject: str
     because: str
+    names: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.subject}: {self.because}"
@@ -147,7 +151,16 @@ class Judge:
             for assumption in mode.assumptions:
                 if not self.assumption_satisfied(ref, functionality, assumption):
                     because = self.why_assumption_unsatisfied(ref, assumption)
-                    yield Violation("assumption", f"{ref} in mode {mode.name}", because)
+                    names = (str(ref), *self._concerned(ref, functionality, assumption))
+                    yield Violation("assumption", f"{ref} in mode {mode.name}", because, names)
+
+    def _concerned(self, ref: FunctionalityRef, functionality: Functionality, assumption: Assumption) -> list[str]:
+        """The ports and topics an assumption looks at: its inputs, their topics, and who publishes there."""
+        inputs = assumption.inputs if isinstance(assumption, NamedInputs) else functionality.inputs
+        ports = [PortRef(ref.component, name) for name in inputs]
+        topics = [name for port in ports for name in self.s.attached_to(port)]
+        publishers = [port for name in topics for port in sorted(self.s.publishers_on(name))[:_SHOWN]]
+        return list(dict.fromkeys([*map(str, ports), *topics, *map(str, publishers)]))
 
 
 def publishers_count(s: Configuration, connector: str) -> int:
@@ -163,33 +176,41 @@ def cap_violation(s: Configuration, connector: str) -> Violation | None:
     count = publishers_count(s, connector)
     if count <= declared.cap:
         return None
-    names = [str(port) for port in sorted(s.publishers_on(connector))]
-    names += [f"environment {offer.name}" for offer in s.world.publishers_out_of_scope(declared)]
-    because = f"{count} publishers ({', '.join(names)}), at most {declared.cap} allowed"
-    return Violation("cap", connector, because)
+    names = [f"environment {offer.name}" for offer in s.world.publishers_out_of_scope(declared)]
+    names += [str(port) for port in sorted(s.publishers_on(connector))]
+    because = f"{count} publishers ({_listed(names)}), at most {declared.cap} allowed"
+    return Violation("cap", connector, because, (connector, *names[:_SHOWN]))
 
 
 def capacity_violation(s: Configuration, resource: str) -> Violation | None:
-    held, capacity = s.held.get(resource, 0.0), s.world.capacity(resource)
-    if held <= capacity + _EPSILON:
+    held, capacity = s.held.get(resource), s.world.capacity(resource)
+    if held is None or held <= exact(capacity):
         return None
-    holders = sorted(name for name, instance in s.instances.items() if resource in instance.component.holds)
-    because = f"{held:g} held by {', '.join(holders)}, capacity {capacity:g}"
-    return Violation("capacity", f"resource {resource}", because)
+    holders = _listed(sorted(s.holders[resource]))
+    because = f"{float(held):g} held by {holders}, capacity {capacity:g}"
+    return Violation("capacity", f"resource {resource}", because, (resource, *sorted(s.holders[resource])[:_SHOWN]))
+
+
+def _listed(names: list[str]) -> str:
+    rest = len(names) - _SHOWN
+    return ", ".join(names[:_SHOWN]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def violations(s: Configuration) -> list[Violation]:
     """Every way in which ``s`` is not valid; empty iff it is (semantics.md section 3). Walks the system."""
     found: list[Violation] = []
     for port, connector in sorted(s.attachments()):
+        where = f"{port} on {connector}"
         if not s.has_port(port):
-            found.append(Violation("attachment", f"{port} on {connector}", f"{port} is not a port of a live component"))
+            found.append(
+                Violation("attachment", where, f"{port} is not a port of a live component", (str(port), connector))
+            )
         elif connector not in s.world.connectors:
             found.append(
-                Violation("attachment", f"{port} on {connector}", f"{connector} is not a topic of this system")
+                Violation("attachment", where, f"{connector} is not a topic of this system", (str(port), connector))
             )
     found.extend(Judge(s).violations_of(s.modes))
-    found.extend(v for name in sorted(s.publishers) if (v := cap_violation(s, name)) is not None)
+    found.extend(v for name in sorted(s.world.connectors) if (v := cap_violation(s, name)) is not None)
     found.extend(v for name in sorted(s.held) if (v := capacity_violation(s, name)) is not None)
     return found
 
@@ -205,7 +226,6 @@ def normal_guarantee(component: Component, output: str) -> Contract:
 
 __all__ = [
     "Judge",
-    "Predicate",
     "Violation",
     "cap_violation",
     "capacity_violation",

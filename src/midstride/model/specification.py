@@ -101,10 +101,13 @@ class Specification:
     resources: Map[str, Resource] = field(default_factory=Map)
     constraints: tuple[Constraint, ...] = ()
     timing: Map[str, float] = field(default_factory=Map)
+    _world: World | None = field(default=None, init=False, compare=False, repr=False)
 
     @property
     def world(self) -> World:
-        return World(self.connectors, self.environment, self.resources)
+        if self._world is None:
+            object.__setattr__(self, "_world", World(self.connectors, self.environment, self.resources))
+        return self._world  # type: ignore[return-value]  # just made
 
     def component_of(self, role: str) -> Component:
         """Raises KeyError for an unknown role."""
@@ -144,11 +147,19 @@ class Specification:
     # -- changes that share everything else ------------------------------------------------------------
 
     def with_node(self, node: Node) -> Specification:
-        return replace(self, nodes=self.nodes.set(node.role, node))
+        return self._elsewhere(nodes=self.nodes.set(node.role, node))
 
     def without_node(self, role: str) -> Specification:
-        gone = replace(self, nodes=self.nodes.delete(role))
-        return replace(gone, constraints=tuple(c for c in self.constraints if role not in _roles_of(c)))
+        """Without the role, and without the constraints that speak of it. Raises KeyError for an unknown one."""
+        constraints = tuple(c for c in self.constraints if role not in _roles_of(c))
+        return self._elsewhere(nodes=self.nodes.delete(role), constraints=constraints)
+
+    def _elsewhere(self, **changes: Any) -> Specification:
+        """With ``changes`` to anything but the world, which is shared."""
+        world = self.world
+        changed = replace(self, **changes)
+        object.__setattr__(changed, "_world", world)
+        return changed
 
     def with_replaced(self, role: str, component: str) -> Specification:
         """``role`` played by another component, on the same topics. Raises KeyError for an unknown name."""
