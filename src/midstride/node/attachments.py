@@ -1,0 +1,172 @@
+"""Attaching and detaching ports at run time, and the gates of what is attached. Control side.
+
+Platform.md: an output is created behind a closed gate, and the gate opens only once its endpoint
+is matched and has settled; before an endpoint goes, its gate is closed and its readers have
+acknowledged, since destroying one right after publishing loses messages.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from midstride.errors import CommandRefused
+from midstride.node.arguments import Arguments
+from midstride.node.host import Host, Publisher, Subscription
+from midstride.node.ports import Input, InputLink, Output, OutputLink
+from midstride.node.switch import DataSide
+
+# A best-effort message right after the match is often lost, one a moment later is not (s).
+SETTLE: Final = 0.05
+# How often an endpoint is asked how many peers it has (s).
+TICK: Final = 0.005
+
+
+class Attachments:
+    def __init__(self, inputs: dict[str, Input], outputs: dict[str, Output], host: Host, data: DataSide) -> None:
+        self._inputs = inputs
+        self._outputs = outputs
+        self._host = host
+        self._data = data
+
+    # -- finding -----------------------------------------------------------------------------------
+
+    def port(self, name: str) -> Input | Output:
+        found = self._outputs.get(name) or self._inputs.get(name)
+        if found is None:
+            listed = ", ".join([*self._outputs, *self._inputs]) or "none"
+            raise CommandRefused(f"there is no port {name}; the ports are: {listed}")
+        return found
+
+    def output(self, name: str) -> Output:
+        found = self.port(name)
+        if not isinstance(found, Output):
+            raise CommandRefused(f"{name} is an input, not an output")
+        return found
+
+    def input(self, name: str) -> Input:
+        found = self.port(name)
+        if not isinstance(found, Input):
+            raise CommandRefused(f"{name} is an output, not an input")
+        return found
+
+    def link(self, port: str, topic: str) -> OutputLink:
+        """The attachment of an output to ``topic``. Raises CommandRefused where there is none."""
+        found = self.output(port).link(topic)
+        if found is None:
+            raise CommandRefused(f"output {port} is not attached to {topic}")
+        return found
+
+    # -- commands ----------------------------------------------------------------------------------
+
+    async def attach(self, arguments: Arguments) -> dict[str, Any]:
+        topic, peers = arguments.text("topic"), arguments.whole("peers", 0)
+        timeout = arguments.seconds("timeout", 5.0)
+        port = self.port(arguments.text("port"))
+        if port.link(topic) is not None:
+            raise CommandRefused(f"{port.name} is attached to {topic} already")
+        if isinstance(port, Output):
+            opened = arguments.gate("gate", "open")
+            link = await self._data.run(lambda: self._publish(port, topic), timeout)
+            undo: Callable[[], None] = lambda: self._unpublish(link)  # noqa: E731
+            await self._match(link.publisher, peers, timeout, topic, undo)
+            if opened:
+                await self._data.run(lambda: link.set_gate(True), timeout)
+        else:
+            inlet = await self._data.run(lambda: self._subscribe(port, topic), timeout)
+            assert inlet.subscription is not None
+            await self._match(inlet.subscription, peers, timeout, topic, lambda: self._unsubscribe(port, inlet))
+        return {}
+
+    async def detach(self, arguments: Arguments) -> dict[str, Any]:
+        topic, timeout = arguments.text("topic"), arguments.seconds("timeout", 2.0)
+        port = self.port(arguments.text("port"))
+        link = port.link(topic)
+        if link is None:
+            raise CommandRefused(f"{port.name} is not attached to {topic}")
+        if isinstance(link, InputLink):
+            assert isinstance(port, Input)
+            await self._data.run(lambda: self._unsubscribe(port, link), timeout)
+            return {"acknowledged": None}
+        was_open = link.gate == "open"
+        await self._data.run(lambda: link.set_gate(False), timeout)
+        acknowledged = await link.publisher.acknowledged(timeout)
+        try:
+            await self._data.run(lambda: self._unpublish(link), timeout)
+        except CommandRefused:
+            self._host.on_data(lambda: link.set_gate(was_open))
+            raise
+        return {"acknowledged": acknowledged}
+
+    async def gate(self, arguments: Arguments) -> dict[str, Any]:
+        link = self.link(arguments.text("port"), arguments.text("topic"))
+        opened = arguments.gate("gate")
+        if link.cut is not None:
+            raise CommandRefused(f"{link} is part of a cut under way; cancel the cut first")
+        await self._data.run(lambda: link.set_gate(opened), arguments.seconds("timeout", 2.0))
+        return {}
+
+    async def await_write(self, arguments: Arguments) -> dict[str, Any]:
+        link = self.link(arguments.text("port"), arguments.text("topic"))
+        deadline = self._host.steady() + int(arguments.seconds("timeout", 5.0) * 1e9)
+        while not link.gated and link.output.wrong_type is None and self._host.steady() < deadline:
+            await self._host.sleep(TICK)
+        return {"gated": link.gated, "wrong_type": link.output.wrong_type}
+
+    async def close_all(self, timeout: float) -> None:
+        """The end of the component: every reader has what was written, then the endpoints go."""
+        for output in self._outputs.values():
+            for link in output.links:
+                await link.publisher.acknowledged(timeout)
+        await self._data.run(self._destroy_all, timeout)
+
+    # -- data side ---------------------------------------------------------------------------------
+
+    def _publish(self, port: Output, topic: str) -> OutputLink:
+        link = OutputLink(port, topic, self._host.create_publisher(topic, port.type, port.qos))
+        port.wrong_type = None
+        port.links = (*port.links, link)
+        return link
+
+    def _unpublish(self, link: OutputLink) -> None:
+        link.set_gate(False)
+        link.output.links = tuple(other for other in link.output.links if other is not link)
+        link.publisher.destroy()
+
+    def _subscribe(self, port: Input, topic: str) -> InputLink:
+        link = InputLink(topic)
+        receive = port.receiver(link, self._host)
+        port.links = (*port.links, link)
+        link.subscription = self._host.create_subscription(topic, port.type, port.assumption.qos, receive)
+        return link
+
+    def _unsubscribe(self, port: Input, link: InputLink) -> None:
+        port.links = tuple(other for other in port.links if other is not link)
+        if link.subscription is not None:
+            link.subscription.destroy()
+        if not port.links:
+            port.forget()
+
+    def _destroy_all(self) -> None:
+        for output in self._outputs.values():
+            for link in output.links:
+                self._unpublish(link)
+        for port in self._inputs.values():
+            for inlet in port.links:
+                self._unsubscribe(port, inlet)
+
+    async def _match(
+        self, endpoint: Publisher | Subscription, peers: int, timeout: float, topic: str, undo: Callable[[], None]
+    ) -> None:
+        """Wait for ``peers`` compatible endpoints, and until the match has settled; else undo the attachment."""
+        deadline = self._host.steady() + int(timeout * 1e9)
+        while (matched := endpoint.matched()) < peers:
+            if self._host.steady() >= deadline:
+                await self._data.run(undo, timeout)
+                raise CommandRefused(
+                    f"only {matched} of {peers} endpoints on {topic} were found within {timeout:g} s; "
+                    "the others have another type or incompatible QoS, or are not there"
+                )
+            await self._host.sleep(TICK)
+        if peers:
+            await self._host.sleep(SETTLE)

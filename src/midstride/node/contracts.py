@@ -1,0 +1,172 @@
+"""From what an author writes to the model's contracts: message types, rates, QoS and field constraints."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias, get_args
+
+from midstride.errors import NodeError
+from midstride.model.contract import DEFAULT_QOS, Interval, OneOf, Predicate, QoS, ValueSet
+
+# What may stand for a set of values: the set itself, its members, or its only member.
+Where: TypeAlias = Mapping[str, Any]
+
+_NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
+_POLICIES: Final = {
+    "reliability": ("reliable", "best_effort"),
+    "durability": ("transient_local", "volatile"),
+    "liveliness": ("automatic", "manual_by_topic"),
+    "history": ("keep_last", "keep_all"),
+}
+
+
+def at_least(value: float) -> Interval:
+    """The numbers from ``value`` on: ``where={"width": at_least(640)}``."""
+    return Interval(low=float(value))
+
+
+def at_most(value: float) -> Interval:
+    """The numbers up to ``value``."""
+    return Interval(high=float(value))
+
+
+def between(low: float, high: float) -> Interval:
+    """The numbers from ``low`` to ``high``, both included."""
+    return Interval(float(low), float(high))
+
+
+@dataclass(frozen=True, slots=True)
+class Guarantee:
+    """What a mode promises of an output: made by :func:`guarantee`."""
+
+    rate: float | None
+    where: tuple[tuple[str, ValueSet], ...]
+
+
+def guarantee(rate: float | None = None, where: Where | None = None) -> Guarantee:
+    """What a mode promises of an output, for ``guarantees={out: guarantee(rate=20, where={"width": 640})}``."""
+    return Guarantee(check_rate(rate, "guarantee()"), field_constraints(where, None, "guarantee()"))
+
+
+def check_name(name: object, what: str) -> str:
+    if not isinstance(name, str) or not _NAME.match(name):
+        raise NodeError(f"{what}: {name!r} is not a name; write letters, digits and _, not starting with a digit")
+    return name
+
+
+def check_rate(rate: object, where: str) -> float | None:
+    if rate is None:
+        return None
+    if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not math.isfinite(rate) or rate <= 0:
+        raise NodeError(f"{where}: rate={rate!r} is not a rate; write a positive number of Hz, or leave it out")
+    return float(rate)
+
+
+def check_qos(qos: object, where: str) -> QoS:
+    if qos is None:
+        return DEFAULT_QOS
+    if isinstance(qos, int) and not isinstance(qos, bool) and qos > 0:
+        return QoS(depth=qos)  # as rclpy understands it
+    if not isinstance(qos, QoS):
+        raise NodeError(
+            f"{where}: qos={qos!r} is not a QoS profile; write e.g. midstride.QoS(reliability='best_effort')"
+        )
+    for policy, allowed in _POLICIES.items():
+        value = getattr(qos, policy)
+        if value is not None and value not in allowed:
+            raise NodeError(f"{where}: {policy}={value!r} is no QoS policy; write {' or '.join(map(repr, allowed))}")
+    for policy in ("deadline", "lease", "lifespan", "depth"):
+        value = getattr(qos, policy)
+        if value is not None and not value > 0:
+            raise NodeError(f"{where}: {policy}={value!r} must be greater than 0; leave it out for ROS's default")
+    return qos
+
+
+def check_type(type_: object, where: str) -> type:
+    if not isinstance(type_, type):
+        raise NodeError(f"{where}: {type_!r} is not a message class; write e.g. `from std_msgs.msg import String`")
+    type_name(type_, where)
+    return type_
+
+
+def type_name(type_: type, where: str = "message type") -> str:
+    """``std_msgs/msg/String`` for its class, whichever ROS the class comes from. Raises NodeError for another class."""
+    for attribute in ("__msgtype__", "_type"):  # the simulator's own, ROS 1's
+        name = getattr(type_, attribute, None)
+        if isinstance(name, str):
+            package, _, rest = name.partition("/")
+            return f"{package}/msg/{rest.rpartition('/')[2]}"
+    parts = type_.__module__.split(".")  # ROS 2: std_msgs.msg._string
+    if len(parts) >= 2 and parts[1] == "msg":
+        return f"{parts[0]}/msg/{type_.__name__}"
+    raise NodeError(
+        f"{where}: {type_.__name__} is not a ROS message class; write e.g. `from std_msgs.msg import String`"
+    )
+
+
+def field_constraints(where: Where | None, type_: type | None, context: str) -> tuple[tuple[str, ValueSet], ...]:
+    """The constraints an author states, one set of values for each field's path."""
+    if where is None:
+        return ()
+    if not isinstance(where, Mapping):
+        raise NodeError(f"{context}: where={where!r} must map fields to values; write where={{'width': at_least(640)}}")
+    found = []
+    for path, values in where.items():
+        if type_ is not None:
+            _check_field(path, type_, context)
+        found.append((path, _value_set(values, f"{context}, where {path}")))
+    return tuple(found)
+
+
+def predicate(type_: type, rate: float | None, qos: QoS, fields: tuple[tuple[str, ValueSet], ...]) -> Predicate:
+    return Predicate(type_name(type_), rate, qos, fields)
+
+
+def _value_set(values: Any, context: str) -> ValueSet:
+    if isinstance(values, get_args(ValueSet)):
+        found: ValueSet = values
+    elif isinstance(values, (bool, int, float, str)):
+        found = OneOf.of([values])
+    elif isinstance(values, (set, frozenset, list)):
+        found = OneOf.of(_scalars(values, context))
+    else:
+        raise NodeError(
+            f"{context}: {values!r} says no set of values; write a value, a set of values, at_least(…), at_most(…) "
+            "or between(…, …)"
+        )
+    if found.is_empty:
+        raise NodeError(f"{context}: no value meets {values!r}; no message could ever satisfy it")
+    return found
+
+
+def _scalars(values: Iterable[Any], context: str) -> list[bool | int | float | str]:
+    scalars = list(values)
+    for value in scalars:
+        if not isinstance(value, (bool, int, float, str)):
+            raise NodeError(f"{context}: {value!r} is no value of a field; write numbers, words or True and False")
+    return scalars
+
+
+def _check_field(path: str, type_: type, context: str) -> None:
+    """Whether messages of ``type_`` have the field: a constraint on a misspelt one would never be met."""
+    try:
+        value = type_()
+    except TypeError:
+        return  # a class that does not build empty messages cannot be asked
+    reached: list[str] = []
+    for part in str(path).split("."):
+        if not hasattr(value, part):
+            owner = ".".join(reached) or type_name(type_)
+            raise NodeError(f"{context}: {owner} has no field {part!r}{_fields_hint(value)}")
+        value = getattr(value, part)
+        reached.append(part)
+
+
+def _fields_hint(message: Any) -> str:
+    fields = getattr(type(message), "get_fields_and_field_types", None)
+    names = list(fields()) if fields else list(getattr(message, "__dataclass_fields__", ()))
+    names = [name for name in names if not name.startswith("_")]
+    return f"; its fields are {', '.join(names)}" if names else ""

@@ -1,0 +1,148 @@
+"""A functionality as its author declares it: a chain of modes, best first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING
+
+from midstride.errors import NodeError
+from midstride.node.modes import Approximate, DeclaredMode, Function, ModeFunction, Promise, declare_mode
+from midstride.node.ports import AnyOf, Input, Output
+
+if TYPE_CHECKING:
+    from midstride.node.running import Runner
+
+
+class Functionality:
+    """Made by ``Component.create_functionality``. The normal mode is the best, the degraded one assumes nothing."""
+
+    def __init__(
+        self,
+        name: str,
+        inputs: tuple[Input, ...],
+        outputs: tuple[Output, ...],
+        weight: float,
+        changeable: Callable[[str], None],
+    ) -> None:
+        self.name = name
+        self.inputs = inputs
+        self.outputs = outputs
+        self.weight = weight
+        self.runner: Runner | None = None
+        self._changeable = changeable
+        self._normal: DeclaredMode | None = None
+        self._between: list[DeclaredMode] = []
+        self._degraded: DeclaredMode | None = None
+
+    def set_normal_mode(
+        self,
+        fn: ModeFunction,
+        rate: float | None = None,
+        inputs: Sequence[Input | AnyOf] = (),
+        outputs: Sequence[Output] = (),
+        guarantees: Mapping[Output, Promise] | None = None,
+        *,
+        sync: Approximate | None = None,
+        name: str = "normal",
+    ) -> None:
+        """The best mode.
+
+        With ``rate`` (Hz), ``fn()`` is called at that rate, and that is the guarantee of its
+        ``outputs``. Without, ``fn(message)`` is called for every message of its one input; with
+        several, ``fn`` maps inputs to functions, or ``sync=approximate(…)`` calls it with one
+        message of each. Without either, ``fn()`` is called once, on entry. An ``async`` function
+        counts as running until it returns.
+
+        ``inputs`` names what the mode assumes; ``any_of(left, right)`` for alternatives.
+        ``guarantees`` states rates or fields of outputs where ``rate`` does not say it all.
+        """
+        if self._normal is not None:
+            raise NodeError(
+                f"functionality {self.name}: set_normal_mode() was called before; for a finer mode in between write "
+                f'set_mode("name", …)'
+            )
+        self._normal = self._declare(name, fn, rate, inputs, outputs, guarantees, sync)
+
+    def set_mode(
+        self,
+        name: str,
+        fn: ModeFunction,
+        rate: float | None = None,
+        inputs: Sequence[Input | AnyOf] = (),
+        outputs: Sequence[Output] = (),
+        guarantees: Mapping[Output, Promise] | None = None,
+        *,
+        sync: Approximate | None = None,
+    ) -> None:
+        """A mode between the normal and the degraded one; call it for the better ones first."""
+        self._between.append(self._declare(name, fn, rate, inputs, outputs, guarantees, sync))
+
+    def set_degraded_mode(
+        self,
+        fn: Function,
+        rate: float | None = None,
+        outputs: Sequence[Output] = (),
+        *,
+        guarantees: Mapping[Output, Promise] | None = None,
+        name: str = "degraded",
+        inputs: Sequence[Input | AnyOf] = (),
+    ) -> None:
+        """The last mode: what is left to do when nothing can be relied on. It must not assume anything."""
+        if self._degraded is not None:
+            raise NodeError(
+                f"functionality {self.name}: set_degraded_mode() was called before; for a finer mode in between write "
+                f'set_mode("name", …)'
+            )
+        if inputs:
+            raise NodeError(
+                f"functionality {self.name}: the degraded mode may assume nothing, so it takes no inputs=; "
+                f'write set_mode("name", …) for a mode that does, and a degraded one without'
+            )
+        self._degraded = self._declare(name, fn, rate, (), outputs, guarantees, None)
+
+    @property
+    def mode(self) -> str | None:
+        """The name of the mode it is in; None before the component has started."""
+        return None if self.runner is None else self.runner.mode.name
+
+    def chain(self) -> tuple[DeclaredMode, ...]:
+        """All modes, best first. Raises NodeError where the normal or the degraded one is missing."""
+        if self._normal is None:
+            raise NodeError(f"functionality {self.name} has no normal mode; write {self.name}.set_normal_mode(fn, …)")
+        if self._degraded is None:
+            raise NodeError(
+                f"functionality {self.name} has no degraded mode; write {self.name}.set_degraded_mode(fn): "
+                "what it does when nothing can be relied on, perhaps nothing at all"
+            )
+        return (self._normal, *self._between, self._degraded)
+
+    def _declare(
+        self,
+        name: str,
+        fn: ModeFunction,
+        rate: float | None,
+        inputs: Sequence[Input | AnyOf],
+        outputs: Sequence[Output],
+        guarantees: Mapping[Output, Promise] | None,
+        sync: Approximate | None,
+    ) -> DeclaredMode:
+        self._changeable(f"a mode of functionality {self.name}")
+        mode = declare_mode(
+            f"functionality {self.name}",
+            name,
+            fn,
+            rate=rate,
+            inputs=inputs,
+            outputs=outputs,
+            guarantees=guarantees,
+            sync=sync,
+            associated_inputs=self.inputs,
+            associated_outputs=self.outputs,
+        )
+        declared = [self._normal, *self._between, self._degraded]
+        if any(other is not None and other.name == mode.name for other in declared):
+            raise NodeError(f"functionality {self.name} has a mode {mode.name} already; give this one another name")
+        return mode
+
+    def __repr__(self) -> str:
+        return f"<functionality {self.name}>"

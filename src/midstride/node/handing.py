@@ -1,0 +1,150 @@
+"""The control side of a hand-over: waiting for T, hearing or telling `taken`, and taking up again.
+
+Each side of a cut is one task. It ends with an outcome that `await_cut` tells; nothing it does
+needs the manager, so the topic does not depend on the manager's being there.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from typing import Any, Final
+
+from midstride.errors import BackendError
+from midstride.node.cut import GRACE, Arriving, Leaving
+from midstride.node.host import Host
+from midstride.wire.messages import Reply
+
+# How often a side looks whether its moment has come (s): below a slot of 200 Hz.
+TICK: Final = 0.002
+# How long one attempt to tell the peer may take (s), and how many there are: a peer that is gone cannot write.
+TELL_TIMEOUT: Final = 0.25
+TELL_ATTEMPTS: Final = 20
+
+Changed = Callable[[], None]
+
+
+class _Handing:
+    """What both sides share: an outcome, and the wish to cancel."""
+
+    def __init__(self, host: Host, changed: Changed) -> None:
+        self.outcome: str | None = None
+        self.finished = asyncio.Event()
+        self._host = host
+        self._changed = changed
+
+    async def _until(self, at: int) -> None:
+        """Until ``at`` on the ROS clock, which may run otherwise than the steady one."""
+        while self.outcome is None and (left := (at - self._host.now()) / 1e9) > 0:
+            await self._host.sleep(min(max(left, 0.0001), 0.1))
+
+    async def _end(self, outcome: str, gates: Callable[[], None]) -> None:
+        """The outcome first, since the peer may ask at any moment; then the gates; then whoever waits is told."""
+        self.outcome = outcome
+        await self._host.on_data(gates)
+        self.finished.set()
+        self._changed()
+
+
+class OldSide(_Handing):
+    """Writes up to T; takes up again where it does not hear `taken` in time."""
+
+    def __init__(self, host: Host, changed: Changed, side: Leaving, resume_after: float) -> None:
+        super().__init__(host, changed)
+        self.side = side
+        self._resume_after = resume_after
+        self._taken = False
+
+    async def run(self) -> None:
+        await self._until(self.side.at)
+        passed_at = self._host.steady()
+        while self.outcome is None:
+            passed = self.side.over or await self._host.on_data(self.side.passed)
+            if self.outcome is not None:
+                return
+            if passed and self._taken:
+                await self._end("done", self.side.relieved)
+            elif self._silent_for(passed_at) > self._resume_after and not self._taken:
+                await self._end("resumed", self.side.reopen)
+            else:
+                await self._host.sleep(TICK)
+
+    def _silent_for(self, passed_at: int) -> float:
+        """Seconds in which the new side should have written. No message, no answer: that is not silence."""
+        since: int | None = passed_at
+        if self.side.driven_by_messages:
+            since = self.side.newer_at
+        return 0.0 if since is None else (self._host.steady() - since) / 1e9
+
+    def taken(self) -> bool:
+        """The new side says it has written. Whether that comes too late."""
+        if self.outcome in ("resumed", "cancelled"):
+            return True
+        self._taken = True
+        return False
+
+    async def cancel(self) -> None:
+        await self._end("cancelled", self.side.reopen)
+
+    def told(self) -> dict[str, Any]:
+        return {"outcome": self.outcome or "waiting", "last": self.side.last()}
+
+
+class NewSide(_Handing):
+    """Writes from T on; tells its peer once it has."""
+
+    def __init__(
+        self,
+        host: Host,
+        changed: Changed,
+        side: Arriving,
+        tell: Callable[[float], Awaitable[Reply]],
+        rate_driven: bool,
+    ) -> None:
+        super().__init__(host, changed)
+        self.side = side
+        self._tell = tell
+        self._rate_driven = rate_driven
+
+    async def run(self) -> None:
+        await self._until(self.side.at)
+        waited_from = self._host.steady()
+        latched = self._rate_driven
+        while self.outcome is None and not self.side.written:
+            # A message on its way at T may still make the new side write by itself; nothing else will.
+            if not latched and (self._host.steady() - waited_from) / 1e9 > self._latch_after():
+                latched = True
+                await self._host.on_data(self.side.latch)
+            else:
+                await self._host.sleep(TICK)
+        if self.outcome is None and await self._resumed():
+            await self._end("cancelled", self.side.close)
+        if self.outcome is None:
+            self.outcome = "done"
+            self.finished.set()
+            self._changed()
+            await self._host.sleep(GRACE)  # messages from before T may still be on their way here
+            await self._host.on_data(self.side.conclude)
+
+    def _latch_after(self) -> float:
+        owners = [link.output.owner for link in self.side.links]
+        return GRACE if any(owner is not None and owner.mode.driven == "message" for owner in owners) else 0.0
+
+    async def _resumed(self) -> bool:
+        """Tell the old side until it answers; whether it writes again. One that cannot be reached does not write."""
+        for _ in range(TELL_ATTEMPTS):
+            if self.outcome is not None:
+                return False
+            try:
+                reply = await self._tell(TELL_TIMEOUT)
+            except BackendError:
+                await self._host.sleep(TELL_TIMEOUT / 5)
+                continue
+            return not reply.ok or bool(reply.result.get("resumed"))
+        return False
+
+    async def cancel(self) -> None:
+        await self._end("cancelled", self.side.close)
+
+    def told(self) -> dict[str, Any]:
+        return {"outcome": self.outcome or "waiting", "first": self.side.first()}

@@ -1,0 +1,216 @@
+"""Ports: what the author writes to and reads from, and the attachments behind them.
+
+A port is connected to nothing until the manager attaches it (semantics.md section 2). The write
+and the receive path are the data path: a gate and a counter over the bare middleware, no lock, no
+log. All of it runs on the data side; other threads read counters and replace nothing.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from midstride.errors import NodeError
+from midstride.model.contract import Predicate, QoS
+from midstride.node.contracts import type_name
+from midstride.node.host import Host, Publisher, Subscription
+
+if TYPE_CHECKING:
+    from midstride.node.running import Runner
+
+# How many receipts an input remembers while nobody records: enough to see 20 periods back.
+REMEMBERED: Final = 64
+# How many it keeps while recording; the oldest go first.
+RECORDED: Final = 200_000
+
+Listener = Callable[[Any, Any], None]
+
+
+class Passage(Protocol):
+    """A cut in progress: decides, write by write, what passes a gate (midstride.node.cut)."""
+
+    def passes(self, link: OutputLink) -> bool: ...
+
+    def wrote(self, link: OutputLink) -> None: ...
+
+    def shows(self, link: OutputLink) -> str: ...
+
+
+class OutputLink:
+    """One attachment of an output: a publisher behind a gate. Created closed.
+
+    ``count`` numbers what went out, from 1 as the middleware does; ``gated`` what did not.
+    """
+
+    __slots__ = ("count", "cut", "gated", "held", "open", "output", "publish", "publisher", "topic")
+
+    def __init__(self, output: Output, topic: str, publisher: Publisher) -> None:
+        self.output = output
+        self.topic = topic
+        self.publisher = publisher
+        self.publish = publisher.publish
+        self.open = False
+        self.count = 0
+        self.gated = 0
+        self.held: Any = None
+        self.cut: Passage | None = None
+
+    def behind(self, message: Any) -> None:
+        """A write that meets no open gate: during a cut it may pass, else it is counted and kept for a latch."""
+        cut = self.cut
+        if cut is not None and cut.passes(self):
+            self.publish(message)
+            self.count += 1
+            cut.wrote(self)
+        else:
+            self.gated += 1
+            self.held = message
+
+    def set_gate(self, open_: bool) -> None:
+        """Open or closed from now on, whatever a cut said."""
+        self.cut = None
+        self.open = open_
+
+    @property
+    def gate(self) -> str:
+        if self.cut is not None:
+            return self.cut.shows(self)
+        return "open" if self.open else "closed"
+
+    def __str__(self) -> str:
+        return f"{self.output.name} {self.topic}"
+
+
+class Output:
+    """An output port. ``write`` publishes on every topic it is attached to; attached to none, it only counts."""
+
+    def __init__(self, name: str, type_: type, qos: QoS) -> None:
+        self.name = name
+        self.type = type_
+        self.qos = qos
+        self.writes = 0
+        self.wrong_type: str | None = None
+        self.links: tuple[OutputLink, ...] = ()
+        self.owner: Runner | None = None
+
+    def write(self, message: Any) -> None:
+        """Publish ``message``. Raises NodeError where it is not of the output's type."""
+        if message.__class__ is not self.type and not isinstance(message, self.type):
+            self._refuse(message)
+        self.writes += 1
+        for link in self.links:
+            if link.open:
+                link.publish(message)
+                link.count += 1
+            else:
+                link.behind(message)
+
+    @property
+    def attached(self) -> bool:
+        """Whether it is attached to some topic."""
+        return bool(self.links)
+
+    def link(self, topic: str) -> OutputLink | None:
+        return next((link for link in self.links if link.topic == topic), None)
+
+    def _refuse(self, message: Any) -> None:
+        wrong = f"output {self.name} takes {type_name(self.type)}, not {type(message).__name__}"
+        self.wrong_type = wrong
+        raise NodeError(f"{wrong}; write {self.name}.write({self.type.__name__}(…))")
+
+    def __repr__(self) -> str:
+        return f"<output {self.name}: {type_name(self.type)}>"
+
+
+class InputLink:
+    """One attachment of an input: a subscription and how much came through it."""
+
+    __slots__ = ("count", "subscription", "topic")
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.count = 0
+        self.subscription: Subscription | None = None
+
+
+class Input:
+    """An input port. ``latest`` is the newest message since it was attached, or None; ``age`` how old that is."""
+
+    def __init__(self, name: str, type_: type, assumption: Predicate) -> None:
+        self.name = name
+        self.type = type_
+        self.assumption = assumption
+        self.latest: Any = None
+        self.links: tuple[InputLink, ...] = ()
+        self.listeners: tuple[Listener, ...] = ()
+        self.receipts: deque[tuple[int, Any]] = deque(maxlen=REMEMBERED)
+        self._received_at: int | None = None
+        self._now: Callable[[], int] | None = None
+
+    @property
+    def age(self) -> float | None:
+        """Seconds on the ROS clock since ``latest`` came; None where there is none."""
+        if self._received_at is None or self._now is None:
+            return None
+        return (self._now() - self._received_at) / 1e9
+
+    @property
+    def attached(self) -> bool:
+        """Whether it is attached to some topic."""
+        return bool(self.links)
+
+    def link(self, topic: str) -> InputLink | None:
+        return next((link for link in self.links if link.topic == topic), None)
+
+    def receiver(self, link: InputLink, host: Host) -> Callable[[Any, Any], None]:
+        """The callback of one subscription. Everything it touches is local or an attribute: this is the data path."""
+        now, steady = host.now, host.steady
+        self._now = now
+
+        def receive(message: Any, info: Any) -> None:
+            self.receipts.append((steady(), info))
+            self.latest = message
+            self._received_at = now()
+            link.count += 1
+            for listener in self.listeners:
+                listener(message, info)
+
+        return receive
+
+    def forget(self) -> None:
+        """No longer attached anywhere: what came before does not count."""
+        self.latest = None
+        self._received_at = None
+
+    def record(self, on: bool) -> None:
+        """Keep every receipt from now on, or only the last few; those it has stay."""
+        self.receipts = deque(self.receipts, maxlen=RECORDED if on else REMEMBERED)
+
+    def __repr__(self) -> str:
+        return f"<input {self.name}: {self.assumption}>"
+
+
+class AnyOf:
+    """Inputs that are alternatives: one of them is enough. Made by :func:`any_of`."""
+
+    def __init__(self, inputs: tuple[Input, ...]) -> None:
+        self.inputs = inputs
+
+    def __iter__(self) -> Iterator[Input]:
+        return iter(self.inputs)
+
+    def __repr__(self) -> str:
+        return f"any_of({', '.join(port.name for port in self.inputs)})"
+
+
+def any_of(*inputs: Input) -> AnyOf:
+    """An assumption that one of several inputs meets: ``inputs=[any_of(left, right)]``."""
+    for port in inputs:
+        if not isinstance(port, Input):
+            raise NodeError(
+                f"any_of(): {port!r} is not an input; write any_of(left, right) with what create_input gave"
+            )
+    if len(inputs) < 2:
+        raise NodeError("any_of() takes at least two inputs; for one write it alone: inputs=[scan]")
+    return AnyOf(inputs)

@@ -1,0 +1,47 @@
+"""``python3 talker.py --standalone out:=/chatter``: a component that runs by itself, managed by nobody."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from midstride.errors import NodeError
+from midstride.model.component import Component, NamedInputs
+
+FLAG: Final = "--standalone"
+_REMAPPING: Final = re.compile(r"(?P<port>[A-Za-z_]\w*):=(?P<topic>[^\s:=]+)\Z")
+
+Attachments = Mapping[str, Sequence[str]]
+
+
+def remappings(arguments: Sequence[str], component: Component) -> Attachments | None:
+    """What ``--standalone`` says: each port's topics; None where it is not there. Raises NodeError for a wrong port.
+
+    The remappings are what follows the flag as ``port:=/topic``; every other argument is the author's own or ROS's.
+    """
+    if FLAG not in arguments:
+        return None
+    attachments: dict[str, list[str]] = {}
+    for argument in arguments[arguments.index(FLAG) + 1 :]:
+        match = _REMAPPING.match(argument)
+        if match is None:
+            break
+        port, topic = match["port"], match["topic"]
+        if port not in component.ports():
+            listed = ", ".join(component.ports()) or "none"
+            raise NodeError(f"{FLAG} {argument}: there is no port {port}; the ports of {component.name} are: {listed}")
+        attachments.setdefault(port, []).append(topic)
+    return attachments
+
+
+def best_modes(component: Component, attachments: Attachments) -> dict[str, int]:
+    """The best mode of each functionality, trusting that an attached topic keeps its promise."""
+    modes = {}
+    for functionality in component:
+        for index, mode in enumerate(functionality.modes):
+            named = [assumption.inputs for assumption in mode.assumptions if isinstance(assumption, NamedInputs)]
+            if all(any(port in attachments for port in alternatives) for alternatives in named):
+                modes[functionality.name] = index
+                break
+    return modes

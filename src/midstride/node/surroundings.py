@@ -1,0 +1,88 @@
+"""Who this process is, and which platform it runs on: asked once, in ``Component.start``.
+
+The manager tells a component's process through environment variables (wire/messages.py). In the
+simulator many components share one process, so there a context variable says it instead.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import json
+import os
+import sys
+from collections.abc import Mapping
+from contextvars import ContextVar
+from dataclasses import dataclass, field
+from typing import Any, Final, cast
+
+from midstride.errors import NodeError
+from midstride.node.host import HostFactory
+from midstride.wire.messages import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
+
+# Back ends that a component finds by itself: the library that says the platform is there, and where ours is.
+# Each module has `create_host(name, namespace) -> Host`.
+BACKENDS: Final = {"ros2": ("rclpy", "midstride.backends.ros2"), "ros1": ("rospy", "midstride.backends.ros1")}
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a component is told from outside. ``instance`` None: nobody renames it; ``token`` empty: started by hand."""
+
+    factory: HostFactory | None = None
+    instance: str | None = None
+    namespace: str = ""
+    token: str = ""
+    parameters: Mapping[str, Any] = field(default_factory=dict)
+    arguments: tuple[str, ...] = ()
+
+
+current: Final[ContextVar[Surroundings | None]] = ContextVar("midstride_surroundings", default=None)
+
+
+def find() -> Surroundings:
+    """The surroundings of the caller: the simulator's, else what the environment says."""
+    simulated = current.get()
+    if simulated is not None:
+        return simulated
+    return Surroundings(
+        factory=None,
+        instance=os.environ.get(ENV_INSTANCE) or None,
+        namespace=os.environ.get(ENV_NAMESPACE, ""),
+        token=os.environ.get(ENV_TOKEN, ""),
+        parameters=_parameters(os.environ.get(ENV_PARAMETERS, "")),
+        arguments=tuple(sys.argv[1:]),
+    )
+
+
+def host_factory(surroundings: Surroundings) -> HostFactory:
+    """The factory of the platform this process runs on. Raises NodeError where there is none."""
+    if surroundings.factory is not None:
+        return surroundings.factory
+    name = os.environ.get(ENV_BACKEND)
+    if name is None:
+        name = next((name for name, (library, _) in BACKENDS.items() if importlib.util.find_spec(library)), None)
+        if name is None:
+            raise NodeError(
+                "no ROS can be imported (neither rclpy nor rospy): source your ROS's setup file, "
+                "or `pip install 'midstride[ros2]'`, or run it in the simulator"
+            )
+    if name not in BACKENDS:
+        raise NodeError(f"{ENV_BACKEND}={name!r} names no back end: write one of {', '.join(BACKENDS)}")
+    try:
+        module = importlib.import_module(BACKENDS[name][1])
+    except ImportError as error:
+        raise NodeError(f"the back end {name} cannot be loaded: {error}") from error
+    return cast(HostFactory, module.create_host)
+
+
+def _parameters(text: str) -> dict[str, Any]:
+    if not text:
+        return {}
+    try:
+        document = json.loads(text)
+    except ValueError as error:
+        raise NodeError(f"{ENV_PARAMETERS} is not JSON: {error}") from None
+    if not isinstance(document, dict):
+        raise NodeError(f"{ENV_PARAMETERS} must be a JSON object of parameter values, not {text!r}")
+    return document

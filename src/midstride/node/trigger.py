@@ -1,0 +1,177 @@
+"""What drives a mode: a time grid, messages, sets of messages, or nothing but its entry.
+
+A trigger lives from the mode's entry to its end, on the data side. It tells the runner what to
+call and when in time the call belongs: a slot of the grid, or the messages it answers.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Any, Protocol
+
+from midstride.node.host import Host, Timer
+from midstride.node.modes import DeclaredMode, Function
+from midstride.node.ports import Input, Listener
+
+if TYPE_CHECKING:
+    from midstride.node.running import Runner
+
+
+class Trigger(Protocol):
+    def begin(self) -> None: ...
+
+    def end(self) -> None: ...
+
+
+class InfoSet(tuple[Any, ...]):
+    """The message infos of one set: the call belongs to the newest of them."""
+
+    __slots__ = ()
+
+
+class OnEntry:
+    """Called once."""
+
+    def __init__(self, runner: Runner, function: Function) -> None:
+        self._runner = runner
+        self._function = function
+
+    def begin(self) -> None:
+        self._runner.call(self._function, (), None, None)
+
+    def end(self) -> None:
+        pass
+
+
+class OnRate:
+    """Called on a time grid, the first time on entry. A slot whose turn comes during a call is skipped."""
+
+    def __init__(self, runner: Runner, host: Host, function: Function, period: float) -> None:
+        self.period = period
+        self.slot: int | None = None
+        self._runner = runner
+        self._host = host
+        self._function = function
+        self._timer: Timer | None = None
+
+    def begin(self) -> None:
+        self._timer = self._host.create_timer(self.period, None, self._on_slot)
+
+    def end(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    def regrid(self, epoch: int) -> None:
+        if self._timer is not None:
+            self._timer.regrid(epoch)
+
+    def _on_slot(self, slot: int) -> None:
+        self.slot = slot
+        runner = self._runner
+        if runner.ready:
+            runner.call(self._function, (), slot, None)
+
+
+class OnMessage:
+    """Called for every message of some inputs."""
+
+    def __init__(self, runner: Runner, handlers: tuple[tuple[Input, Function], ...]) -> None:
+        self._runner = runner
+        self._listeners = [(port, self._listener(function)) for port, function in handlers]
+
+    def begin(self) -> None:
+        for port, listener in self._listeners:
+            port.listeners = (*port.listeners, listener)
+
+    def end(self) -> None:
+        for port, listener in self._listeners:
+            port.listeners = tuple(other for other in port.listeners if other is not listener)
+
+    def _listener(self, function: Function) -> Listener:
+        runner = self._runner
+
+        def on_message(message: Any, info: Any) -> None:
+            if runner.watch is not None:
+                runner.watch(info)
+            if runner.ready:
+                runner.call(function, (message,), None, info)
+            else:
+                runner.postpone(function, (message,), info)
+
+        return on_message
+
+
+class OnSet:
+    """Called with one message of each input, their times within the slop: the closest ones, oldest first."""
+
+    def __init__(self, runner: Runner, host: Host, mode: DeclaredMode) -> None:
+        assert mode.sync is not None and mode.function is not None
+        self._runner = runner
+        self._host = host
+        self._function = mode.function
+        self._inputs = mode.synchronised
+        self._slop = int(mode.sync.slop * 1e9)
+        self._waiting: list[deque[tuple[int, Any, Any]]] = [deque(maxlen=mode.sync.queue) for _ in self._inputs]
+        self._listeners = [self._listener(index) for index in range(len(self._inputs))]
+
+    def begin(self) -> None:
+        for port, listener in zip(self._inputs, self._listeners, strict=True):
+            port.listeners = (*port.listeners, listener)
+
+    def end(self) -> None:
+        for port, listener in zip(self._inputs, self._listeners, strict=True):
+            port.listeners = tuple(other for other in port.listeners if other is not listener)
+
+    def _listener(self, index: int) -> Listener:
+        def on_message(message: Any, info: Any) -> None:
+            if self._runner.watch is not None:
+                self._runner.watch(info)
+            self._waiting[index].append((self._time(message, info), message, info))
+            self._match(index)
+
+        return on_message
+
+    def _time(self, message: Any, info: Any) -> int:
+        stamp = getattr(getattr(message, "header", None), "stamp", None)
+        if stamp is not None:
+            if hasattr(stamp, "nanosec"):
+                return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+            return int(stamp.to_nsec())
+        source = self._host.read_info(info).source
+        return self._host.now() if source is None else source
+
+    def _match(self, index: int) -> None:
+        """Whether the newest message of input ``index`` completes a set; then call, and drop what is older."""
+        newest = self._waiting[index][-1]
+        chosen = []
+        for other, waiting in enumerate(self._waiting):
+            if other == index:
+                chosen.append(newest)
+            elif waiting:
+                chosen.append(min(waiting, key=lambda entry: abs(entry[0] - newest[0])))
+            else:
+                return
+        times = [time for time, _, _ in chosen]
+        if max(times) - min(times) > self._slop:
+            return
+        for waiting, (time, _, _) in zip(self._waiting, chosen, strict=True):
+            while waiting and waiting[0][0] <= time:
+                waiting.popleft()
+        messages, infos = tuple(message for _, message, _ in chosen), InfoSet(info for _, _, info in chosen)
+        if self._runner.ready:
+            self._runner.call(self._function, messages, None, infos)
+        else:
+            self._runner.postpone(self._function, messages, infos)
+
+
+def trigger_of(mode: DeclaredMode, runner: Runner, host: Host) -> Trigger:
+    if mode.driven == "message":
+        return OnSet(runner, host, mode) if mode.sync is not None else OnMessage(runner, mode.handlers)
+    assert mode.function is not None
+    if mode.period is not None:
+        return OnRate(runner, host, mode.function, mode.period)
+    return OnEntry(runner, mode.function)
+
+
+__all__ = ["InfoSet", "OnEntry", "OnMessage", "OnRate", "OnSet", "Trigger", "trigger_of"]
