@@ -18,7 +18,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).parent
+HERE = Path(__file__).resolve().parent
 SIZES = {"100 B": 100, "1 kB": 1_000, "1 MB": 1_000_000}
 
 

@@ -32,10 +32,8 @@ def test_a_name_that_is_no_folder_is_refused(name: str) -> None:
 
 def test_one_manager_at_a_time() -> None:
     workspace = Workspace.of("patrol")
-    with workspace.lock():
-        with pytest.raises(ManagerBusy, match=str(os.getpid())):
-            with workspace.lock():
-                pass
+    with workspace.lock(), pytest.raises(ManagerBusy, match=str(os.getpid())), workspace.lock():
+        pass
     with workspace.lock():
         pass
 

@@ -39,7 +39,7 @@ def state_document(
     starting: dict[str, Instance],
 ) -> dict[str, Any]:
     """What the next manager needs to find this system again."""
-    instances = {**{name: instance for name, instance in configuration.instances.items()}, **starting}
+    instances = {**dict(configuration.instances.items()), **starting}
     return {
         "version": 1,
         "backend": backend,

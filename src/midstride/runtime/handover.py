@@ -206,7 +206,7 @@ async def _await_cuts(link: Link, s: Configuration, cuts: list[Cut]) -> dict[Por
 
 
 async def _take_back(link: Link, s: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
-    """Old publishers as before, new ones off the topic. What cannot be reached is left to the roll-back's own errors."""
+    """Old publishers as before, new ones off the topic. What cannot be reached is left to the roll-back."""
     for cut in cuts:
         for side in (cut.new, cut.old):
             await _quietly(link, side, "cancel_cut", cut=cut.id)

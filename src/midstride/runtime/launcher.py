@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import shlex
 from pathlib import Path
@@ -147,10 +148,8 @@ class Launcher:
         """End what was started for ``name``, if anything was; whatever happens on the way, go on."""
         self._drop(name)
         if name in self.handles:
-            try:
+            with contextlib.suppress(BackendError):
                 await self.end(name)
-            except BackendError:
-                pass
 
     async def end(self, name: str) -> None:
         """End a component that was started here (or by an earlier manager). Raises BackendError."""

@@ -8,6 +8,7 @@ that would need it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
@@ -91,7 +92,7 @@ def _gap(rows: Sequence[Row], begun: int, ended: int) -> float:
     """The longest silence, the one before the end of the window included: a topic gone silent has no second message."""
     times = [row.received for row in rows] or [begun]
     times.append(ended)
-    return max(later - earlier for earlier, later in zip(times, times[1:], strict=False)) / 1e9
+    return max(later - earlier for earlier, later in itertools.pairwise(times)) / 1e9
 
 
 def _sides(rows: Sequence[Row], begun: int) -> dict[int, str] | None:

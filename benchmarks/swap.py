@@ -1,0 +1,278 @@
+"""What replacing a publisher costs its subscribers, at 50 Hz on real ROS 2, by five ways in one run.
+
+Midstride's hand-over, its `paper` strategy, a lifecycle node deactivated and another activated, a
+process killed and another started, and a window in which nothing is swapped (what this machine
+does by itself). A bare recorder outside Midstride records them all; the figures are worked out
+from its rows in the same way for each. Functionality-seconds lost are those of the subscriber that relies on
+the topic: as reported for Midstride, the silence beyond one period for the others.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import signal
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from immutables import Map
+
+from midstride.model.component import Component, Connector, Functionality, Mode, NamedInputs
+from midstride.model.contract import Predicate
+from midstride.model.specification import Node, Specification
+from midstride.plan.request import Request
+from midstride.runtime.measure import Observation, Row, SwapReport, report
+
+HERE = Path(__file__).resolve().parent
+NODES = HERE / "_swap_nodes.py"
+PERIOD = 0.02
+TAIL = 20 * PERIOD
+
+
+@dataclass
+class Way:
+    """One way of swapping: when each swap began and ended (steady ns), and what it reported itself."""
+
+    name: str
+    windows: list[tuple[int, int]] = field(default_factory=list)
+    lost_seconds: list[float] = field(default_factory=list)
+    own: list[dict[str, Any]] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)
+
+    def reports(self) -> list[SwapReport]:
+        seen = []
+        for begun, ended in self.windows:
+            near = [row for row in self.rows if begun - 1e9 < row.received <= ended]
+            seen.append(report(Observation("/swap", "recorder", near, begun, ended, PERIOD, PERIOD)))
+        return seen
+
+
+def specification() -> Specification:
+    text = "std_msgs/msg/String"
+    run = f"python3 {NODES}"
+    talk = Functionality(
+        "talk", (Mode("normal", (), Map({"out": Predicate(text, 50)})), Mode("degraded")), (), ("out",)
+    )
+    listen = Functionality("listen", (Mode("normal", (NamedInputs(("in",)),)), Mode("degraded")), ("in",))
+    sources = [
+        Component.of(name, outputs=("out",), functionalities=(talk,), run=f"{run} source", takes=1.0)
+        for name in ("Source", "OtherSource")
+    ]
+    # Two names of one program: a swap there and back is a swap all the same.
+    sources[1] = Component.of(
+        "OtherSource", outputs=("out",), functionalities=(talk,), run=f"{run} source other", takes=1.0
+    )
+    sink = Component.of(
+        "Sink", inputs={"in": Predicate(text, 50)}, functionalities=(listen,), run=f"{run} sink", takes=1.0
+    )
+    return Specification(
+        "swap_benchmark",
+        connectors=Map({"/swap": Connector("/swap", Predicate(text, 50))}),
+        components=Map({component.name: component for component in (*sources, sink)}),
+        nodes=Map(
+            {
+                "source": Node("source", "Source", Map({"out": ("/swap",)})),
+                "sink": Node("sink", "Sink", Map({"in": ("/swap",)})),
+            }
+        ),
+    )
+
+
+@contextmanager
+def program(env: dict[str, str], *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    process = subprocess.Popen([sys.executable, str(NODES), *arguments], env=env, start_new_session=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@contextmanager
+def recorded(way: Way, env: dict[str, str]) -> Iterator[None]:
+    """The bare recorder runs inside; afterwards the way has its rows."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "rows.json"
+        with program(env, "recorder", str(path)) as process:
+            time.sleep(1.0)
+            yield
+            process.send_signal(signal.SIGTERM)
+            process.wait(timeout=10)
+        way.rows = [Row(*row) for row in json.loads(path.read_text())]
+
+
+def timed(way: Way, swap: Callable[[], None]) -> None:
+    time.sleep(TAIL)
+    begun = time.monotonic_ns()
+    swap()
+    time.sleep(TAIL)
+    way.windows.append((begun, time.monotonic_ns()))
+
+
+async def midstride(way: Way, strategy: str, swaps: int) -> None:
+    from midstride import backends
+    from midstride.runtime.manager import Manager
+    from midstride.runtime.workspace import Workspace
+
+    with tempfile.TemporaryDirectory() as folder:
+        manager = Manager(specification(), backends.make("ros2"), Workspace(Path(folder)), HERE)
+        try:
+            await manager.up()
+            for index in range(swaps):
+                component = ("OtherSource", "Source")[index % 2]
+                await asyncio.sleep(TAIL)
+                begun = time.monotonic_ns()
+                outcome = await manager.change(Request(replace=(("source", component),), strategy=strategy))
+                way.windows.append((begun, time.monotonic_ns()))
+                if outcome["outcome"] != "done":
+                    raise SystemExit(f"{way.name}: swap {index}: {outcome['because']}")
+                way.own.extend(outcome["swaps"])
+                way.lost_seconds.append(sum(outcome["fallen"].values()))
+        finally:
+            await manager.down()
+            await manager.close()
+
+
+def by_lifecycle(way: Way, env: dict[str, str], swaps: int) -> None:
+    import rclpy
+    from lifecycle_msgs.msg import Transition
+    from lifecycle_msgs.srv import ChangeState
+
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("changer", context=context)
+    executor = rclpy.executors.SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    names = ("first", "second")
+    clients = {name: node.create_client(ChangeState, f"/{name}/change_state") for name in names}
+
+    def change(name: str, transition: int) -> None:
+        request = ChangeState.Request(transition=Transition(id=transition))
+        future = clients[name].call_async(request)
+        executor.spin_until_future_complete(future, timeout_sec=5)
+        if not (future.done() and future.result().success):
+            raise SystemExit(f"lifecycle: {name} did not change")
+
+    with program(env, "lifecycle", "first"), program(env, "lifecycle", "second"):
+        for name in names:
+            clients[name].wait_for_service(timeout_sec=10)
+            time.sleep(0.5)
+            change(name, Transition.TRANSITION_CONFIGURE)
+        change("first", Transition.TRANSITION_ACTIVATE)
+        time.sleep(1)
+        for index in range(swaps):
+            old, new = names[index % 2], names[1 - index % 2]
+
+            def swap(old: str = old, new: str = new) -> None:
+                change(old, Transition.TRANSITION_DEACTIVATE)
+                change(new, Transition.TRANSITION_ACTIVATE)
+
+            timed(way, swap)
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+
+
+def by_killing(way: Way, env: dict[str, str], swaps: int) -> None:
+    running: list[subprocess.Popen[bytes]] = []
+
+    def start() -> None:
+        command = [sys.executable, str(NODES), "bare", f"bare_{time.monotonic_ns()}"]
+        running.append(subprocess.Popen(command, env=env, start_new_session=True))
+
+    try:
+        start()
+        time.sleep(2)
+        for _ in range(swaps):
+
+            def swap() -> None:
+                running[-1].kill()
+                running[-1].wait()
+                start()
+                time.sleep(1.5)  # until it certainly writes: the window must hold its first messages
+
+            timed(way, swap)
+    finally:
+        for process in running:
+            process.kill()
+            process.wait()
+
+
+def by_doing_nothing(way: Way, env: dict[str, str], swaps: int) -> None:
+    with program(env, "bare", "steady"):
+        time.sleep(2)
+        for _ in range(swaps):
+            timed(way, lambda: time.sleep(1))
+
+
+def summary(way: Way) -> dict[str, Any]:
+    seen = [entry for entry in way.reports() if entry.gap_periods is not None]
+    gaps = sorted(entry.gap_periods for entry in seen if entry.gap_periods is not None)
+    if not way.lost_seconds:
+        way.lost_seconds = [max(0.0, (entry.gap or 0.0) - PERIOD) for entry in seen]
+
+    def total(figure: str) -> int | None:
+        values = [getattr(entry, figure) for entry in seen]
+        return None if any(value is None for value in values) else sum(values)
+
+    return {
+        "way": way.name,
+        "swaps": len(seen),
+        "gap_median": statistics.median(gaps),
+        "gap_p99": gaps[min(len(gaps) - 1, len(gaps) * 99 // 100)],
+        "gap_max": gaps[-1],
+        "missed": total("missed"),
+        "lost": total("lost"),
+        "duplicates": total("duplicates"),
+        "functionality_seconds_median": statistics.median(way.lost_seconds),
+        "reported": way.own,
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--swaps", type=int, default=200)
+    parser.add_argument("--ways", nargs="*", default=["handover", "paper", "lifecycle", "kill", "none"])
+    parser.add_argument("--out", type=Path, default=HERE / "results" / "swap.json")
+    options = parser.parse_args()
+    from midstride.backends.ros2.tuning import tuned_environment
+
+    os.environ.setdefault("ROS_DOMAIN_ID", "86")
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.update(tuned_environment(dict(os.environ)))
+    env = dict(os.environ)
+    runs: dict[str, Callable[[Way], None]] = {
+        "handover": lambda way: asyncio.run(midstride(way, "minimal", options.swaps)),
+        "paper": lambda way: asyncio.run(midstride(way, "paper", options.swaps)),
+        "lifecycle": lambda way: by_lifecycle(way, env, options.swaps),
+        "kill": lambda way: by_killing(way, env, options.swaps),
+        "none": lambda way: by_doing_nothing(way, env, options.swaps),
+    }
+    columns = ("way", "swaps", "gap_median", "gap_p99", "gap_max", "missed", "lost", "duplicates")
+    print("  ".join(f"{column:>10}" for column in columns) + "  functionality-seconds (median)")
+    results = []
+    for name in options.ways:
+        way = Way(name)
+        with recorded(way, env):
+            runs[name](way)
+        row = summary(way)
+        results.append(row)
+        shown = [row[column] for column in columns]
+        cells = [f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in shown]
+        print("  ".join(f"{cell:>10}" for cell in cells) + f"  {row['functionality_seconds_median']:.3f}", flush=True)
+    options.out.parent.mkdir(exist_ok=True)
+    options.out.write_text(json.dumps({"period": PERIOD, "results": results}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
