@@ -65,15 +65,18 @@ def check_rate(rate: object, where: str) -> float | None:
     return float(rate)
 
 
+def check_weight(weight: object, where: str) -> None:
+    if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not (math.isfinite(weight) and weight > 0):
+        raise NodeError(f"{where}: weight={weight!r}; write a number greater than 0")
+
+
 def check_qos(qos: object, where: str) -> QoS:
     if qos is None:
         return DEFAULT_QOS
     if isinstance(qos, int) and not isinstance(qos, bool) and qos > 0:
         return QoS(depth=qos)  # as rclpy understands it
     if not isinstance(qos, QoS):
-        raise NodeError(
-            f"{where}: qos={qos!r} is not a QoS profile; write e.g. midstride.QoS(reliability='best_effort')"
-        )
+        raise NodeError(f"{where}: qos={qos!r} is no QoS profile; write e.g. QoS(reliability='best_effort')")
     for policy, allowed in _POLICIES.items():
         value = getattr(qos, policy)
         if value is not None and value not in allowed:
@@ -102,9 +105,7 @@ def type_name(type_: type, where: str = "message type") -> str:
     parts = type_.__module__.split(".")  # ROS 2: std_msgs.msg._string
     if len(parts) >= 2 and parts[1] == "msg":
         return f"{parts[0]}/msg/{type_.__name__}"
-    raise NodeError(
-        f"{where}: {type_.__name__} is not a ROS message class; write e.g. `from std_msgs.msg import String`"
-    )
+    raise NodeError(f"{where}: {type_.__name__} is no ROS message class; write e.g. `from std_msgs.msg import String`")
 
 
 def field_constraints(where: Where | None, type_: type | None, context: str) -> tuple[tuple[str, ValueSet], ...]:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any, Final
 
 from midstride.node.host import Host
-from midstride.node.ports import OutputLink
+from midstride.node.ports import OutputLink, Passage
 from midstride.node.running import Runner
 from midstride.node.trigger import InfoSet
 
@@ -44,7 +44,9 @@ def source_of(info: Any, host: Host) -> int:
     return host.now() if source is None else source
 
 
-class _Side:
+class _Side(Passage):
+    """What both sides share. ``passes`` and ``shows`` are each side's own."""
+
     def __init__(self, links: Sequence[OutputLink], at: int, host: Host) -> None:
         self.links = tuple(links)
         self.at = at

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 from immutables import Map
@@ -75,7 +76,7 @@ def _guarantee(mode: DeclaredMode, port: Output) -> Predicate:
 
 def _check_monotonic(functionality: Functionality, modes: tuple[model.Mode, ...]) -> None:
     """Rule M2: what a worse mode guarantees, every better one guarantees too."""
-    for better, worse in zip(modes, modes[1:], strict=False):
+    for better, worse in itertools.pairwise(modes):
         for port in functionality.outputs:
             needed, offered = worse.guarantee(port.name), better.guarantee(port.name)
             if needed is NOTHING or satisfies(offered, needed):

@@ -33,9 +33,13 @@ class _Handing:
         self._host = host
         self._changed = changed
 
+    def _going(self) -> bool:
+        """Whether nothing has come of it yet; a cancellation may come whenever one awaits."""
+        return self.outcome is None
+
     async def _until(self, at: int) -> None:
         """Until ``at`` on the ROS clock, which may run otherwise than the steady one."""
-        while self.outcome is None and (left := (at - self._host.now()) / 1e9) > 0:
+        while self._going() and (left := (at - self._host.now()) / 1e9) > 0:
             await self._host.sleep(min(max(left, 0.0001), 0.1))
 
     async def _end(self, outcome: str, gates: Callable[[], None]) -> None:
@@ -58,9 +62,9 @@ class OldSide(_Handing):
     async def run(self) -> None:
         await self._until(self.side.at)
         passed_at = self._host.steady()
-        while self.outcome is None:
+        while self._going():
             passed = self.side.over or await self._host.on_data(self.side.passed)
-            if self.outcome is not None:
+            if not self._going():
                 return
             if passed and self._taken:
                 await self._end("done", self.side.relieved)
@@ -110,16 +114,16 @@ class NewSide(_Handing):
         await self._until(self.side.at)
         waited_from = self._host.steady()
         latched = self._rate_driven
-        while self.outcome is None and not self.side.written:
+        while self._going() and not self.side.written:
             # A message on its way at T may still make the new side write by itself; nothing else will.
             if not latched and (self._host.steady() - waited_from) / 1e9 > self._latch_after():
                 latched = True
                 await self._host.on_data(self.side.latch)
             else:
                 await self._host.sleep(TICK)
-        if self.outcome is None and await self._resumed():
+        if self._going() and await self._resumed():
             await self._end("cancelled", self.side.close)
-        if self.outcome is None:
+        if self._going():
             self.outcome = "done"
             self.finished.set()
             self._changed()
@@ -133,7 +137,7 @@ class NewSide(_Handing):
     async def _resumed(self) -> bool:
         """Tell the old side until it answers; whether it writes again. One that cannot be reached does not write."""
         for _ in range(TELL_ATTEMPTS):
-            if self.outcome is not None:
+            if not self._going():
                 return False
             try:
                 reply = await self._tell(TELL_TIMEOUT)

@@ -32,9 +32,9 @@ def approximate(slop: float, queue: int = 10) -> Approximate:
     ``queue`` messages of each input wait for their partners; the oldest go first.
     """
     seconds = check_rate(slop, "approximate()")
-    if seconds is None or isinstance(queue, bool) or not isinstance(queue, int) or queue < 1:
+    if seconds is None or not queue >= 1:
         raise NodeError(f"approximate({slop!r}, queue={queue!r}): write seconds, and a queue of at least one message")
-    return Approximate(seconds, queue)
+    return Approximate(seconds, int(queue))
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ def declare_mode(
     inputs: Sequence[Input | AnyOf],
     outputs: Iterable[Output],
     guarantees: Mapping[Output, Promise] | None,
-    sync: Approximate | None,
+    sync: object,
     associated_inputs: Sequence[Input],
     associated_outputs: Sequence[Output],
 ) -> DeclaredMode:
@@ -89,9 +89,7 @@ def declare_mode(
         return DeclaredMode(mode, driven, plain, hertz, assumptions, kept_outputs, promises)
     if sync is not None:
         if any(len(assumption) > 1 for assumption in assumptions) or len(named) < 2:
-            raise NodeError(
-                f"{where}: sync= takes one message of each of several inputs; any_of() leaves one of them out"
-            )
+            raise NodeError(f"{where}: sync= takes one message of each of several inputs; any_of() leaves one out")
         listed = ", ".join(port.name for port in named)
         together = _callable(where, function, len(named), f"it is called with one message of each input: ({listed})")
         return DeclaredMode(
@@ -107,9 +105,7 @@ def _handlers(
     if isinstance(function, Mapping):
         for port in function:
             if port not in named:
-                raise NodeError(
-                    f"{where}: the mapping calls for {port!r}, which the mode's inputs= does not name; add it"
-                )
+                raise NodeError(f"{where}: the mapping calls for {port!r}, which inputs= does not name; add it")
         if not function:
             raise NodeError(f"{where}: an empty mapping calls nothing; write {{scan: on_scan}}")
         called = "it is called with each message"
@@ -172,9 +168,7 @@ def _outputs(where: str, outputs: Iterable[Output], associated: Sequence[Output]
 
 def _promises(where: str, guarantees: object, outputs: tuple[Output, ...]) -> dict[Output, Guarantee]:
     if not isinstance(guarantees, Mapping):
-        raise NodeError(
-            f"{where}: guarantees={guarantees!r}; write guarantees={{out: 20}} (Hz) or {{out: guarantee(…)}}"
-        )
+        raise NodeError(f"{where}: guarantees={guarantees!r}; write {{out: 20}} (Hz) or {{out: guarantee(…)}}")
     promises: dict[Output, Guarantee] = {}
     for port, promise in guarantees.items():
         if port not in outputs:

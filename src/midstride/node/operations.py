@@ -85,7 +85,7 @@ class Operations:
     # -- beginning and end -------------------------------------------------------------------------
 
     def set_up(self) -> None:
-        """Data side, first of all: parameters and whatever else of ROS the author wants. What it raises ends the start."""
+        """Data side, first of all: parameters and whatever else the author wants. What it raises ends the start."""
         for parameter in self._component.parameters.values():
             value = self._host.parameter(parameter.name, parameter.value, parameter.change)
             parameter.begin_with(value)
@@ -176,7 +176,10 @@ class Operations:
                 return "a functionality has degraded by itself meanwhile: look at the component's state again"
             return None
 
-        switch = Switch(targets, self._runners, because, guard, lambda: loop.call_soon_threadsafe(settled.set))
+        def tell() -> None:
+            loop.call_soon_threadsafe(settled.set)
+
+        switch = Switch(targets, self._runners, because, guard, tell)
         attempt = asyncio.ensure_future(self._host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
         if await within(self._host, settled.wait(), timeout) is None and switch.claim():

@@ -208,9 +208,7 @@ def any_of(*inputs: Input) -> AnyOf:
     """An assumption that one of several inputs meets: ``inputs=[any_of(left, right)]``."""
     for port in inputs:
         if not isinstance(port, Input):
-            raise NodeError(
-                f"any_of(): {port!r} is not an input; write any_of(left, right) with what create_input gave"
-            )
+            raise NodeError(f"any_of(): {port!r} is not an input; write what create_input gave")
     if len(inputs) < 2:
         raise NodeError("any_of() takes at least two inputs; for one write it alone: inputs=[scan]")
     return AnyOf(inputs)

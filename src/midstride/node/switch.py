@@ -150,10 +150,8 @@ class Switch:
             for runner in self._runners:
                 runner.hold(self)
             return
-        with self._lock:
-            if self._over:
-                return
-            self._over = True
+        if not self.claim():  # in this very moment the control side gave up waiting
+            return
         self.refused = self._guard()
         if self.refused is None:
             self._switch()
@@ -173,7 +171,7 @@ class Switch:
         self.release()
 
     def claim(self) -> bool:
-        """On the control side: never let it happen. False where it has."""
+        """Whether the caller is the first to settle what becomes of it; on the control side: that it never happens."""
         with self._lock:
             first, self._over = not self._over, True
             return first
