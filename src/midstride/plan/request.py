@@ -43,7 +43,9 @@ class Request:
         for component in self.components:
             known = target.components.get(component.name)
             if known is not None and known != component:
-                raise PlanRefused(f"component {component.name} is declared already, and otherwise; give it another name")
+                raise PlanRefused(
+                    f"component {component.name} is declared already, and otherwise; give it another name"
+                )
             target = replace(target, components=target.components.set(component.name, component))
         for role in self.remove:
             _known(role, target.nodes, "node")

@@ -1,0 +1,203 @@
+"""The difference between what runs and what is wanted, as one value (semantics.md section 6).
+
+A node of a specification is a *role*, what runs is an *instance* of it. A role whose declaration
+differs is replaced: its old instance leaves, a new one, under a name of its own, comes. A
+changeable parameter is set in place. A topic whose contract differs is another topic, which for
+the time of the plan has an identity of its own beside the old one (``/scan@2`` on the wire's ``/scan``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+from immutables import Map
+
+from midstride.model.component import Component, FunctionalityRef, ParameterValue, PortRef
+from midstride.model.configuration import Configuration, Instance, World
+from midstride.model.specification import DEFAULT_SECONDS, Node, Specification
+from midstride.plan.difference import Difference, between, of_roles
+from midstride.plan.request import Request
+
+Attachment = tuple[PortRef, str]
+
+_SECONDS: Final[Mapping[str, float]] = DEFAULT_SECONDS
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """From ``start``, where ``specification`` runs, to a structure of ``target``.
+
+    ``start`` is the running configuration in the world that holds throughout the plan: the
+    target's caps, capacities and environment. ``baseline`` is ``best`` of it in the world it was
+    found in, ``final`` ``best`` of the target. ``pending`` are the functionalities of ``start`` that
+    could stand better than they do. ``measured`` says how long steps took in earlier runs (s), by
+    kind (``attach``) or by kind and component (``create Talker``).
+    """
+
+    specification: Specification
+    target: Specification
+    origin: Configuration
+    start: Configuration
+    baseline: Configuration
+    final: Configuration
+    leaving: tuple[str, ...] = ()
+    coming: tuple[Instance, ...] = ()
+    replaced: Map[str, str] = field(default_factory=Map)
+    detached: tuple[Attachment, ...] = ()
+    attached: tuple[Attachment, ...] = ()
+    parameters: tuple[tuple[str, Map[str, ParameterValue]], ...] = ()
+    pending: tuple[FunctionalityRef, ...] = ()
+    identities: Map[str, str] = field(default_factory=Map)
+    renamed: tuple[Instance, ...] = ()
+    measured: Map[str, float] = field(default_factory=Map)
+
+    # -- making one ----------------------------------------------------------------------------------
+
+    @classmethod
+    def between(
+        cls,
+        configuration: Configuration,
+        specification: Specification,
+        target: Specification,
+        measured: Mapping[str, float] | None = None,
+    ) -> Change:
+        """The change of the whole system to ``target``. Linear in the system.
+
+        A role that has no live instance comes; an instance of no role leaves. Raises PlanRefused
+        where either end does not meet the target's caps, capacities, environment or contracts.
+        """
+        return cls._of(configuration, specification, target, between(configuration, specification, target), measured)
+
+    @classmethod
+    def of_roles(
+        cls,
+        configuration: Configuration,
+        specification: Specification,
+        target: Specification,
+        roles: Iterable[str],
+        measured: Mapping[str, float] | None = None,
+    ) -> Change:
+        """The change where ``target`` differs from ``specification`` in the nodes ``roles`` alone.
+
+        Costs what the roles and their forward cone cost, whatever the size of the system.
+        ``configuration`` stands in ``best``. Raises PlanRefused as :meth:`between` does.
+        """
+        difference = of_roles(configuration, specification, target, roles)
+        return cls._of(configuration, specification, target, difference, measured)
+
+    @classmethod
+    def of_request(
+        cls,
+        configuration: Configuration,
+        specification: Specification,
+        request: Request,
+        target: Specification,
+        measured: Mapping[str, float] | None = None,
+    ) -> Change:
+        """The change a request asks for, ``target`` being what the request makes of ``specification``.
+
+        Costs what the change costs, unless the request names a whole specification.
+        """
+        if request.to is not None:
+            return cls.between(configuration, specification, target, measured)
+        roles = [role for role, _ in request.replace] + [node.role for node in request.add] + list(request.remove)
+        return cls.of_roles(configuration, specification, target, roles, measured)
+
+    @classmethod
+    def replacing(cls, configuration: Configuration, specification: Specification, role: str, component: str) -> Change:
+        """``role`` played by ``component``. Costs what the change costs. Raises PlanRefused."""
+        request = Request(replace=((role, component),))
+        return cls.of_request(configuration, specification, request, request.target(specification))
+
+    @classmethod
+    def adding(cls, configuration: Configuration, specification: Specification, node: Node) -> Change:
+        """A further node. Costs what the change costs. Raises PlanRefused."""
+        request = Request(add=(node,))
+        return cls.of_request(configuration, specification, request, request.target(specification))
+
+    @classmethod
+    def removing(cls, configuration: Configuration, specification: Specification, role: str) -> Change:
+        """One node less. Costs what the change costs. Raises PlanRefused."""
+        request = Request(remove=(role,))
+        return cls.of_request(configuration, specification, request, request.target(specification))
+
+    @classmethod
+    def _of(
+        cls,
+        configuration: Configuration,
+        specification: Specification,
+        target: Specification,
+        difference: Difference,
+        measured: Mapping[str, float] | None,
+    ) -> Change:
+        return cls(
+            specification=specification,
+            target=target,
+            origin=configuration,
+            start=difference.start,
+            baseline=difference.baseline,
+            final=difference.final,
+            leaving=tuple(difference.leaving),
+            coming=tuple(difference.coming),
+            replaced=Map(difference.replaced),
+            detached=tuple(difference.detached),
+            attached=tuple(difference.attached),
+            parameters=tuple(difference.parameters),
+            pending=tuple(difference.pending),
+            identities=Map(difference.identities),
+            renamed=tuple(difference.renamed),
+            measured=Map(measured or {}),
+        )
+
+    # -- reading -------------------------------------------------------------------------------------
+
+    @property
+    def end_world(self) -> World:
+        """The world once the plan is done: the target's own."""
+        return self.target.world
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is nothing to do at all."""
+        structural = self.leaving or self.coming or self.detached or self.attached
+        return not (structural or self.parameters or self.pending)
+
+    def role_of(self, instance: str) -> str:
+        """The role of an instance that runs at the start or comes. Raises KeyError for another."""
+        known = self.start.instances.get(instance)
+        return (known or self.final.instances[instance]).role
+
+    def component_of(self, instance: str) -> Component:
+        """The component of an instance that runs at the start or comes. Raises KeyError for another."""
+        known = self.start.instances.get(instance)
+        return (known or self.final.instances[instance]).component
+
+    def seconds(self, kind: str, component: Component | None = None) -> float:
+        """How long a step takes (s): declared in the target, else measured earlier, else the stated default."""
+        if kind == "create" and component is not None and component.takes is not None:
+            return component.takes
+        if kind in self.target.timing:
+            return self.target.timing[kind]
+        if component is not None and f"{kind} {component.name}" in self.measured:
+            return self.measured[f"{kind} {component.name}"]
+        return self.measured.get(kind, _SECONDS[kind])
+
+    def sibling(self, connector: str) -> str | None:
+        """The old connector of a topic whose contract changes, given the new one; else None."""
+        if not self.identities:
+            return None
+        topic = self.start.world.connectors[connector].topic
+        return topic if self.identities.get(topic) == connector else None
+
+    def settled(self, configuration: Configuration) -> Configuration:
+        """``configuration``, reached by the whole plan, in the target's own world and under its own names."""
+        s = configuration
+        for name, identity in self.identities.items():
+            for port in [*s.publishers_on(identity), *s.subscribers_on(identity)]:
+                s = s.without_attachment(port, identity).with_attachment(port, name)
+        for instance in self.renamed:
+            known = replace(s.instances[instance.name], component=instance.component)
+            s = replace(s, instances=s.instances.set(instance.name, known))
+        return s.with_world(self.end_world)

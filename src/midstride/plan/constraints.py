@@ -1,0 +1,154 @@
+"""What the user asks of every plan: ``keep``, ``limit`` and ``order`` (semantics.md section 6)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+from midstride.errors import PlanRefused
+from midstride.model.component import FunctionalityRef
+from midstride.model.specification import Constraint, Keep, Limit, Order
+from midstride.plan.change import Change
+from midstride.plan.disruption import Levels, Meter
+from midstride.plan.step import Step
+
+# Up to this many constraints, a smallest conflicting set is looked for; beyond, one that has no smaller one in it.
+_ENUMERABLE: Final = 6
+
+_EPSILON: Final = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Breach:
+    """A constraint that a plan does not meet, and where and how it does not."""
+
+    constraint: Constraint
+    because: str
+
+    def __str__(self) -> str:
+        return f"`{self.constraint}`: {self.because}"
+
+
+def in_force(change: Change) -> tuple[Constraint, ...]:
+    """The target's constraints, and the start's orders that name a role which the target does not have."""
+    target = change.target
+    kept = [
+        constraint
+        for constraint in change.specification.constraints
+        if isinstance(constraint, Order)
+        and constraint not in target.constraints
+        and not (constraint.first in target.nodes and constraint.then in target.nodes)
+    ]
+    return (*target.constraints, *kept)
+
+
+def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints: Iterable[Constraint]) -> list[Breach]:
+    """The constraints that a plan of these steps does not meet, in the order given.
+
+    A plan is not blamed for a functionality that stands below its ``keep`` when the plan begins,
+    only for taking it lower than it stood. A ``limit`` counts every step during which the functionality is
+    below its baseline.
+    """
+    asked = tuple(constraints)
+    if not asked:
+        return []
+    watched = _watched(change, levels, [constraint for constraint in asked if isinstance(constraint, Keep)])
+    first_breach: dict[Constraint, str] = {}
+    meter, s = Meter(levels), change.start
+    for number, step in enumerate(steps, start=1):
+        s = step.action.effect(s)
+        meter.step(step.action, step.seconds, s)
+        for keep, role, threshold in watched:
+            concerned = role in step.roles and keep not in first_breach
+            if concerned and levels.level(s, keep.functionality) > threshold:
+                first_breach[keep] = f"step {number} ({step.describe()}) takes it below"
+    for constraint in asked:
+        if isinstance(constraint, Limit):
+            seconds = meter.seconds.get(constraint.functionality, 0.0)
+            if seconds > constraint.seconds + _EPSILON:
+                first_breach[constraint] = f"it would be below its baseline for {seconds:g} s"
+        elif isinstance(constraint, Order):
+            late = _out_of_order(constraint, steps)
+            if late is not None:
+                first_breach[constraint] = late
+    return [Breach(constraint, first_breach[constraint]) for constraint in asked if constraint in first_breach]
+
+
+def _watched(change: Change, levels: Levels, keeps: Iterable[Keep]) -> list[tuple[Keep, str, int]]:
+    watched = []
+    for keep in keeps:
+        ref = keep.functionality
+        if levels.find(ref) is None:
+            continue
+        chain = change.target.component_of(ref.component).functionalities[ref.functionality]
+        try:
+            asked = chain.mode_index(keep.mode)
+        except KeyError:
+            names = ", ".join(mode.name for mode in chain.modes)
+            raise PlanRefused(f"`{keep}`: {ref} has no mode {keep.mode}; it has {names}") from None
+        watched.append((keep, ref.component, max(asked, levels.level(change.start, ref))))
+    return watched
+
+
+def _out_of_order(order: Order, steps: Sequence[Step]) -> str | None:
+    begun: str | None = None
+    for number, step in enumerate(steps, start=1):
+        if not step.is_structural:
+            continue
+        if order.first in step.roles and begun is not None:
+            return f"step {number} ({step.describe()}) comes after {begun}"
+        if order.then in step.roles:
+            begun = f"step {number} ({step.describe()})"
+    return None
+
+
+def layers(roles: Iterable[str], constraints: Iterable[Constraint]) -> list[list[str]] | None:
+    """The roles in the order that ``order`` constraints ask for, those of one layer in none; None for a cycle."""
+    left = sorted(set(roles))
+    orders = [c for c in constraints if isinstance(c, Order) and c.first != c.then]
+    found: list[list[str]] = []
+    while left:
+        waiting = {order.then for order in orders if order.first in left}
+        ready = [role for role in left if role not in waiting]
+        if not ready:
+            return None
+        found.append(ready)
+        left = [role for role in left if role in waiting]
+    return found
+
+
+def conflict(
+    constraints: Sequence[Constraint], can_meet: Callable[[tuple[Constraint, ...]], bool]
+) -> tuple[Constraint, ...]:
+    """A smallest set of ``constraints`` that cannot be met together, given that all of them cannot."""
+    if len(constraints) <= _ENUMERABLE:
+        for size in range(1, len(constraints)):
+            for some in combinations(constraints, size):
+                if not can_meet(some):
+                    return some
+        return tuple(constraints)
+    left = list(constraints)
+    for constraint in constraints:
+        rest = tuple(other for other in left if other != constraint)
+        if not can_meet(rest):
+            left = list(rest)
+    return tuple(left)
+
+
+def refusal(conflicting: Sequence[Constraint], breaches: Iterable[Breach]) -> PlanRefused:
+    """The refusal that names the constraints in conflict, and how the best plan found breaks them."""
+    told = {breach.constraint: breach.because for breach in breaches}
+    words = [f"`{c}`" + (f" ({told[c]})" if c in told else "") for c in conflicting]
+    if len(words) == 1:
+        return PlanRefused(f"no plan was found that meets the constraint {words[0]}")
+    return PlanRefused(f"no plan was found that meets these constraints together: {'; '.join(words)}")
+
+
+def roles_of(constraint: Constraint) -> tuple[str, ...]:
+    """The roles that a constraint names."""
+    if isinstance(constraint, Order):
+        return (constraint.first, constraint.then)
+    ref: FunctionalityRef = constraint.functionality
+    return (ref.component,)

@@ -1,0 +1,173 @@
+"""What a plan costs: semantics.md section 6, counted by role.
+
+:class:`Levels` says how a role's functionality stands in a configuration, and against what it is
+measured. :class:`Meter` follows a plan step by step. Both look only at the roles that a step
+touches, so that a plan's cost is found at the cost of the plan.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
+from midstride.plan.change import Change
+
+# Durations and sums are rounded to this many digits, so that equal plans have equal figures.
+DIGITS = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """A functionality that a role has in both start and target, by role."""
+
+    ref: FunctionalityRef
+    outputs: tuple[str, ...]
+    worst: int
+    baseline: int
+    weight: float
+
+
+class Levels:
+    """The levels of the roles' functionalities under one change. Holds what it has looked up."""
+
+    __slots__ = ("_counted", "change")
+
+    def __init__(self, change: Change) -> None:
+        self.change = change
+        self._counted: dict[str, tuple[Counted, ...]] = {}
+
+    def counted(self, role: str) -> tuple[Counted, ...]:
+        """The functionalities of ``role`` that are counted, in order of declaration."""
+        known = self._counted.get(role)
+        if known is None:
+            known = self._counted[role] = tuple(self._count(role))
+        return known
+
+    def _count(self, role: str) -> Iterable[Counted]:
+        start, target = self.change.specification, self.change.target
+        if role not in start.nodes or role not in target.nodes:
+            return
+        was, will = start.component_of(role), target.component_of(role)
+        before, after = start.nodes[role].attachments, target.nodes[role].attachments
+        for new in will:
+            old = was.functionalities.get(new.name)
+            if old is None:
+                continue
+            outputs = tuple(
+                name for name in new.outputs if name in old.outputs and before.get(name) and after.get(name)
+            )
+            worst = max(len(old.modes), len(new.modes))
+            ref = FunctionalityRef(role, new.name)
+            levels = (
+                self._level(self.change.baseline, ref, outputs, worst),
+                self._level(self.change.final, ref, outputs, worst),
+            )
+            yield Counted(ref, outputs, worst, max(levels), new.weight)
+
+    @staticmethod
+    def _level(s: Configuration, ref: FunctionalityRef, outputs: tuple[str, ...], worst: int) -> int:
+        level = worst
+        for instance in s.players.get(ref.component, ()):
+            own = FunctionalityRef(instance, ref.functionality)
+            mode = s.modes.get(own)
+            if mode is None or mode >= level:
+                continue
+            if all(PortRef(instance, output) in s.connectors_of for output in outputs):
+                level = mode
+        return level
+
+    def find(self, ref: FunctionalityRef) -> Counted | None:
+        """The functionality of a role as it is counted; None where start or target does not have it."""
+        return next((counted for counted in self.counted(ref.component) if counted.ref == ref), None)
+
+    def level(self, s: Configuration, ref: FunctionalityRef) -> int:
+        """The level of a role's functionality: the best mode among those serving it. Raises KeyError if not counted."""
+        counted = self.find(ref)
+        if counted is None:
+            raise KeyError(ref)
+        return self._level(s, ref, counted.outputs, counted.worst)
+
+    def baseline(self, ref: FunctionalityRef) -> int:
+        """The worse of the levels in ``best`` of start and of target. Raises KeyError if not counted."""
+        counted = self.find(ref)
+        if counted is None:
+            raise KeyError(ref)
+        return counted.baseline
+
+    def below(self, s: Configuration, role: str) -> dict[FunctionalityRef, int]:
+        """How many levels below the baseline the functionalities of ``role`` stand, where they do."""
+        found = {}
+        for counted in self.counted(role):
+            loss = self._level(s, counted.ref, counted.outputs, counted.worst) - counted.baseline
+            if loss > 0:
+                found[counted.ref] = loss
+        return found
+
+    def fallen(self, s: Configuration, roles: Iterable[str] | None = None) -> dict[FunctionalityRef, int]:
+        """The same over ``roles``; over all of them, at the cost of a walk, where None."""
+        found: dict[FunctionalityRef, int] = {}
+        for role in sorted(self.change.target.nodes) if roles is None else roles:
+            found.update(self.below(s, role))
+        return found
+
+    def weight(self, ref: FunctionalityRef) -> float:
+        counted = self.find(ref)
+        return 0.0 if counted is None else counted.weight
+
+
+def instances_touched(action: Action) -> list[str]:
+    """The instances that an action changes, in a stable order."""
+    match action:
+        case Create():
+            return [action.instance.name]
+        case Remove():
+            return [action.component]
+        case SetParameters():
+            return [action.component]
+        case Attach() | Detach():
+            return [action.port.component]
+        case Handover():
+            return list(dict.fromkeys(port.component for swap in action.swaps for port in (swap.old, swap.new)))
+        case Degrade() | Upgrade():
+            return list(dict.fromkeys(ref.component for ref in sorted(action.modes)))
+    return []
+
+
+class Meter:
+    """Follows a plan: the disruption so far, who stands below the baseline now, and who ever did."""
+
+    __slots__ = ("below", "disruption", "fallen", "levels", "seconds")
+
+    def __init__(self, levels: Levels) -> None:
+        self.levels = levels
+        self.disruption = 0.0
+        change = levels.change
+        standing = dict.fromkeys(change.start.instances[ref.component].role for ref in change.pending)
+        self.below: dict[FunctionalityRef, int] = levels.fallen(change.start, standing)
+        self.fallen: dict[FunctionalityRef, None] = dict.fromkeys(self.below)
+        self.seconds: dict[FunctionalityRef, float] = dict.fromkeys(self.below, 0.0)
+
+    def copy(self) -> Meter:
+        twin = Meter.__new__(Meter)
+        twin.levels, twin.disruption = self.levels, self.disruption
+        twin.below, twin.fallen, twin.seconds = dict(self.below), dict(self.fallen), dict(self.seconds)
+        return twin
+
+    def step(self, action: Action, seconds: float, after: Configuration) -> None:
+        """Take note of an action that has led to ``after``."""
+        change = self.levels.change
+        now = dict(self.below)
+        for role in dict.fromkeys(change.role_of(name) for name in instances_touched(action)):
+            for counted in self.levels.counted(role):
+                now.pop(counted.ref, None)
+            now.update(self.levels.below(after, role))
+        during = {ref: max(self.below.get(ref, 0), now.get(ref, 0)) for ref in {**self.below, **now}}
+        for ref, loss in during.items():
+            self.seconds[ref] = round(self.seconds.get(ref, 0.0) + seconds, DIGITS)
+            if isinstance(action, (Create, Remove)):
+                self.disruption = round(self.disruption + loss * self.levels.weight(ref) * seconds, DIGITS)
+        self.below = now
+        self.fallen.update(dict.fromkeys(now))

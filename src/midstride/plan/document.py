@@ -1,0 +1,175 @@
+"""The JSON form of a plan (interfaces.md), and back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from immutables import Map
+
+from midstride.errors import PlanRefused, SpecificationError
+from midstride.model.action import (
+    Action,
+    Attach,
+    Create,
+    Degrade,
+    Detach,
+    Handover,
+    Remove,
+    SetParameters,
+    Swap,
+    Upgrade,
+)
+from midstride.model.best import best
+from midstride.model.component import Component, FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration, Instance, configure
+from midstride.model.document import specification_from_document, specification_to_document
+from midstride.model.specification import Specification
+from midstride.plan.change import Change
+from midstride.plan.disruption import instances_touched
+from midstride.plan.plan import Plan
+from midstride.plan.step import ModeChange, Step
+
+
+def plan_to_document(plan: Plan) -> dict[str, Any]:
+    """The plan as interfaces.md writes it.
+
+    Beyond what is fixed there: ``falls`` says why each functionality falls; ``running`` names the
+    instances at the start that do not bear their role's name (null: the role has none), and
+    ``standing`` the modes at the start that are not those of ``best``.
+    """
+    change = plan.change
+    document: dict[str, Any] = {
+        "strategy": plan.strategy,
+        "proved_minimal": plan.proved_minimal,
+        "disruption": plan.disruption,
+        "lower_bound": plan.lower_bound,
+        "makespan": plan.makespan,
+        "seconds": plan.seconds,
+        "fallen": [str(ref) for ref in plan.fallen],
+        "falls": [fall.to_document() for fall in plan.falls],
+        "start": specification_to_document(change.specification),
+        "target": specification_to_document(change.target),
+        "steps": plan.step_documents(),
+    }
+    if running := _running(change):
+        document["running"] = running
+    if standing := _standing(change.origin):
+        document["standing"] = standing
+    return document
+
+
+def _running(change: Change) -> dict[str, str | None]:
+    found: dict[str, str | None] = {}
+    for role in sorted({*change.specification.nodes, *change.origin.players}):
+        names = [instance.name for instance in change.origin.instances_of(role)]
+        if names != [role]:
+            found[role] = names[0] if names else None
+    return found
+
+
+def _standing(s: Configuration) -> dict[str, str]:
+    highest = best(s).modes
+    return {str(ref): s.mode(ref).name for ref in sorted(s.modes) if s.modes[ref] != highest[ref]}
+
+
+def plan_from_document(document: Mapping[str, Any]) -> Plan:
+    """The plan that a document says, its figures taken over as they stand there.
+
+    Nothing is judged: :mod:`midstride.plan.validate` does that. Raises SpecificationError where the document is no
+    plan, PlanRefused where its start and target do not meet.
+    """
+    try:
+        start = specification_from_document(document["start"])
+        target = specification_from_document(document["target"])
+        running = _started(start, document.get("running") or {}, document.get("standing") or {})
+        change = Change.between(running, start, target)
+        steps, s = [], change.start
+        for entry in document["steps"]:
+            step = _step(change, s, entry)
+            steps.append(step)
+            s = step.action.effect(s)
+        return Plan(
+            strategy=str(document["strategy"]),
+            change=change,
+            steps=tuple(steps),
+            disruption=float(document["disruption"]),
+            lower_bound=float(document["lower_bound"]),
+            proved_minimal=bool(document["proved_minimal"]),
+            makespan=float(document["makespan"]),
+            seconds=float(document["seconds"]),
+            fallen=tuple(FunctionalityRef.parse(text) for text in document["fallen"]),
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise SpecificationError(f"not a plan ({type(error).__name__}: {error})") from error
+
+
+def _started(
+    specification: Specification, running: Mapping[str, str | None], standing: Mapping[str, str]
+) -> Configuration:
+    """The configuration a plan starts from: instances under their names, in ``best`` but where said otherwise."""
+    names = {role: running.get(role, role) for role in specification.nodes}
+    live = {role: name for role, name in names.items() if name is not None}
+    s = best(
+        configure(
+            specification.world,
+            (specification.instance(role, name) for role, name in live.items()),
+            (pair for role, name in live.items() for pair in specification.attachments_of(role, name)),
+        )
+    )
+    lower = {ref: s.functionality(ref).mode_index(mode) for ref, mode in _refs(standing)}
+    return s.with_modes(lower)
+
+
+def _refs(named: Mapping[str, str]) -> list[tuple[FunctionalityRef, str]]:
+    return [(FunctionalityRef.parse(text), mode) for text, mode in named.items()]
+
+
+def _step(change: Change, s: Configuration, entry: Mapping[str, Any]) -> Step:
+    action = _action(change, s, entry)
+    names = instances_touched(action)
+    instances = [action.instance] if isinstance(action, Create) else [s.instances[name] for name in names]
+    roles = tuple(dict.fromkeys(instance.role for instance in instances))
+    changes = tuple(
+        ModeChange(FunctionalityRef.parse(text), str(modes["from"]), str(modes["to"]))
+        for text, modes in sorted(entry.get("modes", {}).items())
+    )
+    return Step(action, float(entry["seconds"]), roles, changes)
+
+
+def _action(change: Change, s: Configuration, entry: Mapping[str, Any]) -> Action:
+    kind = entry["action"]
+    match kind:
+        case "create":
+            component = _component(change, str(entry["of"]))
+            parameters = Map(entry.get("parameters") or {})
+            return Create(Instance(str(entry["component"]), str(entry["role"]), component, parameters))
+        case "remove":
+            return Remove(str(entry["component"]))
+        case "attach":
+            return Attach(PortRef.parse(entry["port"]), str(entry["connector"]))
+        case "detach":
+            return Detach(PortRef.parse(entry["port"]), str(entry["connector"]))
+        case "degrade" | "upgrade":
+            named = {text: str(modes["to"]) for text, modes in entry["modes"].items()}
+            to: Map[FunctionalityRef, int] = Map(
+                {ref: s.functionality(ref).mode_index(mode) for ref, mode in _refs(named)}
+            )
+            return Degrade(to) if kind == "degrade" else Upgrade(to)
+        case "handover":
+            return Handover(
+                tuple(
+                    Swap(str(swap["connector"]), PortRef.parse(swap["old"]), PortRef.parse(swap["new"]))
+                    for swap in entry["swaps"]
+                )
+            )
+        case "set":
+            return SetParameters(str(entry["component"]), Map(entry["parameters"]))
+    raise ValueError(f"there is no action {kind}")
+
+
+def _component(change: Change, name: str) -> Component:
+    for specification in (change.target, change.specification):
+        if name in specification.components:
+            return specification.components[name]
+    raise PlanRefused(f"the plan creates a {name}, a component that neither of its specifications has")

@@ -1,0 +1,101 @@
+"""Why each functionality falls in a plan, from which step to which, and for how long."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from midstride.model.action import Degrade
+from midstride.model.component import FunctionalityRef
+from midstride.model.configuration import Configuration
+from midstride.model.rules import Judge
+from midstride.plan.disruption import Levels, Meter
+from midstride.plan.step import Step
+
+if TYPE_CHECKING:
+    from midstride.plan.plan import Plan
+
+
+@dataclass(frozen=True, slots=True)
+class Fall:
+    """A role's functionality below its baseline: the steps (from 1) that take it there and back, and why.
+
+    ``seconds`` counts every step of the sequence during which it is below, by the steps'
+    estimates. ``until`` is None where the plan begins below and does not end above.
+    """
+
+    functionality: FunctionalityRef
+    since: int
+    until: int | None
+    seconds: float
+    because: str
+
+    def to_document(self) -> dict[str, Any]:
+        return {
+            "functionality": str(self.functionality),
+            "from_step": self.since,
+            "to_step": self.until,
+            "seconds": self.seconds,
+            "because": self.because,
+        }
+
+    def __str__(self) -> str:
+        back = "" if self.until is None else f" to step {self.until}"
+        stretch = f"from step {self.since}{back} ({self.seconds:g} s)"
+        return f"{self.functionality} is below its baseline {stretch}: {self.because}"
+
+
+def falls(plan: Plan) -> tuple[Fall, ...]:
+    """One for each stretch in which a functionality stands below its baseline, in the order they begin."""
+    levels = Levels(plan.change)
+    meter = Meter(levels)
+    configurations = list(plan.configurations())
+    begun: dict[FunctionalityRef, int] = dict.fromkeys(meter.below, 0)
+    spent: dict[FunctionalityRef, float] = dict.fromkeys(meter.below, 0.0)
+    found: list[Fall] = []
+
+    def close(ref: FunctionalityRef, until: int | None) -> None:
+        because = _because(plan.steps, configurations, ref, begun[ref])
+        seconds = round(meter.seconds.get(ref, 0.0) - spent[ref], 9)
+        found.append(Fall(ref, begun.pop(ref), until, seconds, because))
+
+    for index, step in enumerate(plan.steps):
+        was, counted = meter.below, dict(meter.seconds)
+        meter.step(step.action, step.seconds, configurations[index + 1])
+        for ref in sorted(meter.below):
+            if ref not in was:
+                begun[ref], spent[ref] = index + 1, counted.get(ref, 0.0)
+        for ref in sorted(was):
+            if ref not in meter.below:
+                close(ref, index + 1)
+    for ref in sorted(begun):
+        close(ref, None)
+    return tuple(sorted(found, key=lambda fall: (fall.since, fall.functionality)))
+
+
+def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref: FunctionalityRef, since: int) -> str:
+    """The reason, as the model tells it: what would not hold if the functionality stayed as it was."""
+    if since == 0:
+        return "it stands below when the plan begins"
+    step, before = steps[since - 1], configurations[since - 1]
+    if not isinstance(step.action, Degrade):
+        return f"after `{step.describe()}` no instance of {ref.component} serves it any more"
+    own = next((own for own in sorted(step.action.modes) if _by_role(before, own) == ref), None)
+    for number, later in enumerate(steps[since:], start=since + 1):
+        if later.is_structural:
+            after = configurations[number]
+            if own is not None and own.component in after.instances:
+                judge = Judge(after, {own: before.modes[own]})
+                mode = before.mode(own)
+                functionality = before.functionality(own)
+                for assumption in mode.assumptions:
+                    if not judge.assumption_satisfied(own, functionality, assumption):
+                        why = judge.why_assumption_unsatisfied(own, assumption)
+                        return f"in mode {mode.name} {own} {why}, after step {number} (`{later.describe()}`)"
+            return f"the strategy lowers it before step {number} (`{later.describe()}`), though it loses nothing it assumes"
+    return "the strategy lowers it"
+
+
+def _by_role(s: Configuration, own: FunctionalityRef) -> FunctionalityRef:
+    return FunctionalityRef(s.instances[own.component].role, own.functionality)

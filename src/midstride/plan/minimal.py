@@ -1,0 +1,147 @@
+"""Strategy ``minimal``: make before break, hand over, and break before make only where it is forced.
+
+Where caps, capacities and orders leave a choice, several ways through the conflict core are tried
+and the best is kept, by disruption, then functionalities that fall, makespan and number of steps
+(semantics.md section 6). This is no exact search: minimality is proved only where nothing is lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from midstride.errors import PlanRefused
+from midstride.model.component import FunctionalityRef
+from midstride.model.specification import Constraint, Order
+from midstride.plan.change import Change
+from midstride.plan.constraints import Breach, breaches, conflict, in_force, refusal, roles_of
+from midstride.plan.core import Core
+from midstride.plan.disruption import Levels
+from midstride.plan.draft import Ceiling, Draft
+from midstride.plan.plan import Plan
+from midstride.plan.schedule import makespan
+from midstride.plan.step import Step
+
+# How many ways to go on are tried in all before the first that offers itself is taken.
+_TRIALS: Final = 600
+
+Key = tuple[bool, float, int, float, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A whole plan, with what it is ranked by: breaches, disruption, functionalities fallen, makespan, steps."""
+
+    key: Key
+    steps: tuple[Step, ...]
+    breaches: tuple[Breach, ...]
+
+    @property
+    def is_free(self) -> bool:
+        """Whether nothing is lost, nothing falls and no constraint is broken."""
+        return self.key[:3] == (False, 0.0, 0)
+
+
+def minimal(change: Change) -> Plan:
+    """The best plan found. Raises PlanRefused, with the constraints in conflict, where it meets not all of them."""
+    levels = Levels(change)
+    constraints = in_force(change)
+    found = _find(change, levels, constraints)
+    if found is None or found.breaches:
+        told = () if found is None else found.breaches
+        relevant = _relevant(change, found, constraints)
+
+        def can_meet(some: tuple[Constraint, ...]) -> bool:
+            trial = _find(change, levels, some)
+            return trial is not None and not trial.breaches
+
+        if can_meet(()):
+            raise refusal(conflict(relevant, can_meet), told)
+        raise PlanRefused("no order of the steps was found that keeps within the caps and capacities throughout")
+    return Plan.of("minimal", change, found.steps, levels)
+
+
+def _relevant(change: Change, found: Found | None, constraints: Iterable[Constraint]) -> list[Constraint]:
+    """The constraints that have to do with what the plan touches."""
+    ports = [port for port, _ in (*change.detached, *change.attached)]
+    names = [*change.leaving, *(instance.name for instance in change.coming), *(port.component for port in ports)]
+    touched = {change.role_of(name) for name in names}
+    if found is not None:
+        touched.update(role for step in found.steps for role in step.roles)
+    return [constraint for constraint in constraints if touched.intersection(roles_of(constraint))]
+
+
+def _find(change: Change, levels: Levels, constraints: Sequence[Constraint]) -> Found | None:
+    """The best plan found under ``constraints``, perhaps one that breaks some; None where the orders leave none."""
+    # Raising somebody above where both ends have it costs steps, and may help others only in a conflict.
+    found = _search(change, levels, constraints, _as_far_as_needed(change))
+    if found is not None and found.is_free:
+        return found
+    further = _search(change, levels, constraints, None)
+    if found is None or further is None:
+        return found or further
+    return min(found, further, key=lambda each: each.key)
+
+
+def _as_far_as_needed(change: Change) -> Ceiling:
+    start, final = change.start.modes, change.final.modes
+
+    def ceiling(ref: FunctionalityRef) -> int:
+        at_start, at_end = start.get(ref), final.get(ref)
+        if at_start is None or at_end is None:
+            return at_end if at_start is None and at_end is not None else at_start or 0
+        return min(at_start, at_end)
+
+    return ceiling
+
+
+def _search(change: Change, levels: Levels, constraints: Sequence[Constraint], ceiling: Ceiling | None) -> Found | None:
+    """Depth first through the core, the cheapest way first, as far as the number of trials allows."""
+    orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
+    best: Found | None = None
+    trials = _TRIALS
+    stack = [Core(Draft(change, levels, ceiling), orders)]
+    stack[0].advance()
+    while stack:
+        core = stack.pop()
+        if best is not None and (trials <= 0 or _cannot_beat(core, best)):
+            continue
+        if core.only_goes:
+            core.finish()
+            found = _found(change, levels, constraints, core.draft)
+            if best is None or found.key < best.key:
+                best = found
+            if best.is_free:
+                break
+            continue
+        ways: list[Core] = []
+        for move in core.moves():
+            way = core.copy()
+            way.play(move)
+            way.advance()
+            ways.append(way)
+            trials -= 1
+            if trials <= 0:
+                break
+        stack.extend(sorted(ways, key=_promise, reverse=True))
+    return best
+
+
+def _promise(core: Core) -> tuple[float, float, int]:
+    meter = core.draft.meter
+    standing = sum(loss * meter.levels.weight(ref) for ref, loss in meter.below.items())
+    return meter.disruption, standing, len(core.draft.steps)
+
+
+def _cannot_beat(core: Core, best: Found) -> bool:
+    meter = core.draft.meter
+    return not best.breaches and (meter.disruption, len(meter.fallen)) > best.key[1:3]
+
+
+def _found(change: Change, levels: Levels, constraints: Sequence[Constraint], draft: Draft) -> Found:
+    steps = tuple(draft.steps)
+    broken = tuple(breaches(change, steps, levels, constraints))
+    meter = draft.meter
+    span = makespan(change, steps, levels)
+    return Found((bool(broken), meter.disruption, len(meter.fallen), span, len(steps)), steps, broken)

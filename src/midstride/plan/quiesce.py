@@ -1,0 +1,44 @@
+"""Strategy ``quiesce``: Kramer and Magee's discipline, for comparison (semantics.md section 6).
+
+As ``paper``, but first everything that the change can reach stands still: every functionality of what
+changes, then along output, topic and input every functionality that uses them, and so on.
+"""
+
+from __future__ import annotations
+
+from midstride.model.best import consumers_of
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.plan.change import Change
+from midstride.plan.plan import Plan
+from midstride.plan.replace import six_steps
+
+
+def quiesce(change: Change) -> Plan:
+    """The quiescent plan. Raises PlanRefused where it does not meet the user's constraints."""
+    return six_steps("quiesce", change, reachable(change))
+
+
+def reachable(change: Change) -> list[FunctionalityRef]:
+    """The functionalities live at the start that the change can reach, sorted."""
+    s = change.start
+    found: dict[FunctionalityRef, None] = {}
+    for name in change.leaving:
+        found.update(dict.fromkeys(s.instances[name].functionality_refs()))
+    for port, connector in (*change.detached, *change.attached):
+        component = change.component_of(port.component)
+        if port.component in s.instances:
+            owners = component.users(port.port) if port.port in component.inputs else [component.owner(port.port)]
+            found.update(dict.fromkeys(FunctionalityRef(port.component, owner.name) for owner in owners))
+        if port.port not in component.inputs:
+            found.update(dict.fromkeys(s.consumers(connector)))
+    pending = list(found)
+    while pending:
+        ref = pending.pop()
+        for output in s.functionality(ref).outputs:
+            port = PortRef(ref.component, output)
+            for connector in s.connectors_of.get(port, ()):
+                for consumer in consumers_of(s, port, connector):
+                    if consumer not in found:
+                        found[consumer] = None
+                        pending.append(consumer)
+    return sorted(found)

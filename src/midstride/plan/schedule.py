@@ -1,0 +1,208 @@
+"""Which steps of a plan commute, and how long it takes when those that do overlap.
+
+Each step leaves *marks*: what it claims of an instance, an attachment, a mode, a functionality's
+support, a cap or a capacity. Two steps commute unless two of their marks clash. The table rests on
+monotonicity (semantics.md, F2 and F3): support that is there a step earlier, or gone a step later,
+hinders nobody. So every order that keeps the clashing pairs in theirs is valid, step for step.
+
+Two more things keep their order, which validity alone does not ask for: the steps that decide
+how a replaced role stands, and a step by which something falls below its baseline, which waits for
+every creation and removal before it. Overlapping must not make a fall longer than the sequence does.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Hashable, Iterable, Iterator, Sequence
+from enum import Enum, auto
+from typing import Final
+
+from midstride.model.action import Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.specification import Order
+from midstride.plan.change import Change
+from midstride.plan.constraints import in_force
+from midstride.plan.disruption import DIGITS, Levels, Meter
+from midstride.plan.step import Step
+
+
+class Claim(Enum):
+    """What a step does to the thing it marks."""
+
+    OWN = auto()
+    USE = auto()
+    SUPPORT = auto()
+    STAND = auto()
+    WITHDRAW = auto()
+    RELEASE = auto()
+    ACQUIRE = auto()
+    BEFORE = auto()
+    AFTER = auto()
+
+
+# A step with the second claim on a thing waits for each earlier step with one of the first on it.
+_WAITS_FOR: Final[dict[Claim, tuple[Claim, ...]]] = {
+    Claim.OWN: (Claim.OWN, Claim.USE),
+    Claim.USE: (Claim.OWN,),
+    Claim.SUPPORT: (),
+    Claim.STAND: (Claim.SUPPORT,),
+    Claim.WITHDRAW: (Claim.SUPPORT, Claim.STAND),
+    Claim.RELEASE: (),
+    Claim.ACQUIRE: (Claim.RELEASE,),
+    Claim.BEFORE: (),
+    Claim.AFTER: (Claim.BEFORE,),
+}
+
+Mark = tuple[Hashable, Claim]
+
+
+class _Marks:
+    """The marks of the steps of one plan."""
+
+    def __init__(self, change: Change) -> None:
+        self.change = change
+        self.replaced = {change.role_of(old) for old in change.replaced}
+        self.orders = [constraint for constraint in in_force(change) if isinstance(constraint, Order)]
+        self._attached: dict[PortRef, list[str]] = defaultdict(list)
+        self._inputs: dict[str, list[PortRef]] = defaultdict(list)
+        for port, connector in change.attached:
+            self._attached[port].append(connector)
+            if port.port in change.component_of(port.component).inputs:
+                self._inputs[connector].append(port)
+        self._consumers: dict[str, list[FunctionalityRef]] = {}
+
+    def of(self, step: Step) -> Iterator[Mark]:
+        """The marks of one step."""
+        action = step.action
+        if step.is_structural:
+            for order in self.orders:
+                if order.first in step.roles:
+                    yield ("order", order), Claim.BEFORE
+                if order.then in step.roles:
+                    yield ("order", order), Claim.AFTER
+        match action:
+            case Create():
+                yield ("live", action.instance.name), Claim.OWN
+                for resource in action.instance.component.holds:
+                    yield ("resource", resource), Claim.ACQUIRE
+            case Remove():
+                yield ("live", action.component), Claim.OWN
+                yield from self._role(self.change.role_of(action.component))
+                for resource in self.change.component_of(action.component).holds:
+                    yield ("resource", resource), Claim.RELEASE
+            case Attach():
+                yield from self._attachment(action.port, action.connector, Claim.SUPPORT)
+                yield from self._slot(action.port, action.connector, Claim.ACQUIRE)
+            case Detach():
+                yield from self._attachment(action.port, action.connector, Claim.WITHDRAW)
+                yield from self._slot(action.port, action.connector, Claim.RELEASE)
+            case Handover():
+                for swap in action.swaps:
+                    for port in (swap.old, swap.new):
+                        yield from self._attachment(port, swap.connector, Claim.SUPPORT)
+                    owner = self.change.component_of(swap.new.component).owner(swap.new.port)
+                    yield ("mode", FunctionalityRef(swap.new.component, owner.name)), Claim.USE
+            case Degrade() | Upgrade():
+                for ref in action.modes:
+                    yield from self._mode(ref, isinstance(action, Upgrade))
+            case SetParameters():
+                yield ("live", action.component), Claim.USE
+                yield ("parameters", action.component), Claim.OWN
+
+    def _role(self, role: str) -> Iterator[Mark]:
+        if role in self.replaced:
+            yield ("role", role), Claim.OWN
+
+    def _attachment(self, port: PortRef, connector: str, claim: Claim) -> Iterator[Mark]:
+        yield ("live", port.component), Claim.USE
+        yield ("attachment", port, connector), Claim.OWN
+        component = self.change.component_of(port.component)
+        if port.port in component.inputs:
+            for functionality in component.users(port.port):
+                yield ("support", FunctionalityRef(port.component, functionality.name)), claim
+        else:
+            yield from self._role(self.change.role_of(port.component))
+            for ref in self._consumers_of(connector):
+                yield ("support", ref), claim
+
+    def _slot(self, port: PortRef, connector: str, claim: Claim) -> Iterator[Mark]:
+        connectors = self.change.start.world.connectors
+        topic = connectors[connector].topic
+        capped = any(connectors[name].cap is not None for name in (connector, self.change.identities.get(topic, topic)))
+        if capped and port.port in self.change.component_of(port.component).outputs:
+            yield ("topic", topic), claim
+
+    def _mode(self, ref: FunctionalityRef, better: bool) -> Iterator[Mark]:
+        yield ("live", ref.component), Claim.USE
+        yield ("mode", ref), Claim.OWN
+        yield ("support", ref), Claim.STAND
+        yield from self._role(self.change.role_of(ref.component))
+        claim = Claim.SUPPORT if better else Claim.WITHDRAW
+        for output in self.change.component_of(ref.component).functionalities[ref.functionality].outputs:
+            port = PortRef(ref.component, output)
+            for connector in {*self.change.start.connectors_of.get(port, ()), *self._attached.get(port, ())}:
+                for consumer in self._consumers_of(connector):
+                    if consumer != ref:
+                        yield ("support", consumer), claim
+
+    def _consumers_of(self, connector: str) -> Iterable[FunctionalityRef]:
+        """Whoever uses an input that is attached to ``connector`` at some time during the plan."""
+        known = self._consumers.get(connector)
+        if known is None:
+            found = dict.fromkeys(self.change.start.consumers(connector))
+            for port in self._inputs.get(connector, ()):
+                for functionality in self.change.component_of(port.component).users(port.port):
+                    found[FunctionalityRef(port.component, functionality.name)] = None
+            known = self._consumers[connector] = list(found)
+        return known
+
+
+def _falling(change: Change, steps: Sequence[Step], levels: Levels) -> set[int]:
+    """The steps by which something falls below its baseline, or further below it."""
+    meter, s, found = Meter(levels), change.start, set()
+    for index, step in enumerate(steps):
+        before, s = meter.below, step.action.effect(s)
+        meter.step(step.action, step.seconds, s)
+        if any(loss > before.get(ref, 0) for ref, loss in meter.below.items()):
+            found.add(index)
+    return found
+
+
+def dependencies(change: Change, steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...], ...]:
+    """For each step the earlier ones that it must wait for; the others it commutes with."""
+    marks, falling = _Marks(change), _falling(change, steps, levels)
+    left: dict[Mark, list[int]] = defaultdict(list)
+    lasting: list[int] = []
+    found: list[tuple[int, ...]] = []
+    for index, step in enumerate(steps):
+        own = list(dict.fromkeys(marks.of(step)))
+        waits: set[int] = set(lasting) if index in falling else set()
+        for thing, claim in own:
+            for earlier in _WAITS_FOR[claim]:
+                waits.update(left.get((thing, earlier), ()))
+        found.append(tuple(sorted(waits)))
+        for mark in own:
+            left[mark].append(index)
+        if isinstance(step.action, (Create, Remove)):
+            lasting.append(index)
+    return tuple(found)
+
+
+def makespan(change: Change, steps: Sequence[Step], levels: Levels) -> float:
+    """The critical path (s): each step begins as soon as all those it waits for are done."""
+    marks, falling = _Marks(change), _falling(change, steps, levels)
+    ends: dict[Mark, float] = defaultdict(float)
+    lasting = last = 0.0
+    for index, step in enumerate(steps):
+        own = list(dict.fromkeys(marks.of(step)))
+        begin = lasting if index in falling else 0.0
+        for thing, claim in own:
+            for earlier in _WAITS_FOR[claim]:
+                begin = max(begin, ends.get((thing, earlier), 0.0))
+        end = begin + step.seconds
+        for mark in own:
+            ends[mark] = max(ends[mark], end)
+        if isinstance(step.action, (Create, Remove)):
+            lasting = max(lasting, end)
+        last = max(last, end)
+    return round(last, DIGITS)

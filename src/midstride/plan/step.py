@@ -1,0 +1,87 @@
+"""One step of a plan: an action of the model, with how long it takes and what it is called in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.component import FunctionalityRef
+from midstride.model.configuration import Configuration
+
+
+@dataclass(frozen=True, slots=True)
+class ModeChange:
+    """A functionality of an instance, the mode it leaves and the mode it enters, by name."""
+
+    functionality: FunctionalityRef
+    before: str
+    after: str
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """An action, its estimated duration (s), the roles it belongs to, and its mode changes by name."""
+
+    action: Action
+    seconds: float
+    roles: tuple[str, ...]
+    modes: tuple[ModeChange, ...] = ()
+
+    @property
+    def is_structural(self) -> bool:
+        """Whether it changes what is live or attached."""
+        return isinstance(self.action, (Create, Remove, Attach, Detach, Handover))
+
+    def describe(self) -> str:
+        """The step in words, modes by name."""
+        if isinstance(self.action, (Degrade, Upgrade)):
+            told = ", ".join(f"{change.functionality} from {change.before} to {change.after}" for change in self.modes)
+            return f"{self.action.kind} {told}"
+        return self.action.describe()
+
+    def to_document(self) -> dict[str, Any]:
+        """The step as interfaces.md writes it."""
+        action = self.action
+        document: dict[str, Any] = {"action": action.kind}
+        match action:
+            case Create():
+                instance = action.instance
+                document |= {"component": instance.name, "role": instance.role, "of": instance.component.name}
+                document["parameters"] = _plain(instance.parameters)
+            case Remove():
+                document["component"] = action.component
+            case Attach() | Detach():
+                document |= {"port": str(action.port), "connector": action.connector}
+            case Degrade() | Upgrade():
+                document["modes"] = {
+                    str(change.functionality): {"from": change.before, "to": change.after} for change in self.modes
+                }
+            case Handover():
+                document["swaps"] = [
+                    {"connector": swap.connector, "old": str(swap.old), "new": str(swap.new)} for swap in action.swaps
+                ]
+            case SetParameters():
+                document |= {"component": action.component, "parameters": _plain(action.parameters)}
+        document["seconds"] = self.seconds
+        return document
+
+    def __str__(self) -> str:
+        return self.describe()
+
+
+def mode_changes(s: Configuration, action: Action) -> tuple[ModeChange, ...]:
+    """The mode changes of an action about to be taken in ``s``, sorted."""
+    if not isinstance(action, (Degrade, Upgrade)):
+        return ()
+    changes = []
+    for ref, index in sorted(action.modes.items()):
+        modes = s.functionality(ref).modes
+        changes.append(ModeChange(ref, modes[s.modes[ref]].name, modes[index].name))
+    return tuple(changes)
+
+
+def _plain(parameters: Any) -> dict[str, Any]:
+    return {
+        name: list(value) if isinstance(value, (list, tuple)) else value for name, value in sorted(parameters.items())
+    }
