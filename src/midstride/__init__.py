@@ -3,18 +3,25 @@
 A node author needs what is named here and nothing else::
 
     from midstride import Component
+
+The names are imported when they are first used, so that the command line, which needs none of them,
+does not wait for them.
 """
 
 from __future__ import annotations
 
-from midstride.errors import MidstrideError, NodeError
-from midstride.model.contract import QoS
-from midstride.node.component import Component
-from midstride.node.contracts import at_least, at_most, between, guarantee
-from midstride.node.functionality import Functionality
-from midstride.node.modes import approximate
-from midstride.node.parameters import Parameter
-from midstride.node.ports import Input, Output, any_of
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from midstride.errors import MidstrideError, NodeError
+    from midstride.model.contract import QoS
+    from midstride.node.component import Component
+    from midstride.node.contracts import at_least, at_most, between, guarantee
+    from midstride.node.functionality import Functionality
+    from midstride.node.modes import approximate
+    from midstride.node.parameters import Parameter
+    from midstride.node.ports import Input, Output, any_of
 
 __version__ = "0.1.0"
 
@@ -35,3 +42,32 @@ __all__ = [
     "between",
     "guarantee",
 ]
+
+_HOMES = {
+    "Component": "midstride.node.component",
+    "Functionality": "midstride.node.functionality",
+    "Input": "midstride.node.ports",
+    "MidstrideError": "midstride.errors",
+    "NodeError": "midstride.errors",
+    "Output": "midstride.node.ports",
+    "Parameter": "midstride.node.parameters",
+    "QoS": "midstride.model.contract",
+    "any_of": "midstride.node.ports",
+    "approximate": "midstride.node.modes",
+    "at_least": "midstride.node.contracts",
+    "at_most": "midstride.node.contracts",
+    "between": "midstride.node.contracts",
+    "guarantee": "midstride.node.contracts",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOMES:
+        raise AttributeError(f"module 'midstride' has no attribute {name!r}")
+    value = getattr(importlib.import_module(_HOMES[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -8,6 +8,8 @@ from typing import Any, Final
 
 import click
 
+from midstride import __version__
+
 # name -> (module of midstride.cli.commands, what it does)
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "check": ("files", "check specifications at design time"),
@@ -78,9 +80,7 @@ def json_option(function: Any) -> Any:
 
 def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
     if value:
-        from importlib.metadata import version
-
-        click.echo(f"midstride {version('midstride')}")
+        click.echo(f"midstride {__version__}")
         ctx.exit()
 
 

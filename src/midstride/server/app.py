@@ -7,13 +7,13 @@ to its end (or taken back by the manager) even if the client goes away.
 from __future__ import annotations
 
 import os
-from importlib.metadata import version
 from typing import Annotated, Any
 
 from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, StreamingResponse
 
+from midstride import __version__
 from midstride.errors import MidstrideError
 from midstride.model.document import specification_to_document
 from midstride.server import documents, faults, stream
@@ -34,7 +34,7 @@ def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
     """The application of one manager. It keeps no state of its own."""
     app = FastAPI(
         title="Midstride",
-        version=version("midstride"),
+        version=__version__,
         summary="The manager of a running system: its state, its plans, its changes, and what happens",
         openapi_url="/api/v1/openapi.json",
         docs_url=None,  # the page would load its scripts from elsewhere
@@ -63,12 +63,12 @@ async def _our_fault(_: Request, error: Exception) -> Response:
 
 
 def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
-    router, manager, app_version = APIRouter(), lifecycle.manager, version("midstride")
+    router, manager = APIRouter(), lifecycle.manager
 
     @router.get("", responses={200: {"model": documents.Service}})
     async def service() -> Response:
         """Who answers, and whether its system is up."""
-        told = {"system": manager.specification.name, "backend": backend, "version": app_version}
+        told = {"system": manager.specification.name, "backend": backend, "version": __version__}
         return JSONResponse({**told, "pid": os.getpid(), "phase": lifecycle.phase})
 
     @router.get("/up", responses=_answers(documents.Outcome))
