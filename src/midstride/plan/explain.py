@@ -93,7 +93,7 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
                     if not judge.assumption_satisfied(own, functionality, assumption):
                         why = judge.why_assumption_unsatisfied(own, assumption)
                         return f"in mode {mode.name} {own} {why}, after step {number} (`{later.describe()}`)"
-            return f"the strategy lowers it before step {number} (`{later.describe()}`), though it loses nothing it assumes"
+            return f"the strategy lowers it before step {number} (`{later.describe()}`), without its losing anything"
     return "the strategy lowers it"
 
 

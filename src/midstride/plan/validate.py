@@ -1,0 +1,256 @@
+"""An independent replay of a plan: does it hold what it says? (semantics.md section 6)
+
+Nothing of the planners is used here but the plan itself: each step's precondition is judged by the
+model's own action, the end is compared with the target as it would start by itself, and the
+costs are worked out anew, slowly and straight from the definition. The verdict is data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+from midstride.errors import MidstrideError
+from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.best import best
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.rules import violations
+from midstride.model.specification import Keep, Limit, Order, Specification, initial
+from midstride.plan.constraints import in_force
+from midstride.plan.document import plan_from_document
+from midstride.plan.plan import Plan
+
+_EPSILON: Final = 1e-6
+
+Levels = dict[FunctionalityRef, int]
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing wrong with a plan; ``step`` counts from 1, None is the plan as a whole."""
+
+    step: int | None
+    because: str
+
+    def __str__(self) -> str:
+        return self.because if self.step is None else f"step {self.step}: {self.because}"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What the replay of ``steps`` steps has found."""
+
+    outcome: Literal["holds", "violated"]
+    findings: tuple[Finding, ...]
+    steps: int
+
+    @property
+    def holds(self) -> bool:
+        return self.outcome == "holds"
+
+    def __str__(self) -> str:
+        if self.holds:
+            return f"the plan holds: {self.steps} steps replayed"
+        return "the plan does not hold: " + "; ".join(str(finding) for finding in self.findings)
+
+
+def replay_document(document: Mapping[str, Any]) -> Verdict:
+    """The verdict on a plan in its JSON form. What cannot be read, or does not fit together, is a finding."""
+    try:
+        plan = plan_from_document(document)
+    except MidstrideError as error:
+        return Verdict("violated", (Finding(None, str(error)),), 0)
+    return replay(plan)
+
+
+def replay(plan: Plan) -> Verdict:
+    """The verdict on a plan. It stops at the first step that is refused, since what follows has no meaning."""
+    findings: list[Finding] = []
+    s = plan.change.start
+    findings.extend(Finding(None, f"the start is not valid: {violation}") for violation in violations(s))
+    ledger = _Ledger(plan)
+    for number, step in enumerate(plan.steps, start=1):
+        reasons = [str(reason) for reason in step.action.check(s)] or list(_misfits(plan, s, step.action))
+        if reasons:
+            findings += [Finding(number, f"{step.describe()}: {reason}") for reason in reasons]
+            return Verdict("violated", tuple(findings), number)
+        s = step.action.effect(s)
+        ledger.enter(step.action, step.seconds, s)
+    findings += [Finding(None, because) for because in _end(plan, s)]
+    findings += [Finding(None, because) for because in ledger.differences()]
+    return Verdict("violated" if findings else "holds", tuple(findings), len(plan.steps))
+
+
+def _misfits(plan: Plan, s: Configuration, action: Action) -> Iterator[str]:
+    """What is wrong with a new instance as such: its role, what it is, its name."""
+    if not isinstance(action, Create):
+        return
+    new, change = action.instance, plan.change
+    if new.role not in change.target.nodes:
+        yield f"the target has no node {new.role}"
+        return
+    wanted = change.target.instance(new.role)
+    if new.component != wanted.component or new.parameters != wanted.parameters:
+        yield f"{new.name} is not what the target says of {new.role}"
+    nodes = {*change.specification.nodes, *change.target.nodes}
+    if new.name == new.role:
+        if s.instances_of(new.role):
+            yield f"{new.name} would bear its role's name, and is not the first"
+    elif not new.name.startswith(f"{new.role}_") or new.name in nodes:
+        yield f"{new.name} is no name for an instance of {new.role}"
+
+
+# -- the end ---------------------------------------------------------------------------------------------
+
+
+def _end(plan: Plan, s: Configuration) -> Iterator[str]:
+    """In what the configuration reached differs from the target as it would start by itself."""
+    target = initial(plan.change.target)
+    for role in sorted({*s.players, *target.players}):
+        names = [instance.name for instance in s.instances_of(role)]
+        if role not in target.players:
+            yield f"{', '.join(names)} is left of {role}, which the target does not have"
+        elif len(names) != 1:
+            yield f"{role} has {len(names)} instances at the end ({', '.join(names) or 'none'})"
+        else:
+            yield from _role_end(s, s.instances[names[0]], target, target.instances[role])
+
+
+def _role_end(s: Configuration, instance: Instance, target: Configuration, wanted: Instance) -> Iterator[str]:
+    if not instance.component.same_body(wanted.component):
+        yield f"{instance.name} is a {instance.component.name} at the end, {wanted.component.name} is wanted"
+        return
+    if instance.parameters != wanted.parameters:
+        yield f"{instance.name} has other parameters at the end than the target says"
+    for port in wanted.component.ports():
+        have = {s.world.connectors[name].topic: name for name in s.attached_to(PortRef(instance.name, port))}
+        want = target.attached_to(PortRef(wanted.name, port))
+        if sorted(have) != want:
+            told = ", ".join(sorted(have)) or "nothing", ", ".join(want) or "nothing"
+            yield f"{instance.name}.{port} is attached to {told[0]} at the end, {told[1]} is wanted"
+        for topic in have.keys() & set(want):
+            if s.world.connectors[have[topic]].guarantee != target.world.connectors[topic].guarantee:
+                yield f"{instance.name}.{port} is attached to the old {topic} at the end"
+    for functionality in wanted.component:
+        now = s.modes[FunctionalityRef(instance.name, functionality.name)]
+        then = target.modes[FunctionalityRef(wanted.name, functionality.name)]
+        if now != then:
+            names = functionality.modes[now].name, functionality.modes[then].name
+            yield f"{instance.name}.{functionality.name} is in mode {names[0]} at the end, {names[1]} is its best"
+
+
+# -- the costs -------------------------------------------------------------------------------------------
+
+
+def _levels(s: Configuration, start: Specification, target: Specification) -> Levels:
+    """The level of every role's functionality that both have: section 6, word for word."""
+    found: Levels = {}
+    for role in sorted(set(start.nodes) & set(target.nodes)):
+        old, new = start.component_of(role), target.component_of(role)
+        for name in sorted(set(old.functionalities) & set(new.functionalities)):
+            was, will = old.functionalities[name], new.functionalities[name]
+            needed = [
+                output
+                for output in set(was.outputs) & set(will.outputs)
+                if start.nodes[role].attachments.get(output) and target.nodes[role].attachments.get(output)
+            ]
+            level = max(len(was.modes), len(will.modes))
+            for instance in s.instances_of(role):
+                if name not in instance.component.functionalities:
+                    continue
+                if all(s.attached_to(PortRef(instance.name, output)) for output in needed):
+                    level = min(level, s.modes[FunctionalityRef(instance.name, name)])
+            found[FunctionalityRef(role, name)] = level
+    return found
+
+
+class _Ledger:
+    """The costs of a plan, entered step by step."""
+
+    def __init__(self, plan: Plan) -> None:
+        self.plan = plan
+        self.start, self.target = plan.change.specification, plan.change.target
+        at_start, at_end = self._now(best(plan.change.origin)), self._now(initial(self.target))
+        self.baseline = {ref: max(level, at_end[ref]) for ref, level in at_start.items()}
+        self.levels = self._now(plan.change.start)
+        self.fallen = {ref for ref in self.levels if self._below(ref, self.levels)}
+        self.disruption = self.seconds = 0.0
+        self.spent: dict[FunctionalityRef, float] = dict.fromkeys(self.levels, 0.0)
+        self.keeps: dict[Keep, int] = {}
+        for constraint in in_force(plan.change):
+            if isinstance(constraint, Keep) and (ref := constraint.functionality) in self.levels:
+                chain = self.target.component_of(ref.component).functionalities[ref.functionality]
+                self.keeps[constraint] = max(chain.mode_index(constraint.mode), self.levels[ref])
+        self.roles: list[set[str]] = []
+        self.broken: dict[str, None] = {}
+
+    def _now(self, s: Configuration) -> Levels:
+        return _levels(s, self.start, self.target)
+
+    def _below(self, ref: FunctionalityRef, levels: Levels) -> int:
+        return max(0, levels[ref] - self.baseline[ref])
+
+    def _weight(self, ref: FunctionalityRef) -> float:
+        return self.target.component_of(ref.component).functionalities[ref.functionality].weight
+
+    def enter(self, action: Action, seconds: float, after: Configuration) -> None:
+        before, self.levels = self.levels, self._now(after)
+        self.seconds += seconds
+        for ref in self.levels:
+            loss = max(self._below(ref, before), self._below(ref, self.levels))
+            if loss:
+                self.spent[ref] += seconds
+                if isinstance(action, (Create, Remove)):
+                    self.disruption += loss * self._weight(ref) * seconds
+            if self._below(ref, self.levels):
+                self.fallen.add(ref)
+        for keep, threshold in self.keeps.items():
+            if self.levels[keep.functionality] > threshold:
+                self.broken[f"`{keep}` is not kept after {action.describe()}"] = None
+        structural = isinstance(action, (Create, Remove, Attach, Detach, Handover))
+        self.roles.append({self.plan.change.role_of(name) for name in _names(action)} if structural else set())
+
+    def differences(self) -> Iterator[str]:
+        """In what the plan's own figures and promises differ from what was entered."""
+        plan = self.plan
+        if abs(plan.disruption - self.disruption) > _EPSILON:
+            yield f"its disruption is {self.disruption:g}, not {plan.disruption:g}"
+        if abs(plan.seconds - self.seconds) > _EPSILON:
+            yield f"its steps take {self.seconds:g} s, not {plan.seconds:g} s"
+        if set(plan.fallen) != self.fallen:
+            told = [", ".join(str(ref) for ref in sorted(refs)) or "nothing" for refs in (self.fallen, plan.fallen)]
+            yield f"what falls is {told[0]}, not {told[1]}"
+        if plan.proved_minimal and plan.disruption - plan.lower_bound > _EPSILON:
+            yield f"it is not proved minimal: its disruption is above the lower bound, {plan.lower_bound:g}"
+        if plan.lower_bound - plan.disruption > _EPSILON:
+            yield f"its lower bound, {plan.lower_bound:g}, is above its disruption"
+        if plan.makespan - plan.seconds > _EPSILON:
+            yield f"its makespan, {plan.makespan:g} s, is longer than its steps one after another"
+        yield from self.broken
+        for constraint in in_force(plan.change):
+            if isinstance(constraint, Limit):
+                spent = self.spent.get(constraint.functionality, 0.0)
+                if spent > constraint.seconds + _EPSILON:
+                    yield f"`{constraint}` is exceeded: {spent:g} s"
+            elif isinstance(constraint, Order):
+                last = [index for index, roles in enumerate(self.roles) if constraint.first in roles]
+                first = [index for index, roles in enumerate(self.roles) if constraint.then in roles]
+                if last and first and last[-1] > first[0]:
+                    yield f"`{constraint}` is broken by step {last[-1] + 1}"
+
+
+def _names(action: Action) -> list[str]:
+    match action:
+        case Create():
+            return [action.instance.name]
+        case Remove() | SetParameters():
+            return [action.component]
+        case Attach() | Detach():
+            return [action.port.component]
+        case Handover():
+            return [port.component for swap in action.swaps for port in (swap.old, swap.new)]
+        case Degrade() | Upgrade():
+            return [ref.component for ref in action.modes]
+    return []
