@@ -1,0 +1,193 @@
+"""From the files of a system to its specification, or to all that is wrong with it.
+
+What a text can do wrong is found here; what must hold of a specification however it is written is judged by
+:mod:`midstride.model.wellformed` on all that could be built, and told at its place in the text. What would only follow from a
+part that could not be read is left out.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from immutables import Map
+
+from midstride.lang.components import UNRESOLVED, Components
+from midstride.lang.contracts import Contracts
+from midstride.lang.declarations import Declarations, collect, topic_name
+from midstride.lang.diagnostics import Diagnostic, Reporter, in_order
+from midstride.lang.files import Loader, Read, join
+from midstride.lang.messages import Messages
+from midstride.lang.nodes import Nodes
+from midstride.lang.places import Places
+from midstride.lang.source import Source, Span
+from midstride.lang.syntax import KeepStatement, LimitStatement
+from midstride.model.component import Component, Connector, EnvironmentGuarantee, FunctionalityRef, Resource
+from midstride.model.problems import Problem
+from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification
+from midstride.model.wellformed import check as check_specification
+
+# Consequences, which mean something only where there is no error to mend first.
+_CONSEQUENCES = frozenset({"W031", "W032", "W033", "W034"})
+# Judged where the text is resolved, with a better place.
+_OURS = frozenset({"E016"})
+
+
+@dataclass(frozen=True, slots=True)
+class Resolved:
+    """All there is to know of a system's files, for tools that need more than the specification."""
+
+    declarations: Declarations
+    components: Components
+    contracts: Contracts
+    specification: Specification
+
+
+def check_files(
+    source: Source, read: Read, messages: Messages | None
+) -> tuple[Specification | None, tuple[Diagnostic, ...], tuple[Source, ...], Resolved]:
+    """The specification that ``source`` and its includes say, or None where they are in error; the diagnostics; the sources."""
+    reporter = Reporter()
+    loader = Loader(read, reporter)
+    loader.load(source)
+    judging = reporter
+    if loader.placed[0].file.system is None and "system" not in loader.lost:
+        end = len(source.text) - len(source.text.lstrip())
+        help = "begin the file with `system NAME`; a fragment is checked by checking the file that includes it"
+        reporter.report("E106", Span(source, end, end), "this file names no system", help=help)
+        judging = Reporter()  # what a fragment names may be declared by the files that include it: that is not told
+    declarations = collect(loader.placed, judging)
+    building = _Building(declarations, frozenset(loader.lost), messages, read, judging)
+    specification = building.specification()
+    building.judge(specification, loader.incomplete)
+    resolved = Resolved(declarations, building.components, building.contracts, specification)
+    sources = (*loader.sources, *building.nodes.sources)
+    return (None if reporter.has_errors else specification), in_order(reporter.found), sources, resolved
+
+
+class _Building:
+    def __init__(
+        self,
+        declarations: Declarations,
+        lost: frozenset[str],
+        messages: Messages | None,
+        read: Read,
+        reporter: Reporter,
+    ) -> None:
+        self.declarations = declarations
+        self.lost = lost
+        self.reporter = reporter
+        self.contracts = Contracts(declarations.contracts, lost, messages, reporter)
+        self.components = Components(declarations.components, self.contracts, lost, reporter)
+        self.contracts.resolve_all()
+        self.built: dict[str, Component] = self.components.build()
+        self.nodes = Nodes(declarations, self.built, self.components.merged, read, reporter)
+        self.doubtful_topics: set[str] = set()
+
+    def specification(self) -> Specification:
+        """The specification as far as it can be told."""
+        found = self.declarations
+        nodes = self.nodes.build()
+        return Specification(
+            name="" if found.system is None else found.system.text,
+            connectors=Map(self._connectors()),
+            components=Map(self.built),
+            nodes=Map(nodes),
+            environment=tuple(self._offers()),
+            resources=Map(
+                {
+                    name: Resource(name, 1.0 if resource.capacity is None else resource.capacity.value)
+                    for name, resource in found.resources.items()
+                }
+            ),
+            constraints=tuple(self._constraints(nodes)),
+            timing=Map({kind: duration.seconds.value for kind, duration in found.timing.items()}),
+        )
+
+    def _connectors(self) -> dict[str, Connector]:
+        connectors: dict[str, Connector] = {}
+        for name, topic in self.declarations.topics.items():
+            guarantee = self.contracts.predicate(topic.contract, "a topic's contract")
+            if guarantee is None:
+                self.doubtful_topics.add(name)
+            cap = None if topic.cap is None else int(topic.cap.value)
+            connectors[name] = Connector(name, guarantee or UNRESOLVED, cap)
+        return connectors
+
+    def _offers(self) -> list[EnvironmentGuarantee]:
+        offers: list[EnvironmentGuarantee] = []
+        for name, (namespace, offer) in self.declarations.offers.items():
+            guarantee = self.contracts.predicate(offer.contract, "a guarantee of the environment")
+            topic = None if offer.topic is None else topic_name(namespace, offer.topic.text)
+            offers.append(EnvironmentGuarantee(name, guarantee or UNRESOLVED, topic))
+        return offers
+
+    def _constraints(self, nodes: dict[str, Node]) -> list[Constraint]:
+        found: list[Constraint] = []
+        for namespace, statement in self.declarations.constraints:
+            if isinstance(statement, (KeepStatement, LimitStatement)):
+                role = join(namespace, statement.functionality.role.text)
+                ref = FunctionalityRef(role, statement.functionality.functionality.text)
+                if isinstance(statement, KeepStatement):
+                    found.append(Keep(ref, statement.mode.text))
+                else:
+                    found.append(Limit(ref, statement.seconds.value))
+            else:
+                found.append(Order(join(namespace, statement.first.text), join(namespace, statement.then.text)))
+        return found
+
+    # -- judging ---------------------------------------------------------------------------------------------
+
+    def judge(self, specification: Specification, incomplete: bool) -> None:
+        """Report what is wrong with the specification, save what follows from what has been reported."""
+        places = Places(self.declarations, self.components.merged, self.nodes.places)
+        faulty = self.reporter.has_errors
+        for problem in check_specification(specification):
+            if problem.code in _OURS or (faulty and problem.code in _CONSEQUENCES) or not problem.subject:
+                continue
+            if problem.subject == ("system",) and not specification.name:
+                continue
+            place = places.of(problem)
+            if self._follows(problem, specification, incomplete, place):
+                continue
+            self.reporter.report(problem.code, place, problem.message, help=problem.help or None)
+
+    def _follows(self, problem: Problem, specification: Specification, incomplete: bool, place: Span | None) -> bool:
+        """Whether a problem may only follow from a part that could not be read or resolved."""
+        kind, name, *rest = (*problem.subject, "", "")
+        if problem.code == "E008":
+            text = "" if place is None else place.text
+            return incomplete or text in self.lost or text.rpartition("/")[2] in self.lost or self._undeclared(problem)
+        if kind == "components":
+            doubts = self.components.doubts[name]
+            if rest and rest[0] == "functionalities":
+                return len(rest) > 1 and rest[1] in doubts.functionalities
+            return doubts.whole and problem.code in {"E013", "E014"}
+        if kind == "nodes":
+            return self._node_follows(problem, specification, name, tuple(rest))
+        if kind == "topics" and name in self.doubtful_topics:
+            return True
+        return problem.code == "W031" and incomplete
+
+    def _undeclared(self, problem: Problem) -> bool:
+        """Whether the name is missing from a declaration that was not read whole, or that is missing itself."""
+        declared = problem.declared
+        if declared[:1] == ("components",) and len(declared) > 1:
+            return declared[1] in self.components.doubts and self.components.doubts[declared[1]].whole
+        return False
+
+    def _node_follows(self, problem: Problem, specification: Specification, role: str, rest: tuple[str, ...]) -> bool:
+        entry = self.declarations.nodes[role]
+        node = specification.nodes[role]
+        doubts = self.components.doubts.get(node.component)
+        if doubts is None:
+            return False
+        if problem.code == "W030":
+            return entry.declaration.broken or doubts.whole
+        if problem.code == "E020" and len(rest) > 2:
+            port, index = rest[1], rest[2]
+            topics = node.attachments.get(port, ())
+            topic = topics[int(index)] if index.isdecimal() and int(index) < len(topics) else ""
+            owner = specification.components[node.component].find_owner(port)
+            broken = owner is not None and owner.name in doubts.functionalities
+            return port in doubts.ports or topic in self.doubtful_topics or broken or doubts.whole
+        return False

@@ -1,0 +1,296 @@
+"""From contract expressions to the model's predicates.
+
+A contract that cannot be resolved is None, and its fault has been reported: nothing is concluded from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final, get_args
+
+from midstride.lang.diagnostics import Reporter
+from midstride.lang.messages import Message, Messages, Missing, field_kind
+from midstride.lang.parse_contract import SECONDS
+from midstride.lang.source import Span
+from midstride.lang.suggest import did_you_mean
+from midstride.lang.syntax import ContractDeclaration, ContractExpression, FieldConstraint, Name, Policy
+from midstride.model.contract import (
+    NOTHING,
+    Contract,
+    Durability,
+    History,
+    Interval,
+    Liveliness,
+    OneOf,
+    Predicate,
+    QoS,
+    Reliability,
+    ValueSet,
+    canonical_type,
+)
+
+_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
+    "reliability": get_args(Reliability),
+    "durability": get_args(Durability),
+    "liveliness": get_args(Liveliness),
+    "history": get_args(History),
+}
+_DURATIONS: Final = ("deadline", "lease", "lifespan")
+POLICIES: Final = (*_WORDS, *_DURATIONS, "depth")
+# ROS 2's own long name for the lease.
+_ALIASES: Final = {"liveliness_lease_duration": "lease", "lease_duration": "lease"}
+
+
+class Contracts:
+    """The named contracts of a system, and how expressions of them resolve."""
+
+    def __init__(
+        self,
+        declared: Mapping[str, ContractDeclaration],
+        lost: frozenset[str],
+        messages: Messages | None,
+        reporter: Reporter,
+    ) -> None:
+        self.declared = declared
+        self.lost = lost
+        self.messages = messages
+        self.reporter = reporter
+        self._resolved: dict[str, Contract | None] = {}
+        self._resolving: list[str] = []
+        self._types: dict[str, Message | bool | None] = {}
+        self._cache: dict[tuple[str, float | None], Predicate] = {}
+
+    def resolve_all(self) -> None:
+        """Resolve each named contract, used or not, so that its faults are told."""
+        for name in self.declared:
+            self._named(name, self.declared[name].name.span)
+
+    def predicate(self, expression: ContractExpression | None, what: str) -> Predicate | None:
+        """The predicate an expression states, or None. ``nothing`` is reported: ``what`` cannot be that."""
+        contract = self.contract(expression)
+        if contract is NOTHING and expression is not None:
+            message = f"{what} cannot be `nothing`"
+            self.reporter.report("E135", expression.span, message, help="only an output may guarantee nothing")
+            return None
+        return contract if isinstance(contract, Predicate) else None
+
+    def contract(self, expression: ContractExpression | None) -> Contract | None:
+        """What an expression states, or None where it cannot be told."""
+        if expression is None:
+            return None
+        if expression.base is None:
+            if expression.rate or expression.qos or expression.where:
+                self.reporter.report(
+                    "E135", expression.span, "`nothing` has no rate, no QoS and no fields", help="write `nothing` alone"
+                )
+            return NOTHING
+        base = expression.base
+        plain = not expression.qos and not expression.where
+        if "/" in base.text:
+            known = self._type(base)
+            if not known:
+                self._fields(expression, None, {})
+                return None
+            rate = expression.rate.value if expression.rate else None
+            key = (base.text, rate)
+            if plain and key in self._cache:
+                return self._cache[key]
+            predicate = Predicate(base.text, rate)
+            if plain:
+                self._cache[key] = predicate
+                return predicate
+        else:
+            named = self._named(base.text, base.span)
+            if named is NOTHING and not (plain and expression.rate is None):
+                self.reporter.report("E135", expression.span, "`nothing` has no rate, no QoS and no fields")
+            if not isinstance(named, Predicate):
+                self._fields(expression, None, {})
+                return named
+            predicate = named if expression.rate is None else replace(named, rate=expression.rate.value)
+            if plain:
+                return predicate
+        return self._refined(predicate, expression)
+
+    def _refined(self, predicate: Predicate, expression: ContractExpression) -> Predicate | None:
+        qos = self._qos(expression.qos, predicate.qos)
+        fields = self._fields(expression, predicate.type, dict(predicate.fields))
+        if fields is None:
+            return None
+        return replace(predicate, qos=qos, fields=tuple(fields.items()))
+
+    # -- names and types -------------------------------------------------------------------------------
+
+    def _named(self, name: str, span: Span) -> Contract | None:
+        if name in self._resolved:
+            return self._resolved[name]
+        declaration = self.declared.get(name)
+        if declaration is None:
+            if name not in self.lost:
+                help = did_you_mean(name, self.declared)
+                if help is None:
+                    help = f"declare it (`contract {name} = …`), or name a message type (`std_msgs/msg/String`)"
+                self.reporter.report("E008", span, f"there is no contract `{name}`", help=help)
+            return None
+        if name in self._resolving:
+            circle = [*self._resolving[self._resolving.index(name) :], name]
+            told = " is ".join(f"`{other}`" for other in circle)
+            self.reporter.report(
+                "E136",
+                declaration.name.span,
+                f"contracts are defined by each other: {told}",
+                help="let one of them name a message type",
+            )
+            for other in circle:
+                self._resolved[other] = None
+            return None
+        self._resolving.append(name)
+        found = self.contract(declaration.contract)
+        self._resolving.pop()
+        if name not in self._resolved:
+            self._resolved[name] = found
+        return self._resolved[name]
+
+    def _type(self, name: Name) -> bool:
+        """Whether a type may be used: it is known, or nothing is known of its package."""
+        found = self._types.get(name.text)
+        if found is None:
+            found = self._known(canonical_type(name.text))
+            self._types[name.text] = found
+        if found is not False:
+            return True
+        package, _, rest = canonical_type(name.text).partition("/msg/")
+        assert self.messages is not None
+        help = did_you_mean(rest, self.messages.types(package))
+        self.reporter.report("E130", name.span, f"package `{package}` has no message type `{rest}`", help=help)
+        return False
+
+    def _known(self, name: str) -> Message | bool:
+        """The message type; True where its package is not known; False where the package has no such type."""
+        if self.messages is None:
+            return True
+        found = self.messages.message(name)
+        if found is not None:
+            return found
+        return not any(True for _ in self.messages.types(name.partition("/")[0]))
+
+    # -- QoS ---------------------------------------------------------------------------------------------
+
+    def _qos(self, policies: tuple[Policy, ...], base: QoS) -> QoS:
+        if not policies:
+            return base
+        stated: dict[str, Any] = {}
+        for policy in policies:
+            name = _ALIASES.get(policy.name.text, policy.name.text)
+            if name not in POLICIES:
+                help = did_you_mean(name, POLICIES) or f"known policies: {', '.join(POLICIES)}"
+                self.reporter.report(
+                    "E131", policy.name.span, f"there is no QoS policy `{policy.name.text}`", help=help
+                )
+                continue
+            if name in stated:
+                self.reporter.report(
+                    "E128", policy.name.span, f"`{name}` is stated already", help="keep one of the two"
+                )
+                continue
+            value = self._policy(name, policy)
+            if value is not None:
+                stated[name] = value
+        return replace(base, **stated)
+
+    def _policy(self, name: str, policy: Policy) -> object:
+        value, span, unit = policy.value.value, policy.value.span, policy.unit
+        if name in _WORDS:
+            if value in _WORDS[name]:
+                return value
+            help = did_you_mean(str(value), _WORDS[name]) or f"one of {', '.join(_WORDS[name])}"
+            self.reporter.report("E131", span, f"`{span.text}` is no {name}", help=help)
+        elif name == "depth":
+            if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**31:
+                return value
+            self.reporter.report(
+                "E131", span, f"`{span.text}` is no depth", help="a depth is a whole number, 0 or more"
+            )
+        elif isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
+            self.reporter.report("E131", span, f"`{span.text}` is no duration", help=f"write `{name} = 0.1 s`")
+        elif unit is None or unit.text not in SECONDS:
+            place = span if unit is None else unit.span
+            message = f"`{name}` needs its unit" if unit is None else f"`{unit.text}` is no unit of time"
+            self.reporter.report("E127", place, message, help=f"write `{name} = {span.text} s`")
+        else:
+            return value * SECONDS[unit.text]
+        return None
+
+    # -- fields ------------------------------------------------------------------------------------------
+
+    def _fields(
+        self, expression: ContractExpression, type_: str | None, fields: dict[str, ValueSet]
+    ) -> dict[str, ValueSet] | None:
+        """``fields`` narrowed by what the expression states, or None where a field is faulty."""
+        sound = True
+        for constraint in expression.where:
+            values = _values(constraint)
+            before = fields.get(constraint.path.text)
+            together = values if before is None else before.intersection(values)
+            if together.is_empty:
+                path = constraint.path.text
+                also = "" if before is None or values.is_empty else f" together with {path} {before}"
+                message = f"no value of {path} meets `{constraint.span.text}`{also}"
+                self.reporter.report("E016", constraint.span, message, help="widen one of the constraints")
+                sound = False
+                continue
+            fields[constraint.path.text] = together
+            sound &= type_ is None or self._field(type_, constraint, values)
+        return fields if sound else None
+
+    def _field(self, type_: str, constraint: FieldConstraint, values: ValueSet) -> bool:
+        known = self._types.get(type_)
+        if known is None and self.messages is not None:
+            known = self._known(type_)
+            self._types[type_] = known
+        if not isinstance(known, Message) or self.messages is None:
+            return True
+        path = constraint.path
+        kind = field_kind(self.messages, known, path.text)
+        if isinstance(kind, Missing):
+            help = did_you_mean(kind.name, kind.known)
+            if help is None and kind.known:
+                help = f"its fields: {', '.join(kind.known[:8])}" + (", …" if len(kind.known) > 8 else "")
+            self.reporter.report("E137", path.span, f"{kind.owner} has no field `{kind.name}`", help=help)
+            return False
+        if kind == "unknown":
+            return True
+        stated = _kind_of(values)
+        if kind not in {"number", "text", "boolean"}:
+            told = "a list" if kind == "list" else f"a {kind}"
+            self.reporter.report("E138", path.span, f"{path.text} of {type_} is {told}, and has no value to compare")
+            return False
+        if stated - {kind}:
+            told = " and ".join(sorted(_TOLD[name] for name in stated))
+            message = f"{path.text} of {type_} is {_TOLD[kind]}, and `{constraint.span.text}` asks for {told}"
+            self.reporter.report("E138", constraint.span, message)
+            return False
+        return True
+
+
+_TOLD: Final = {"number": "a number", "text": "a text", "boolean": "true or false"}
+
+
+def _kind_of(values: ValueSet) -> set[str]:
+    return {"number"} if isinstance(values, Interval) else {kind for kind, _ in values.members}
+
+
+def _values(constraint: FieldConstraint) -> ValueSet:
+    values = [value.value for value in constraint.values]
+    operator = constraint.operator
+    if operator in {"=", "!=", "in {}"}:
+        return OneOf.of(values)
+    number = values[0]
+    assert isinstance(number, (int, float))  # the parser has seen to it
+    if operator == "in []":
+        upper = values[1]
+        assert isinstance(upper, (int, float))
+        return Interval(number, upper)
+    if operator in {">", ">="}:
+        return Interval(low=number, low_open=operator == ">")
+    return Interval(high=number, high_open=operator == "<")

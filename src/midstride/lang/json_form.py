@@ -1,0 +1,89 @@
+"""Specifications in JSON, with their problems told at their places in the text."""
+
+from __future__ import annotations
+
+import json
+import re
+
+from midstride.errors import SpecificationError
+from midstride.lang.diagnostics import Diagnostic, Reporter, in_order
+from midstride.lang.source import Source, Span
+from midstride.model.document import parse_json, specification_from_document
+from midstride.model.problems import Problem
+from midstride.model.specification import Specification
+from midstride.model.wellformed import check
+
+_SIGNIFICANT = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s{}\[\]:,"]+')
+
+
+def check_json(source: Source) -> tuple[Specification | None, tuple[Diagnostic, ...]]:
+    """The specification that a JSON text says, or None where it is in error; and the diagnostics."""
+    reporter = Reporter()
+    specification: Specification | None = None
+    problems: tuple[Problem, ...]
+    try:
+        specification = specification_from_document(parse_json(source.text))
+        problems = check(specification)
+    except SpecificationError as error:
+        problems = tuple(problem for problem in error.problems if isinstance(problem, Problem))
+    places = places_of(source) if problems else {}
+    for problem in problems:
+        place = _syntax_place(source) if not problem.subject else None
+        subject = problem.subject
+        while place is None and subject not in places and subject:
+            subject = subject[:-1]
+        reporter.report(
+            problem.code, place or places.get(subject), problem.message, help=problem.help or None, file=source.name
+        )
+    return (None if reporter.has_errors else specification), in_order(reporter.found)
+
+
+def _syntax_place(source: Source) -> Span | None:
+    """Where the text stops being JSON, if it does."""
+    try:
+        json.loads(source.text)
+    except json.JSONDecodeError as error:
+        return Span(source, error.pos, error.pos)
+    except (RecursionError, ValueError):
+        return None
+    return None
+
+
+def places_of(source: Source) -> dict[tuple[str, ...], Span]:
+    """The place of each value of a JSON text, by its path; an entry of an object is at its key."""
+    places: dict[tuple[str, ...], Span] = {}
+    # Each open container: its path, whether it is an object, the key or index to come.
+    stack: list[tuple[tuple[str, ...], bool, str | int]] = []
+    key: tuple[str, Span] | None = None
+    for match in _SIGNIFICANT.finditer(source.text):
+        text, span = match.group(), Span(source, match.start(), match.end())
+        if text in "}]":
+            if stack:
+                stack.pop()
+            key = None
+            continue
+        if text == ",":
+            if stack and not stack[-1][1]:
+                path, _, index = stack[-1]
+                stack[-1] = (path, False, int(index) + 1)
+            key = None
+            continue
+        if text == ":":
+            continue
+        if stack and stack[-1][1] and key is None:
+            try:
+                key = (str(json.loads(text)), span)
+            except ValueError:
+                return places
+            continue
+        if not stack:
+            path = ()
+        else:
+            path = (*stack[-1][0], key[0] if key is not None else str(stack[-1][2]))
+        places[path] = key[1] if key is not None else span
+        if text in "{[":
+            if len(stack) > 64:
+                return places
+            stack.append((path, text == "{", 0))
+            key = None
+    return places

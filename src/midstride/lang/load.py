@@ -1,0 +1,72 @@
+"""The way in: a system from a file, in the Stride language or in JSON."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from midstride.errors import SpecificationError
+from midstride.lang.check import Resolved, check_files
+from midstride.lang.diagnostics import Diagnostic, has_errors
+from midstride.lang.files import Read, Unreadable, read_source, read_text
+from midstride.lang.json_form import check_json
+from midstride.lang.messages import Messages
+from midstride.lang.source import Source
+from midstride.model.specification import Specification
+
+
+@dataclass(frozen=True, slots=True)
+class Loaded:
+    """What came of a file. ``specification`` is None iff there are errors; ``files`` are all that were read.
+
+    ``resolved`` holds the declarations behind it, errors or not; None for JSON, and for a file that cannot be read.
+    """
+
+    specification: Specification | None
+    diagnostics: tuple[Diagnostic, ...]
+    files: tuple[Source, ...] = ()
+    resolved: Resolved | None = None
+
+    @property
+    def has_errors(self) -> bool:
+        return has_errors(self.diagnostics)
+
+    def require(self) -> Specification:
+        """The specification. Raises SpecificationError, carrying the diagnostics, where there are errors."""
+        if self.specification is None:
+            raise SpecificationError([d for d in self.diagnostics if d.severity == "error"])
+        return self.specification
+
+
+def load(path: Path | str, *, read: Read = read_text, messages: Messages | None = None) -> Loaded:
+    """The system that a file declares: JSON where its name ends in ``.json``, else the Stride language.
+
+    ``read`` gives the text of each file; ``messages`` knows message types (None: types and fields are not checked).
+    """
+    path = Path(path)
+    try:
+        source = read_source(path, read)
+    except Unreadable as error:
+        diagnostic = Diagnostic(error.code, f"`{path}` cannot be read: {error}", help=error.help, file=str(path))
+        return Loaded(None, (diagnostic,))
+    return _loaded(source, read, messages)
+
+
+def load_text(
+    text: str,
+    name: str = "<text>",
+    *,
+    path: Path | None = None,
+    read: Read = read_text,
+    messages: Messages | None = None,
+) -> Loaded:
+    """The system that a text declares. Includes are relative to ``path``, or to ``name`` where that is None."""
+    return _loaded(Source(name, text, path or Path(name)), read, messages)
+
+
+def _loaded(source: Source, read: Read, messages: Messages | None) -> Loaded:
+    if source.name.endswith(".json"):
+        specification, diagnostics = check_json(source)
+        return Loaded(specification, diagnostics, (source,))
+    found, diagnostics, files, resolved = check_files(source, read, messages)
+    return Loaded(found, diagnostics, files, resolved)

@@ -1,0 +1,194 @@
+"""Message types that are known here, so that a misspelt type or field is found before anything runs.
+
+``Messages`` is what the checker asks; :func:`installed` answers from the interface files of installed
+message packages (``share/<package>/msg``, as ROS 2 and ROS 1 lay them out), and, for packages that are not
+there, from the type store of ``rosbags``. Nothing of ROS is imported.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final, NamedTuple, Protocol
+
+from midstride.model.contract import canonical_type
+
+_FIELD: Final = re.compile(r"\s*([A-Za-z][\w/]*)(<=\d+)?(\[[^\]]*\])?\s+([A-Za-z]\w*)\s*(=?)")
+_NUMBERS: Final = frozenset(
+    "byte char int8 uint8 int16 uint16 int32 uint32 int64 uint64 float32 float64 octet float double".split()
+)
+# Fields that hold fields of their own, though they are primitive in ROS 1's language.
+_TIMES: Final = {"time": ("secs", "nsecs"), "duration": ("secs", "nsecs")}
+_LARGEST: Final = 1 << 20
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """The fields of a message type. The type of a field: ``number``, ``text``, ``boolean``, ``list``, or a message type."""
+
+    name: str
+    fields: Mapping[str, str] = field(default_factory=dict)
+
+
+class Messages(Protocol):
+    """What is known of message types."""
+
+    def message(self, name: str) -> Message | None:
+        """The type of that canonical name; None where it is not known."""
+
+    def types(self, package: str) -> Iterable[str]:
+        """The names (``Image``) of the package's message types; empty where the package is not known."""
+
+
+class Missing(NamedTuple):
+    """A field that is not there: what it would be in, its name, and the names there are."""
+
+    owner: str
+    name: str
+    known: tuple[str, ...]
+
+
+def field_kind(messages: Messages, message: Message, path: str) -> str | Missing:
+    """What the field at the dotted ``path`` is; ``unknown`` where the way leads through a type that is not known."""
+    kind = message.name
+    for name in path.split("."):
+        if "/" not in kind:
+            return kind if kind == "unknown" else Missing(f"a {kind}", name, ())
+        found = message if kind == message.name else messages.message(kind)
+        if found is None:
+            return "unknown"
+        if name not in found.fields:
+            return Missing(found.name, name, tuple(found.fields))
+        kind = found.fields[name]
+    return kind
+
+
+class Installed:
+    """The message types of the packages installed under ``folders``, and those of ``fallback`` for other packages."""
+
+    def __init__(self, folders: Iterable[Path], fallback: Callable[[], Messages | None] | None = None) -> None:
+        self._folders = tuple(folders)
+        self._load_fallback = fallback
+        self._fallback: Messages | None = None
+        self._packages: dict[str, Path | None] = {}
+        self._messages: dict[str, Message | None] = {}
+
+    def message(self, name: str) -> Message | None:
+        if name not in self._messages:
+            self._messages[name] = self._find(name)
+        return self._messages[name]
+
+    def types(self, package: str) -> Iterable[str]:
+        folder = self._folder(package)
+        if folder is not None:
+            return sorted(path.stem for path in folder.glob("*.msg"))
+        other = self._other()
+        return () if other is None else other.types(package)
+
+    def _folder(self, package: str) -> Path | None:
+        if package not in self._packages:
+            candidates = (folder / package / "msg" for folder in self._folders)
+            self._packages[package] = next((folder for folder in candidates if _has_messages(folder)), None)
+        return self._packages[package]
+
+    def _find(self, name: str) -> Message | None:
+        package, _, rest = canonical_type(name).partition("/msg/")
+        folder = self._folder(package)
+        if folder is None:
+            other = self._other()
+            return None if other is None else other.message(name)
+        try:
+            with open(folder / f"{rest}.msg", encoding="utf-8", errors="replace") as stream:
+                return Message(name, parse_fields(stream.read(_LARGEST), package))
+        except OSError:
+            return None
+
+    def _other(self) -> Messages | None:
+        if self._load_fallback is not None:
+            self._fallback, self._load_fallback = self._load_fallback(), None
+        return self._fallback
+
+
+def _has_messages(folder: Path) -> bool:
+    try:
+        return any(name.endswith(".msg") for name in os.listdir(folder))
+    except OSError:
+        return False
+
+
+def parse_fields(text: str, package: str) -> dict[str, str]:
+    """The fields that an interface file (``.msg``) declares."""
+    fields: dict[str, str] = {}
+    for line in text.splitlines():
+        match = _FIELD.match(line.partition("#")[0])
+        if match is None or match[5]:
+            continue  # no declaration, or that of a constant
+        base, array, name = match[1], match[3], match[4]
+        fields[name] = "list" if array else _kind(base, package)
+    return fields
+
+
+def _kind(base: str, package: str) -> str:
+    if base in _NUMBERS:
+        return "number"
+    if base in {"string", "wstring"}:
+        return "text"
+    if base in {"bool", "boolean"}:
+        return "boolean"
+    if base in _TIMES:
+        return "unknown"
+    if base == "Header":
+        return "std_msgs/msg/Header"
+    return canonical_type(base if "/" in base else f"{package}/{base}")
+
+
+class _Rosbags:
+    """The type store of ``rosbags``: the messages of ROS's own packages, with no ROS installed."""
+
+    def __init__(self) -> None:
+        from rosbags.typesys import Stores, get_typestore
+
+        self._fields = get_typestore(Stores.ROS2_KILTED).fielddefs
+
+    def message(self, name: str) -> Message | None:
+        definition = self._fields.get(name)
+        if definition is None:
+            return None
+        return Message(name, {field: _rosbags_kind(kind) for field, kind in definition[1]})
+
+    def types(self, package: str) -> Iterable[str]:
+        prefix = f"{package}/msg/"
+        return sorted(name.removeprefix(prefix) for name in self._fields if name.startswith(prefix))
+
+
+def _rosbags_kind(kind: object) -> str:
+    node, detail = kind  # type: ignore[misc]  # a pair, by the definition of the type store
+    label = node.name  # type: ignore[has-type]
+    if label == "NAME":
+        return str(detail)  # type: ignore[has-type]
+    return _kind(detail[0], "") if label == "BASE" else "list"  # type: ignore[has-type]
+
+
+def _rosbags() -> Messages | None:
+    try:
+        return _Rosbags()
+    except ImportError:
+        return None
+
+
+def share_folders(environment: Mapping[str, str]) -> list[Path]:
+    """Where message packages are installed: what the sourced ROS names, then this interpreter's own environment."""
+    prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    prefixes += environment.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
+    folders = [Path(prefix) / "share" for prefix in [*prefixes, sys.prefix] if prefix]
+    folders += [Path(folder) for folder in environment.get("ROS_PACKAGE_PATH", "").split(os.pathsep) if folder]
+    return list(dict.fromkeys(folders))
+
+
+def installed() -> Messages:
+    """The message types installed here."""
+    return Installed(share_folders(os.environ), _rosbags)

@@ -1,0 +1,245 @@
+"""ROS parameter files: their sections, and which of them is a node's.
+
+The layout is ROS 2's: a section is a node's name, with its namespace in front or in sections around it, or with
+wildcards (``/**``, ``/*/camera``), and holds ``ros__parameters``. The file is read event by event, so that neither its
+nesting nor its aliases can take more than is allowed here.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple, TypeAlias
+
+from midstride.lang.diagnostics import Reporter
+from midstride.lang.files import join
+from midstride.lang.source import Source, Span
+from midstride.model.component import ParameterValue
+from midstride.model.contract import Scalar
+
+KEY: Final = "ros__parameters"
+MAX_DEPTH: Final = 32
+MAX_VALUES: Final = 50_000
+
+_TRUE: Final = frozenset("true True TRUE yes Yes YES on On ON".split())
+_FALSE: Final = frozenset("false False FALSE no No NO off Off OFF".split())
+_INTEGER: Final = re.compile(r"[-+]?(0x[0-9a-fA-F]+|[0-9]+)")
+_REAL: Final = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+_NOT_FINITE: Final = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
+
+
+class Given(NamedTuple):
+    """A parameter's value, and where it is given."""
+
+    value: ParameterValue
+    span: Span
+
+
+@dataclass(slots=True)
+class Section:
+    """The parameters of the nodes that ``pattern`` matches, by dotted name."""
+
+    pattern: str
+    span: Span
+    values: dict[str, Given] = field(default_factory=dict)
+
+    def matches(self, role: str, namespace: str) -> bool:
+        """Whether the section is for the node ``role``, seen from ``namespace``."""
+        full = "/" + role.strip("/")
+        return any(re.fullmatch(_regex(name), full) for name in (self.pattern, "/" + join(namespace, self.pattern)))
+
+
+class _Refused(Exception):
+    def __init__(self, span: Span, message: str, help: str | None = None) -> None:
+        super().__init__(message)
+        self.span = span
+        self.help = help
+
+
+# A value of the file, with its place: a mapping, a list, or a scalar.
+_Tree: TypeAlias = "tuple[dict[str, _Tree] | list[_Tree] | Scalar | None, Span]"
+
+
+def read_sections(source: Source, reporter: Reporter) -> list[Section]:
+    """The sections of a parameter file. What is wrong with it is reported in it."""
+    try:
+        tree = _Builder(source).build()
+        if tree is None:
+            return []
+        return list(_sections(tree, "", 0))
+    except _Refused as refused:
+        reporter.report("E150", refused.span, str(refused), help=refused.help)
+        return []
+
+
+def _sections(tree: _Tree, prefix: str, depth: int) -> Iterator[Section]:
+    value, span = tree
+    if not isinstance(value, dict):
+        help = f"a parameter file has the sections `node:` and, in each, `{KEY}:`"
+        raise _Refused(span, "a section of a parameter file is expected here", help)
+    for name, inner in value.items():
+        content, place = inner
+        pattern = name if name.startswith("/") or not prefix else f"{prefix}/{name}"
+        if not isinstance(content, dict):
+            raise _Refused(place, f"`{name}` holds no `{KEY}`", f"write the parameters under `{name}: {KEY}:`")
+        if KEY in content:
+            section = Section("/" + pattern.strip("/"), place)
+            _flatten(content[KEY], "", section.values)
+            yield section
+        rest = {key: other for key, other in content.items() if key != KEY}
+        if rest:
+            yield from _sections((rest, place), pattern, depth + 1)
+
+
+def _flatten(tree: _Tree, prefix: str, into: dict[str, Given]) -> None:
+    value, span = tree
+    if value is None and not prefix:
+        return
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            _flatten(inner, f"{prefix}.{name}" if prefix else name, into)
+    elif isinstance(value, list):
+        into[prefix] = Given(_listed(prefix, value, span), span)
+    elif value is None:
+        raise _Refused(span, f"parameter `{prefix}` has no value")
+    else:
+        into[prefix] = Given(value, span)
+
+
+def _listed(name: str, items: list[_Tree], span: Span) -> ParameterValue:
+    values: list[Any] = []
+    for value, place in items:
+        if value is None or isinstance(value, (dict, list)):
+            raise _Refused(place, f"parameter `{name}`: the values of a list are texts, numbers, or true or false")
+        values.append(value)
+    kinds = {type(value) for value in values}
+    if kinds == {int, float}:
+        return [float(value) for value in values]
+    if len(kinds) > 1:
+        raise _Refused(span, f"parameter `{name}`: the values of a list are of one kind")
+    return values
+
+
+def _regex(pattern: str) -> str:
+    parts = []
+    for part in pattern.strip("/").split("/"):
+        parts.append("(/[^/]+)*" if part == "**" else "/[^/]+" if part == "*" else "/" + re.escape(part))
+    # `/**` alone is every node.
+    return "(/[^/]+)+" if parts == ["(/[^/]+)*"] else "".join(parts)
+
+
+class _Builder:
+    """Builds plain values from YAML's events, with bounds."""
+
+    def __init__(self, source: Source) -> None:
+        self.source = source
+        self.count = 0
+        self.anchors: dict[str, tuple[_Tree, int]] = {}
+
+    def build(self) -> _Tree | None:
+        import yaml
+
+        loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+        try:
+            return self._build(yaml.parse(self.source.text, Loader=loader))
+        except yaml.MarkedYAMLError as error:
+            mark = error.problem_mark or error.context_mark
+            told = error.problem or error.context or "it cannot be read"
+            raise _Refused(self._at(mark), f"this is no YAML: {told}", "indent with blanks, not with tabs") from None
+        except yaml.YAMLError as error:
+            first = str(error).splitlines()[0]
+            raise _Refused(Span(self.source, 0, 0), f"this is no YAML: {first}") from None
+
+    def _at(self, mark: Any) -> Span:
+        if mark is None:
+            return Span(self.source, 0, 0)
+        offset = self.source.offset(mark.line + 1, mark.column + 1)
+        return Span(self.source, offset, offset)
+
+    def _span(self, event: Any) -> Span:
+        start, end = event.start_mark, event.end_mark
+        first = self.source.offset(start.line + 1, start.column + 1)
+        last = self.source.offset(end.line + 1, end.column + 1) if end.line == start.line else first
+        return Span(self.source, first, max(last, first))
+
+    def _build(self, events: Iterator[Any]) -> _Tree | None:
+        # Each open collection: its value, its place, the key that waits for its value, its anchor, the count before it.
+        stack: list[tuple[Any, Span, list[tuple[str, Span]], str | None, int]] = []
+        root: _Tree | None = None
+        documents = 0
+        for event in events:
+            kind = type(event).__name__
+            if kind == "DocumentStartEvent":
+                documents += 1
+                if documents > 1:
+                    raise _Refused(self._span(event), "a parameter file is one YAML document")
+                continue
+            if kind in {"StreamStartEvent", "StreamEndEvent", "DocumentEndEvent"}:
+                continue
+            if kind in {"MappingStartEvent", "SequenceStartEvent"}:
+                if len(stack) >= MAX_DEPTH:
+                    raise _Refused(self._span(event), f"this is nested more than {MAX_DEPTH} deep")
+                if stack and isinstance(stack[-1][0], dict) and not stack[-1][2]:
+                    raise _Refused(self._span(event), "the name of a parameter is a text")
+                value: Any = {} if kind == "MappingStartEvent" else []
+                stack.append((value, self._span(event), [], event.anchor, self.count))
+                continue
+            if kind in {"MappingEndEvent", "SequenceEndEvent"}:
+                value, span, _, anchor, before = stack.pop()
+                done: _Tree = (value, span)
+                if anchor:
+                    self.anchors[anchor] = (done, self.count - before)
+            elif kind == "AliasEvent":
+                if event.anchor not in self.anchors:
+                    raise _Refused(self._span(event), f"`*{event.anchor}` stands for nothing here")
+                done, size = self.anchors[event.anchor]
+                self.count += size
+            else:
+                done = (_scalar(event, self._span(event)), self._span(event))
+                self.count += 1
+                if event.anchor:
+                    self.anchors[event.anchor] = (done, 1)
+            if self.count > MAX_VALUES:
+                raise _Refused(done[1], f"this file gives more than {MAX_VALUES} values")
+            if not stack:
+                root = done
+            elif isinstance(stack[-1][0], list):
+                stack[-1][0].append(done)
+            elif not stack[-1][2]:
+                key, place = done
+                if isinstance(key, (dict, list)) or key is None:
+                    raise _Refused(place, "the name of a parameter is a text")
+                stack[-1][2].append((event.value if kind == "ScalarEvent" else str(key), place))
+            else:
+                name, place = stack[-1][2].pop()
+                if name in stack[-1][0]:
+                    raise _Refused(place, f"`{name}` stands here already", "keep one of the two")
+                stack[-1][0][name] = done
+        return root if root is None or root[0] is not None else None
+
+
+def _scalar(event: Any, span: Span) -> Scalar | None:
+    text: str = event.value
+    if event.tag not in {None, "!"}:
+        if event.tag == "tag:yaml.org,2002:str":
+            return text
+        raise _Refused(span, f"the tag {event.tag} is not for parameters")
+    if not event.implicit[0]:
+        return text  # quoted, or a block of text
+    if text in {"", "~", "null", "Null", "NULL"}:
+        return None
+    if text in _TRUE or text in _FALSE:
+        return text in _TRUE
+    if _INTEGER.fullmatch(text):
+        if len(text) > 40 or not -(2**63) <= (number := int(text, 16 if "x" in text else 10)) < 2**63:
+            raise _Refused(span, "a whole number has at most 64 bits")
+        return number
+    if _REAL.fullmatch(text):
+        number_ = float(text)
+        if number_ in (float("inf"), float("-inf")):
+            raise _Refused(span, "this number is too large")
+        return number_
+    if _NOT_FINITE.fullmatch(text):
+        raise _Refused(span, "a parameter's number is finite here", "write the largest number that means the same")
+    return text

@@ -1,0 +1,222 @@
+"""Parsing of components: their process, ports, functionalities and modes."""
+
+from __future__ import annotations
+
+from midstride.lang.cursor import RESERVED
+from midstride.lang.parse_contract import ContractParser
+from midstride.lang.syntax import (
+    Allowed,
+    Assumed,
+    ComponentDeclaration,
+    ContractExpression,
+    FunctionalityDeclaration,
+    Guarantee,
+    Held,
+    InputDeclaration,
+    ModeDeclaration,
+    Name,
+    NamedAssumption,
+    Number,
+    ParameterEntry,
+    Run,
+)
+
+ENDPOINT_KINDS = ("topic", "service", "ROS action")
+
+
+class ComponentParser(ContractParser):
+    """The part of the parser that reads components."""
+
+    def component(self) -> ComponentDeclaration:
+        first = self.i
+        self.i += 1
+        name = self.name("the name of a component", ("{",))
+        like = None
+        if self.accept_word("like"):
+            like = self.name("the name of a component after `like`")
+        runs: list[Run] = []
+        holds: list[tuple[Held, ...]] = []
+        parameters: list[ParameterEntry] = []
+        files: list[Name] = []
+        inputs: list[InputDeclaration] = []
+        outputs: list[Name] = []
+        allows: list[Allowed] = []
+        functionalities: list[FunctionalityDeclaration] = []
+        parameters_sound = True
+
+        def read_parameters() -> None:
+            nonlocal parameters_sound
+            parameters_sound &= self.parameters(parameters, files)
+
+        sound = True
+        if like is None or self.kinds[self.i] == "{":
+            sound = self.block(
+                f"component `{name.text}`",
+                first,
+                {
+                    "run": lambda: runs.append(self._run()),
+                    "holds": lambda: holds.append(self._holds()),
+                    "parameters": read_parameters,
+                    "input": lambda: inputs.append(self._input()),
+                    "output": lambda: outputs.append(self._output()),
+                    "allows": lambda: allows.append(self._allows()),
+                    "functionality": lambda: functionalities.append(self._functionality()),
+                },
+            )
+        broken = not (sound and parameters_sound) or any(functionality.broken for functionality in functionalities)
+        return ComponentDeclaration(
+            self.since(first),
+            name,
+            like,
+            tuple(runs),
+            tuple(holds),
+            tuple(parameters),
+            tuple(files),
+            tuple(inputs),
+            tuple(outputs),
+            tuple(allows),
+            tuple(functionalities),
+            broken,
+        )
+
+    def _run(self) -> Run:
+        start = self.i
+        self.i += 1
+        command = self.text("a command in double quotes after `run`")
+        takes = self.seconds("the time that starting takes") if self.accept_word("takes") else None
+        return Run(command, takes, self.since(start))
+
+    def _holds(self) -> tuple[Held, ...]:
+        self.i += 1
+        found: list[Held] = []
+        if self.at_word("nothing"):
+            self.i += 1
+            return ()
+        while True:
+            resource = self.resource("a resource")
+            amount: Number | None = None
+            if self.kinds[self.i] == "number":
+                amount = self.number("an amount")
+                if amount.value < 0:
+                    self.reporter.report("E126", amount.span, "nobody holds less than nothing")
+                    amount = Number(0.0, amount.span)
+            found.append(Held(resource, amount))
+            at = self.i + (self.kinds[self.i] == ",")
+            if self.kinds[at] not in {"name", "path", "string"} or (
+                self.kinds[at] == "name" and self.texts[at] in RESERVED
+            ):
+                return tuple(found)
+            self.i = at
+            self.layout.items.add(at)
+
+    def resource(self, what: str) -> Name:
+        """A name, the path of a device, or such a path in double quotes."""
+        return self.text(what) if self.kinds[self.i] == "string" else self.topic(what)
+
+    def _input(self) -> InputDeclaration:
+        self.i += 1
+        self.layout.marks[self.i] = "port"
+        name = self.name("the name of an input", (":",))
+        self.layout.marks[self.i] = "input :"
+        self.expect(":", f"after input `{name.text}`", ("name", "path"))
+        return InputDeclaration(name, self.contract(f"for input `{name.text}`"))
+
+    def _output(self) -> Name:
+        self.i += 1
+        self.layout.marks[self.i] = "port"
+        name = self.name("the name of an output", ("output", ":"))
+        if self.kinds[self.i] == ":":
+            help = "what it guarantees stands in the modes: `guarantee NAME : …`"
+            self.reporter.report("E120", self.span(), f"output `{name.text}` has no contract of its own", help=help)
+            self.i += 1
+            self.contract(f"for output `{name.text}`")
+        return name
+
+    def _allows(self) -> Allowed:
+        start = self.i
+        self.i += 1
+        if self.kinds[self.i] == "string":
+            kind = self.text("what is allowed")
+        elif self.at_word("ROS") and self.texts[self.i + 1] == "action":
+            self.i += 2
+            kind = Name("ROS action", self.span(self.i - 1))
+        elif self.kinds[self.i] == "name":
+            self.i += 1
+            kind = Name(self.texts[self.i - 1], self.span(self.i - 1))
+        else:
+            raise self.fail("`topic`, `service` or `ROS action` after `allows`")
+        if kind.text not in ENDPOINT_KINDS:
+            help = 'write `"ROS action"`' if kind.text == "action" else '`topic`, `service` or `"ROS action"`'
+            self.reporter.report("E120", kind.span, f"`{kind.text}` is no kind of endpoint", help=help)
+            kind = Name("service", kind.span)
+        name = self.topic("the name of an endpoint")
+        return Allowed(kind.text, name, self.since(start))
+
+    # -- functionalities ---------------------------------------------------------------------------------
+
+    def _functionality(self) -> FunctionalityDeclaration:
+        first = self.i
+        self.i += 1
+        name = self.name("the name of a functionality", ("{",))
+        weight: Number | None = None
+        if self.accept_word("weight"):
+            weight = self.number("a weight")
+            if weight.value < 0:
+                self.reporter.report("E126", weight.span, "a weight is not negative")
+                weight = Number(1.0, weight.span)
+        uses: list[Name] = []
+        produces: list[Name] = []
+        modes: list[ModeDeclaration] = []
+
+        def listed(found: list[Name], what: str) -> None:
+            self.i += 1
+            found.extend(self.names(what))
+
+        sound = self.block(
+            f"functionality `{name.text}`",
+            first,
+            {
+                "uses": lambda: listed(uses, "the name of an input"),
+                "produces": lambda: listed(produces, "the name of an output"),
+                "mode": lambda: modes.append(self._mode()),
+            },
+        )
+        broken = not sound or any(mode.broken for mode in modes)
+        return FunctionalityDeclaration(
+            self.since(first), name, weight, tuple(uses), tuple(produces), tuple(modes), broken
+        )
+
+    def _mode(self) -> ModeDeclaration:
+        first = self.i
+        self.i += 1
+        name = self.name("the name of a mode", ("{",))
+        self.layout.marks[self.i] = "mode {"
+        assumptions: list[Assumed] = []
+        guarantees: list[Guarantee] = []
+        sound = self.block(
+            f"mode `{name.text}`",
+            first,
+            {
+                "assume": lambda: assumptions.append(self._assumption()),
+                "guarantee": lambda: guarantees.append(self._guarantee()),
+            },
+        )
+        return ModeDeclaration(self.since(first), name, tuple(assumptions), tuple(guarantees), not sound)
+
+    def _assumption(self) -> Assumed:
+        self.i += 1
+        start = self.i
+        if self.kinds[start] != "name" or self.texts[start + 1] != "or" or self.kinds[start + 1] != "name":
+            return self.contract("or the name of an input after `assume`")
+        inputs = [self.name("the name of an input")]
+        while self.accept_word("or"):
+            inputs.append(self.name("the name of an input after `or`"))
+        return NamedAssumption(tuple(inputs), self.since(start))
+
+    def _guarantee(self) -> Guarantee:
+        start = self.i
+        self.i += 1
+        output = self.name("the name of an output", (":",))
+        self.expect(":", f"after `{output.text}`", ("path",))
+        contract: ContractExpression | None = self.contract(f"for output `{output.text}`")
+        return Guarantee(output, contract, self.since(start))

@@ -1,0 +1,143 @@
+"""A byte-level mutation fuzzer for the language: `python tests/lang/fuzz.py [N] [--seed S]`.
+
+It holds that no input makes `load` or `format_text` raise, that each is dealt with within a time bound, that what
+formatting yields formats to itself and means the same, and that memory stays bounded. `make test-long` runs it on 1,000,000 inputs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import resource
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from midstride.lang.files import Unreadable, decoded
+from midstride.lang.load import load_text
+from midstride.lang.printer import format_text
+
+SEEDS = Path(__file__).parent / "seeds"
+SECONDS_PER_INPUT = 2.0  # generous: the machine may be busy; the median is a thousandth of it
+MEGABYTES = 1024
+
+# Pieces that mean something, so that mutations go deeper than the lexer.
+PIECES = (
+    b"system s\n", b"{", b"}", b"(", b")", b"[", b"]", b"<-", b"->", b":", b"=", b"@", b",", b".", b"\"", b"'", b"#", b"\\", b"\0",
+    b"\r\n", b"\r", b"\xef\xbb\xbf", b"\xff", b"\xc3", b"/", b"~", b"//", b"-", b"1e999", b"9" * 50, b"0", b"-1", b"1.5", b" Hz", b" s",
+    b"component C {", b"functionality f {", b"mode m {", b"assume ", b"guarantee out : ", b"node n : C {", b"namespace a {",
+    b"include \"a.stride\"", b"contract K = ", b"std_msgs/msg/String", b" where x in {a, b}", b" qos(depth = 5)", b" or ", b" like C ",
+    b"parameters {", b"parameters \"p.yaml\"", b"keep n.f at m", b"limit n.f below baseline 2 s", b"order a before b", b"timing {",
+    b"environment {", b"resource r = 3", b"topic /t : K", b"input ", b"output ", b"uses ", b"produces ", b"run \"x\" takes 2 s",
+    "é".encode(), "\u2028".encode(), "\U0001f916".encode(),
+)  # fmt: skip
+
+
+def mutated(data: bytes, others: list[bytes], rng: random.Random) -> bytes:
+    """``data`` with a few random changes."""
+    text = bytearray(data)
+    for _ in range(rng.choice((1, 1, 2, 3, 5, 9))):
+        at = rng.randrange(len(text) + 1)
+        kind = rng.randrange(9)
+        if kind == 0 and text:
+            text[min(at, len(text) - 1)] = rng.randrange(256)
+        elif kind == 1:
+            text[at:at] = rng.choice(PIECES)
+        elif kind == 2:
+            del text[at : at + rng.choice((1, 2, 5, 20, 80))]
+        elif kind == 3:
+            end = at + rng.choice((1, 5, 20, 80))
+            text[at:at] = text[at:end]
+        elif kind == 4:
+            other = rng.choice(others)
+            start = rng.randrange(len(other) + 1)
+            text[at:at] = other[start : start + rng.choice((5, 40, 200))]
+        elif kind == 5:
+            lines = bytes(text).split(b"\n")
+            rng.shuffle(lines) if rng.random() < 0.1 else lines.insert(rng.randrange(len(lines)), rng.choice(lines))
+            text = bytearray(b"\n".join(lines))
+        elif kind == 6:
+            lines = bytes(text).split(b"\n")
+            del lines[rng.randrange(len(lines))]
+            text = bytearray(b"\n".join(lines))
+        elif kind == 7:
+            text[at:at] = rng.choice(PIECES) * rng.choice((2, 10, 100))
+        else:
+            words = bytes(text).split(b" ")
+            i, j = rng.randrange(len(words)), rng.randrange(len(words))
+            words[i], words[j] = words[j], words[i]
+            text = bytearray(b" ".join(words))
+        if len(text) > 100_000:
+            del text[100_000:]
+    return bytes(text)
+
+
+def check(data: bytes) -> None:
+    """Deal with one input as the command line would; raises only where something is wrong with the language."""
+    try:
+        text = decoded(data)
+    except Unreadable:
+        return
+    files = {Path("a.stride"): text, Path("p.yaml"): text}
+
+    def read(path: Path) -> str:
+        if path not in files:
+            raise FileNotFoundError(2, "No such file or directory")
+        return files[path]
+
+    loaded = load_text(text, "fuzz.stride", read=read)
+    assert (loaded.specification is None) == loaded.has_errors
+    for diagnostic in loaded.diagnostics:
+        assert diagnostic.message
+        diagnostic.render()
+        diagnostic.to_json()
+    formatted = format_text(text)
+    if formatted.text is None:
+        assert formatted.diagnostics
+        return
+    again = format_text(formatted.text)
+    assert again.text == formatted.text, "formatting twice changes something"
+    if loaded.specification is not None:
+        files[Path("a.stride")] = formatted.text
+        meant = load_text(formatted.text, "fuzz.stride", read=read).specification
+        assert meant == loaded.specification, "formatting changes the meaning"
+
+
+def inputs(count: int, seed: int) -> Iterator[bytes]:
+    rng = random.Random(seed)
+    seeds = [path.read_bytes() for path in sorted(SEEDS.iterdir())]
+    pool = list(seeds)
+    for number in range(count):
+        data = mutated(rng.choice(pool), pool, rng)
+        if number % 50 == 0:  # let changes add up
+            pool = [*seeds, *pool[len(seeds) :][-100:], data]
+        yield data
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("count", type=int, nargs="?", default=100_000)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    slowest, began = 0.0, time.perf_counter()
+    for number, data in enumerate(inputs(arguments.count, arguments.seed)):
+        start = time.process_time()
+        try:
+            check(data)
+        except Exception:
+            print(f"input {number} of seed {arguments.seed}: {data!r}", file=sys.stderr)
+            raise
+        taken = time.process_time() - start
+        slowest = max(slowest, taken)
+        if taken > SECONDS_PER_INPUT:
+            print(f"input {number} of seed {arguments.seed} took {taken:.1f} s: {data!r}", file=sys.stderr)
+            return 1
+    used = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+    elapsed = time.perf_counter() - began
+    print(f"{arguments.count} inputs, {elapsed:.0f} s, slowest {slowest:.3f} s, at most {used} MB")
+    return 0 if used < MEGABYTES else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
