@@ -148,7 +148,7 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     if instance.component is not wanted.component and not instance.component.same_body(wanted.component):
         return True
     current = _values(instance)
-    if current.keys() != wanted.parameters.keys():
+    if set(current) != set(wanted.parameters):
         return True
     declared, asked = instance.component.parameters, wanted.component.parameters
     return any(
