@@ -8,26 +8,28 @@ from typing import TYPE_CHECKING, Final
 from midstride.errors import BackendError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from midstride.runtime.backend import Backend
+    from midstride.runtime.guardian import Guardian
 
 NAMES: Final = ("ros2", "sim")
 
 
-def make(name: str) -> Backend:
-    """The back end called ``name``. Raises BackendError where it is unknown or cannot be had here."""
+def make(name: str, *, logs: Path | None = None, guardian: Guardian | None = None) -> Backend:
+    """The back end called ``name``. Raises BackendError where it is unknown or cannot be had here.
+
+    ``logs`` is the folder of the components' logs, ``guardian`` ends what is started should this
+    process be killed; the simulator, whose components live in this process, needs neither.
+    """
     if name == "sim":
         from midstride.backends.simulator import Simulator
 
         return Simulator()
     if name == "ros2":
-        if not available("ros2"):
-            raise BackendError(
-                "ROS 2 cannot be imported here: source a distribution's set-up file, or install midstride[ros2]; "
-                "the simulator (--backend sim) needs no ROS"
-            )
-        from midstride.backends.ros2 import Ros2
+        from midstride.backends.ros2 import create_backend
 
-        return Ros2()
+        return create_backend(logs=logs, guardian=guardian)
     raise BackendError(f"there is no back end {name}; there are {', '.join(NAMES)}")
 
 

@@ -63,19 +63,52 @@ def plan(document: Document, title: str) -> RenderableType:
 
 
 def falls(document: Document) -> str:
-    """Who falls on the way, by role."""
-    fallen: list[str] = list(document["fallen"])
-    if not fallen:
-        return "[green]Nothing falls:[/green] every functionality keeps its level throughout."
-    losses: Mapping[str, Any] = {loss["functionality"]: loss for loss in document.get("losses") or ()}
-    lines = [f"[yellow]Falls:[/yellow] {escape(_fall(name, losses.get(name)))}" for name in fallen]
+    """Who falls on the way, how far, for how long and why; and what stands otherwise afterwards."""
+    lines = [f"[yellow]Falls:[/yellow] {escape(_fall(document, fall))}" for fall in document["falls"]]
+    if not lines:
+        lines = ["[green]Nothing falls:[/green] every functionality keeps its level throughout."]
+        if afterwards := _afterwards(document):
+            lines = ["Nothing falls below what start and target have in common."]
+            lines += [f"[yellow]Afterwards:[/yellow] {escape(words)}" for words in afterwards]
+    else:
+        lines += [f"[yellow]Afterwards:[/yellow] {escape(words)}" for words in _afterwards(document)]
     return "\n".join(lines)
 
 
-def _fall(name: str, loss: Document | None) -> str:
-    if loss is None:
-        return name
-    return f"{name} to {loss['to']} for about {seconds(loss['seconds'])}"
+def _fall(document: Document, fall: Document) -> str:
+    steps: list[Document] = document["steps"]
+    since, until = fall["from_step"], fall["to_step"]
+    where = f"steps {since} to {until}" if until is not None else f"from step {since} on"
+    far = _mode_entered(steps[since - 1], fall["functionality"]) if since else None
+    how_far = f" to {far}" if far else ""
+    return f"{fall['functionality']}{how_far} for about {seconds(fall['seconds'])} ({where}): {fall['because']}"
+
+
+def _mode_entered(step: Document, functionality: str) -> str | None:
+    """The mode that a role's functionality enters by a step; None where the step is about something else."""
+    role, _, name = functionality.rpartition(".")
+    for ref, modes in step.get("modes", {}).items():
+        instance, _, own = ref.rpartition(".")
+        if own == name and (instance == role or instance.startswith(f"{role}_")):
+            return str(modes["to"])
+    return None
+
+
+def _afterwards(document: Document) -> list[str]:
+    """The functionalities of what stays that end in another mode than they began in."""
+    steps: list[Document] = document["steps"]
+    passing = {step["component"] for step in steps if step["action"] in {"create", "remove"}}
+    before: dict[str, str] = {}
+    after: dict[str, str] = {}
+    for step in steps:
+        for ref, modes in step.get("modes", {}).items():
+            before.setdefault(ref, modes["from"])
+            after[ref] = modes["to"]
+    return [
+        f"{ref} is in mode {after[ref]} (now {before[ref]})"
+        for ref in before
+        if after[ref] != before[ref] and ref.rpartition(".")[0] not in passing
+    ]
 
 
 def cost(document: Document) -> str:

@@ -28,6 +28,9 @@ from midstride.model.wellformed import check as check_specification
 
 # Consequences, which mean something only where there is no error to mend first.
 _CONSEQUENCES = frozenset({"W031", "W032", "W033", "W034"})
+# Judgements of a functionality that need all its contracts, and those that need all its modes.
+_ON_CONTRACTS = frozenset({"E011", "E012", "W032"})
+_ON_MODES = frozenset({"E010", "E011", "E012", "E015", "W032"})
 # Judged where the text is resolved, with a better place.
 _OURS = frozenset({"E016"})
 
@@ -160,8 +163,9 @@ class _Building:
         if kind == "components":
             doubts = self.components.doubts[name]
             if rest and rest[0] == "functionalities":
-                return len(rest) > 1 and rest[1] in doubts.functionalities
-            return doubts.whole and problem.code in {"E013", "E014"}
+                of_contracts = problem.code in _ON_CONTRACTS and rest[1] in doubts.functionalities
+                return of_contracts or (rest[1] in doubts.broken and problem.code in _ON_MODES)
+            return doubts.whole and problem.code == "E013"
         if kind == "nodes":
             return self._node_follows(problem, specification, name, tuple(rest))
         if kind == "topics" and name in self.doubtful_topics:
@@ -169,10 +173,10 @@ class _Building:
         return problem.code == "W031" and incomplete
 
     def _undeclared(self, problem: Problem) -> bool:
-        """Whether the name is missing from a declaration that was not read whole, or that is missing itself."""
+        """Whether the name may be inherited from a component that is not known."""
         declared = problem.declared
         if declared[:1] == ("components",) and len(declared) > 1:
-            return declared[1] in self.components.doubts and self.components.doubts[declared[1]].whole
+            return declared[1] in self.components.doubts and self.components.doubts[declared[1]].base
         return False
 
     def _node_follows(self, problem: Problem, specification: Specification, role: str, rest: tuple[str, ...]) -> bool:
@@ -188,6 +192,6 @@ class _Building:
             topics = node.attachments.get(port, ())
             topic = topics[int(index)] if index.isdecimal() and int(index) < len(topics) else ""
             owner = specification.components[node.component].find_owner(port)
-            broken = owner is not None and owner.name in doubts.functionalities
-            return port in doubts.ports or topic in self.doubtful_topics or broken or doubts.whole
+            broken = owner is not None and owner.name in doubts.broken
+            return port in doubts.ports or topic in self.doubtful_topics or broken
         return False

@@ -38,9 +38,15 @@ ENDPOINT_KINDS: Final = {"topic": "topic", "service": "service", "ROS action": "
 
 @dataclass(slots=True)
 class Doubts:
-    """What of a component could not be read or resolved, so that nothing may be concluded about it."""
+    """What of a component could not be read or resolved, so that nothing may be concluded about it.
+
+    ``whole``: something is missing from it. ``base``: what it is like is not known. ``broken``: the functionalities something
+    is missing from. ``functionalities`` and ``ports``: those with a contract that is not known.
+    """
 
     whole: bool = False
+    base: bool = False
+    broken: set[str] = field(default_factory=set)
     functionalities: set[str] = field(default_factory=set)
     ports: set[str] = field(default_factory=set)
 
@@ -99,8 +105,9 @@ class Components:
                 if base_name in self.merged:
                     merged = _over(self.merged[base_name], merged)
                     doubts.whole |= self.doubts[base_name].whole
+                    doubts.base = self.doubts[base_name].base
                 else:
-                    doubts.whole = True
+                    doubts.whole = doubts.base = True
             self.merged[name] = merged
 
     def _without_duplicates(self, own: ComponentDeclaration) -> ComponentDeclaration:
@@ -194,7 +201,7 @@ class Components:
     ) -> Functionality:
         name = declared.name.text
         if declared.broken:
-            doubts.functionalities.add(name)
+            doubts.broken.add(name)
         modes = tuple(self._mode(mode, name, owner, inputs, doubts) for mode in declared.modes)
         return Functionality(
             name,

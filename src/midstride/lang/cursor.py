@@ -228,7 +228,6 @@ class Cursor:
             if kind == "end":
                 if opened is not None:
                     self._not_closed(what, opened, "the end of the file")
-                    return False
                 return sound
             if kind == "}":
                 self.i += 1
@@ -246,7 +245,7 @@ class Cursor:
                     if opened is not None and self._ends_block(start):
                         self._not_closed(what, opened, f"`{text}`")
                         del self.layout.statements[start]
-                        return False
+                        return sound
                     self.reporter.report("E122", self.span(), f"`{text}` belongs {BELONGS[text]}, not in {what}")
                     raise Panic
                 else:
