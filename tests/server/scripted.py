@@ -1,0 +1,72 @@
+"""A manager whose behaviour is written by the test: what the HTTP API does with each kind of answer and failure."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import AsyncIterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+from midstride.model.document import specification_from_document
+from midstride.plan.request import Request
+from midstride.runtime.events import EventLog
+from midstride.runtime.manager import Manager
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+
+
+class ScriptedManager:
+    """Says what it was told to say, raises what it was told to raise, and notes what it was asked."""
+
+    def __init__(self) -> None:
+        text = (EXAMPLES / "talker" / "talker.json").read_text(encoding="utf-8")
+        self.specification = specification_from_document(json.loads(text))
+        self.revision = 7
+        self.events = EventLog()
+        self.answers: dict[str, Any] = {"up": {"outcome": "done"}, "down": None, "why": {}, "status": {"valid": True}}
+        self.holds: dict[str, asyncio.Event] = {}
+        self.asked: list[tuple[str, Any]] = []
+
+    async def _answer(self, operation: str, argument: Any = None) -> Any:
+        self.asked.append((operation, argument))
+        if operation in self.holds:
+            await self.holds[operation].wait()
+        answer = self.answers[operation]
+        if isinstance(answer, Exception):
+            raise answer
+        self.events.add(operation, f"{operation} is done")
+        return answer
+
+    async def up(self) -> Any:
+        return await self._answer("up")
+
+    async def down(self) -> Any:
+        return await self._answer("down")
+
+    async def close(self) -> None:
+        self.asked.append(("close", None))
+
+    async def status(self) -> Any:
+        return await self._answer("status")
+
+    async def why(self, functionality: str) -> Any:
+        return await self._answer("why", functionality)
+
+    async def plan(self, request: Request) -> Any:
+        document = await self._answer("plan", request)
+        return SimpleNamespace(to_document=lambda: document)
+
+    async def change(self, request: Request, *, expected: int | None = None) -> Any:
+        return await self._answer("change", (request, expected))
+
+    def log(self, since: int = 0) -> Any:
+        return self.events.since(since)
+
+    def subscribe(self, since: int = 0) -> AsyncIterator[dict[str, Any]]:
+        return self.events.follow(since)
+
+    @property
+    def as_manager(self) -> Manager:
+        return cast(Manager, self)

@@ -1,0 +1,239 @@
+"""What the HTTP API makes of requests, answers and failures."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from typing import Any
+
+import httpx
+import pytest
+
+from midstride import errors
+from midstride.server.app import create_app
+from midstride.server.lifecycle import Lifecycle
+from tests.server.scripted import ScriptedManager
+
+Test = Callable[[httpx.AsyncClient, ScriptedManager, Lifecycle], Coroutine[Any, Any, None]]
+
+
+def served(test: Test, *, up: bool = True) -> None:
+    """Run ``test`` against the application, without sockets."""
+
+    async def run() -> None:
+        manager = ScriptedManager()
+        lifecycle = Lifecycle(manager.as_manager)
+        app = create_app(lifecycle, backend="scripted")
+        transport = httpx.ASGITransport(app, raise_app_exceptions=False)
+        async with httpx.AsyncClient(transport=transport, base_url="http://manager/api/v1") as client:
+            if up:
+                await lifecycle.bring_up()
+            await test(client, manager, lifecycle)
+
+    asyncio.run(run())
+
+
+def error_of(response: httpx.Response) -> tuple[int, str, str]:
+    told = response.json()["error"]
+    return response.status_code, told["kind"], told["message"]
+
+
+def test_who_answers() -> None:
+    async def test(client: httpx.AsyncClient, _: ScriptedManager, lifecycle: Lifecycle) -> None:
+        assert (await client.get("http://manager/api/v1")).json()["phase"] == "starting"
+        await lifecycle.bring_up()
+        document = (await client.get("http://manager/api/v1")).json()
+        assert (document["system"], document["backend"], document["phase"]) == ("talker", "scripted", "up")
+
+    served(test, up=False)
+
+
+def test_the_openapi_document_has_every_operation() -> None:
+    async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
+        document = (await client.get("/openapi.json")).json()
+        assert {f"/api/v1{path}" for path in ("/plan", "/change", "/down")} == {
+            path for path, operations in document["paths"].items() if "post" in operations
+        }
+        reading = ("", "/up", "/status", "/specification", "/why", "/log", "/events")
+        assert {f"/api/v1{path}" for path in reading} == {
+            path for path, operations in document["paths"].items() if "get" in operations
+        }
+        strategies = document["components"]["schemas"]["ChangeRequest"]["properties"]["strategy"]["enum"]
+        assert strategies == ["minimal", "paper", "quiesce"]
+
+    served(test)
+
+
+def test_answers_pass_through_whole() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.answers["status"] = {"valid": True, "a field of next year": [None, 0.25]}
+        assert (await client.get("/status")).json() == manager.answers["status"]
+        manager.answers["why"] = {"functionality": "listener.listen", "chain": []}
+        assert (await client.get("/why", params={"functionality": "listener.listen"})).json() == manager.answers["why"]
+        assert manager.asked[-1] == ("why", "listener.listen")
+
+    served(test)
+
+
+def test_the_specification_is_the_running_one() -> None:
+    async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
+        document = (await client.get("/specification")).json()
+        assert document["nodes"]["talker"] == {"component": "Talker", "attachments": {"out": ["/chatter"]}}
+
+    served(test)
+
+
+def test_a_plan_comes_with_the_revision_it_was_made_for() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.answers["plan"] = {"steps": [], "disruption": 0.0}
+        response = await client.post("/plan", json={"replace": [["talker", "NewTalker"]], "strategy": "paper"})
+        assert response.json() == {"steps": [], "disruption": 0.0, "revision": 7}
+        request = manager.asked[-1][1]
+        assert (request.replace, request.strategy) == ((("talker", "NewTalker"),), "paper")
+
+    served(test)
+
+
+def test_a_change_is_asked_with_the_revision_it_was_shown_at() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.answers["change"] = {"outcome": "done", "swaps": [{"gap": None}]}
+        added = {"role": "second", "component": "Listener", "attachments": {"in": ["/chatter"]}}
+        response = await client.post("/change", json={"request": {"add": [added]}, "expected": 3})
+        assert response.json() == manager.answers["change"]
+        request, expected = manager.asked[-1][1]
+        assert expected == 3
+        assert (request.add[0].role, request.add[0].attachments["in"]) == ("second", ("/chatter",))
+
+    served(test)
+
+
+@pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        ({"replce": []}, ["/replce", "Extra inputs"]),
+        ({"strategy": "fast"}, ["/strategy", "'minimal', 'paper' or 'quiesce'"]),
+        ({"replace": [["talker"]], "remove": "talker"}, ["/replace/0/1", "/remove"]),
+        ({"add": [{"role": "second"}]}, ["/add/0/component", "required"]),
+        ({"to": {"system": "talker", "topcs": {}}}, ["topcs", "did you mean `topics`?"]),
+    ],
+)
+def test_what_is_no_request_is_told_fault_by_fault(body: dict[str, Any], words: list[str]) -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        before = list(manager.asked)
+        status, kind, message = error_of(await client.post("/plan", json=body))
+        assert (status, kind) == (422, "SpecificationError")
+        assert all(word in message for word in words), message
+        assert manager.asked == before
+
+    served(test)
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (errors.PlanRefused("there is no node talkr; did you mean talker?"), 409),
+        (errors.ManagerBusy("another command is running"), 409),
+        (errors.ManagerError("the disk is full"), 409),
+        (errors.StartFailed("talker_2 exited with status 1"), 502),
+        (errors.CallTimeout("talker did not answer"), 504),
+        (errors.StepFailed("it failed", "rolled_back"), 500),
+    ],
+)
+def test_a_refusal_keeps_its_kind_and_its_words(error: errors.MidstrideError, status: int) -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.answers["change"] = error
+        response = await client.post("/change", json={"request": {"remove": ["talker"]}})
+        assert error_of(response) == (status, type(error).__name__, str(error.args[0]))
+
+    served(test)
+
+
+def test_an_unforeseen_failure_is_told_as_one() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.answers["status"] = ZeroDivisionError("by zero")
+        status, kind, message = error_of(await client.get("/status"))
+        assert (status, kind) == (500, "InternalError")
+        assert "by zero" in message
+
+    served(test)
+
+
+def test_nothing_is_changed_before_the_system_is_up() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, lifecycle: Lifecycle) -> None:
+        body: dict[str, Any] = {"request": {"remove": ["talker"]}}
+        status, kind, message = error_of(await client.post("/change", json=body))
+        assert (status, kind) == (409, "ManagerError")
+        assert "still being brought up" in message
+        manager.answers["up"] = errors.StartFailed("talker exited with status 1")
+        await lifecycle.bring_up()
+        assert "talker exited with status 1" in error_of(await client.post("/change", json=body))[2]
+        assert error_of(await client.get("/up")) == (502, "StartFailed", "talker exited with status 1")
+        assert [operation for operation, _ in manager.asked] == ["up"]
+
+    served(test, up=False)
+
+
+def test_a_fault_of_ours_while_coming_up_ends_in_an_answer(caplog: pytest.LogCaptureFixture) -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, lifecycle: Lifecycle) -> None:
+        manager.answers["up"] = KeyError("gone")
+        await lifecycle.bring_up()
+        status, kind, message = error_of(await client.get("/up"))
+        assert (status, kind) == (409, "ManagerError")
+        assert "internal error" in message
+        assert "gone" in caplog.text
+
+    served(test, up=False)
+
+
+def test_up_is_answered_when_it_is_known() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, lifecycle: Lifecycle) -> None:
+        manager.holds["up"] = asyncio.Event()
+        bringing = asyncio.ensure_future(lifecycle.bring_up())
+        asking = asyncio.ensure_future(client.get("/up"))
+        done, _ = await asyncio.wait({asking}, timeout=0.05)
+        assert not done
+        manager.holds["up"].set()
+        assert (await asking).json() == {"outcome": "done"}
+        await bringing
+
+    served(test, up=False)
+
+
+def test_a_change_goes_on_when_its_client_goes_away() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.holds["change"] = asyncio.Event()
+        manager.answers["change"] = {"outcome": "done"}
+        asking = asyncio.ensure_future(client.post("/change", json={"request": {"remove": ["talker"]}}))
+        while manager.asked[-1][0] != "change":
+            await asyncio.sleep(0)
+        asking.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asking
+        manager.holds["change"].set()
+        while not any(event["kind"] == "change" for event in manager.log()):
+            await asyncio.sleep(0)
+
+    served(test)
+
+
+def test_down_is_the_end() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, lifecycle: Lifecycle) -> None:
+        manager.answers["down"] = errors.ManagerError("talker: does not end")
+        assert error_of(await client.post("/down"))[0] == 409
+        assert not lifecycle.ended.is_set()
+        manager.answers["down"] = None
+        assert (await client.post("/down")).json() == {"outcome": "done"}
+        await lifecycle.until_over()
+        assert (await client.get("http://manager/api/v1")).json()["phase"] == "down"
+
+    served(test)
+
+
+def test_the_log_from_a_number_on() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        for number in range(3):
+            manager.events.add("note", f"note {number}")
+        told = (await client.get("/log", params={"since": 2})).json()
+        assert [(event["n"], event["words"]) for event in told] == [(3, "note 1"), (4, "note 2")]
+
+    served(test)

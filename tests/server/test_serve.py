@@ -1,0 +1,210 @@
+"""The doors: the Unix socket, the TCP door with its token, the event stream, and how it all ends."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import stat
+from collections.abc import AsyncIterator, Callable, Coroutine
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+
+from midstride import errors
+from midstride.runtime.workspace import Workspace
+from midstride.server.serve import Tcp, serve
+from tests.server.scripted import ScriptedManager
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return Workspace.of("talker")
+
+
+def over_socket(workspace: Workspace) -> httpx.AsyncClient:
+    transport = httpx.AsyncHTTPTransport(uds=str(workspace.socket))
+    return httpx.AsyncClient(transport=transport, base_url="http://manager/api/v1", timeout=30)
+
+
+@asynccontextmanager
+async def serving(
+    manager: ScriptedManager, workspace: Workspace, tcp: Tcp | None = None
+) -> AsyncIterator[tuple[httpx.AsyncClient, asyncio.Task[int]]]:
+    """A server over ``manager``, with a client over its socket. What is left of it at the end is an error."""
+    server = asyncio.ensure_future(serve(manager.as_manager, workspace, backend="scripted", tcp=tcp))
+    async with over_socket(workspace) as client:
+        try:
+            while True:
+                try:
+                    await client.get("/log")
+                    break
+                except httpx.TransportError:
+                    if server.done():
+                        server.result()
+                    await asyncio.sleep(0.01)
+            yield client, server
+        finally:
+            if not server.done():
+                manager.answers["down"] = None
+                await client.post("/down")
+            await asyncio.wait_for(server, 20)
+
+
+def run(test: Callable[[], Coroutine[Any, Any, None]]) -> None:
+    asyncio.run(test())
+
+
+async def events(response: httpx.Response) -> AsyncIterator[tuple[str, dict[str, Any]]]:
+    """Each event of a stream as its id and its document."""
+    number = ""
+    async for line in response.aiter_lines():
+        name, _, value = line.partition(": ")
+        if name == "id":
+            number = value
+        elif name == "data":
+            yield number, json.loads(value)
+
+
+def test_the_socket_is_its_user_s_alone_and_goes_at_the_end(workspace: Workspace) -> None:
+    workspace.socket.touch()  # what a killed manager leaves
+
+    async def test() -> None:
+        manager = ScriptedManager()
+        async with serving(manager, workspace) as (client, server):
+            assert stat.S_IMODE(workspace.socket.stat().st_mode) == 0o600
+            assert stat.S_IMODE(workspace.path.stat().st_mode) == 0o700
+            assert (await client.post("/down")).json() == {"outcome": "done"}
+            assert await asyncio.wait_for(server, 20) == 0
+        assert not workspace.socket.exists()
+        assert [operation for operation, _ in manager.asked] == ["up", "down", "close"]
+
+    run(test)
+
+
+def test_a_path_too_long_for_a_socket_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / ("x" * 100)))
+    manager = ScriptedManager()
+    with pytest.raises(errors.ManagerError, match="is the path too long"):
+        asyncio.run(serve(manager.as_manager, Workspace.of("talker"), backend="scripted"))
+    assert manager.asked == []
+
+
+def test_the_stream_tells_what_was_and_what_comes_and_ends_with_the_system(workspace: Workspace) -> None:
+    async def test() -> None:
+        manager = ScriptedManager()
+        async with serving(manager, workspace) as (client, _):
+            await client.get("/up")
+            heard: list[tuple[str, str]] = []
+            async with client.stream("GET", "/events?since=0") as response:
+                assert response.headers["content-type"].startswith("text/event-stream")
+                async for number, event in events(response):
+                    heard.append((number, event["kind"]))
+                    if event["kind"] == "up":
+                        manager.events.add("note", "a line\nand another")
+                    if event["kind"] == "note":
+                        assert event["words"] == "a line\nand another"
+                        await client.post("/down")
+            assert heard == [("1", "up"), ("2", "note"), ("3", "down")]
+
+    run(test)
+
+
+def test_a_stream_taken_up_again_misses_nothing(workspace: Workspace) -> None:
+    async def test() -> None:
+        manager = ScriptedManager()
+        async with serving(manager, workspace) as (client, _):
+            await client.get("/up")
+            for number in range(4):
+                manager.events.add("note", f"{number}")
+            async with client.stream("GET", "/events?since=1", headers={"Last-Event-ID": "3"}) as response:
+                heard = []
+                async for number, event in events(response):
+                    heard.append((number, event["words"]))
+                    if len(heard) == 2:
+                        break
+            assert heard == [("4", "2"), ("5", "3")]
+
+    run(test)
+
+
+def test_a_system_that_cannot_come_up_says_why_and_ends(workspace: Workspace) -> None:
+    async def test() -> None:
+        manager = ScriptedManager()
+        manager.answers["up"] = errors.StartFailed("talker exited with status 1")
+        manager.holds["up"] = asyncio.Event()
+        async with serving(manager, workspace) as (client, server):
+            async with client.stream("GET", "/events") as response:
+                manager.events.add("step", "1/1 create talker")
+                manager.holds["up"].set()
+                heard = [(number, event["kind"], event["words"]) async for number, event in events(response)]
+            assert heard == [
+                ("1", "step", "1/1 create talker"),
+                ("2", "up_failed", "talker exited with status 1"),
+            ]
+            answer = await client.get("/up")
+            assert (answer.status_code, answer.json()["error"]["kind"]) == (502, "StartFailed")
+            assert await asyncio.wait_for(server, 20) == 1
+        assert manager.asked[-1] == ("close", None)
+
+    run(test)
+
+
+def test_leaving_ends_the_manager_and_not_the_system(workspace: Workspace) -> None:
+    import os
+    import signal
+
+    async def test() -> None:
+        manager = ScriptedManager()
+        async with serving(manager, workspace) as (client, server):
+            await client.get("/up")
+            async with client.stream("GET", "/events") as response:
+                stream = events(response)
+                assert (await anext(stream))[1]["kind"] == "up"
+                os.kill(os.getpid(), signal.SIGTERM)
+                assert await anext(stream, None) is None
+            assert await asyncio.wait_for(server, 20) == 0
+        assert [operation for operation, _ in manager.asked] == ["up", "close"]
+
+    run(test)
+
+
+def free_port() -> int:
+    with socket.create_server(("127.0.0.1", 0)) as door:
+        return int(door.getsockname()[1])
+
+
+def test_the_tcp_door_is_on_loopback_and_wants_the_token(workspace: Workspace) -> None:
+    async def test() -> None:
+        port = free_port()
+        async with serving(ScriptedManager(), workspace, Tcp(port)):
+            file = workspace.path / "token"
+            assert stat.S_IMODE(file.stat().st_mode) == 0o600
+            token = file.read_text()
+            async with httpx.AsyncClient(base_url=f"http://127.0.0.1:{port}/api/v1") as client:
+                for headers in ({}, {"Authorization": "Bearer wrong"}, {"Authorization": token}):
+                    for path in ("/status", "/openapi.json", "/events"):
+                        refused = await client.get(path, headers=headers)
+                        assert (refused.status_code, refused.headers["www-authenticate"]) == (401, "Bearer")
+                headers = {"Authorization": f"Bearer {token}"}
+                assert (await client.get("/status", headers=headers)).json() == {"valid": True}
+            listening = Path("/proc/net/tcp").read_text()
+            assert f"0100007F:{port:04X} 00000000:0000 0A" in listening  # 127.0.0.1, and
+            assert f"00000000:{port:04X}" not in listening  # no other address
+        assert not file.exists()
+
+    run(test)
+
+
+def test_a_port_that_is_taken_is_told_before_anything_is_started(workspace: Workspace) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as door:
+        port = door.getsockname()[1]
+        manager = ScriptedManager()
+        with pytest.raises(errors.ManagerError, match=f"cannot listen on 127.0.0.1, port {port}"):
+            asyncio.run(serve(manager.as_manager, workspace, backend="scripted", tcp=Tcp(port)))
+    assert manager.asked == []
+    assert not workspace.socket.exists()
