@@ -1,0 +1,284 @@
+"""The manager's side on ROS 2: see :class:`midstride.runtime.backend.Backend`.
+
+One hidden node in a context of its own, spun by a thread of its own; everything else happens on the
+manager's event loop. Components are processes (:mod:`midstride.runtime.process`), so an exit is known
+at once; the graph, which is slower, is asked for what it alone knows.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final
+
+import rclpy
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.context import Context
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+
+from midstride.backends.ros2 import events, launching, names, tuning
+from midstride.backends.ros2.calls import Caller
+from midstride.backends.ros2.spinning import Spinner
+from midstride.errors import BackendError, StartFailed, Unreachable
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
+from midstride.runtime.clock import Clock, SystemClock
+from midstride.runtime.guardian import Guardian
+from midstride.runtime.process import Process, find, spawn, tail
+from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
+
+# A manager that has just joined knows nobody yet: that long it listens before it says that a name is free (s).
+_LISTEN: Final = 0.3
+# How long the name of a process that has ended may stay in the graph: the lease of the tuned discovery and a bit (s).
+_LINGER: Final = 5.0
+# How long a component of an earlier manager may take to be found in the graph (s).
+_FIND: Final = 5.0
+_JOIN: Final = 2.0
+_POLL: Final = 0.02
+
+
+class Ros2Backend:
+    """To be opened, used and closed on one event loop."""
+
+    name = "ros2"
+
+    def __init__(
+        self,
+        *,
+        logs: Path | None = None,
+        guardian: Guardian | None = None,
+        tuned: bool = True,
+        use_sim_time: bool = False,
+    ) -> None:
+        self._own_clock = Ros2Clock()
+        self.clock: Clock = self._own_clock
+        self.tuning = tuning.Tuning("", untuned=("discovery: left as it comes, as it was asked for",))
+        self._logs = logs
+        self._guardian = guardian
+        self._tuned = tuned
+        self._use_sim_time = use_sim_time
+        self._processes: dict[str, Process] = {}
+        self._elsewhere: set[str] = set()
+        self._gone: dict[str, asyncio.Event] = {}
+        self._ended: dict[str, float] = {}
+        self._opened = 0.0
+        self._context: Any = None
+
+    # -- joining and leaving -------------------------------------------------------------------------
+
+    async def open(self, on_event: Callable[[Announcement | Exited], None]) -> None:
+        self._loop = asyncio.get_running_loop()
+        self._on_event = on_event
+        context = Context()
+        try:
+            if self._tuned:
+                chosen = tuning.of_this_process()
+                with tuning.in_force(chosen) as check:
+                    self._join(context)
+                self.tuning = check.tuning
+            else:
+                self._join(context)
+        except Exception as error:  # rclpy's own kinds are not public
+            context.try_shutdown()
+            raise BackendError(f"ROS 2 cannot be joined: {error}") from error
+        self._context = context
+        self._opened = time.monotonic()
+        self._spinner = Spinner("midstride-manager", context, self._tell)
+        self._spinner.executor.add_node(self._node)
+        group = ReentrantCallbackGroup()
+        self._caller = Caller(self._node, self._spinner.executor, group)
+        events.subscription(self._node, self._heard, group)
+        self._spinner.start()
+        self._own_clock.follow(self._node.get_clock())
+        for words in self.tuning.untuned:
+            self._node.get_logger().warning(words)
+
+    def _join(self, context: Any) -> None:
+        rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = Node(
+            f"_midstride_manager_{os.getpid()}",
+            context=context,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[
+                Parameter("start_type_description_service", value=False),
+                Parameter("use_sim_time", value=self._use_sim_time),
+            ],
+        )
+
+    async def close(self) -> None:
+        for process in self._processes.values():
+            process.close()
+        self._processes.clear()
+        if self._context is None:
+            return
+        context, self._context = self._context, None
+        if not await asyncio.to_thread(self._spinner.stop, _JOIN):
+            raise BackendError("the manager's own ROS 2 thread does not end")
+        self._node.destroy_node()
+        context.try_shutdown()
+
+    # -- components ----------------------------------------------------------------------------------
+
+    async def start(self, launch: Launch) -> Handle:
+        full_name = names.full(launch.instance, launch.namespace)
+        command = launching.command(launch.arguments, launch.directory, os.environ)
+        await self._must_be_free(launch.instance, full_name)
+        environment = launching.environment(launch, command[0], self.tuning, os.environ)
+        log = self._log_of(launch)
+        process = spawn(command, launch.directory, environment, log)
+        if self._guardian is not None:
+            self._guardian.watch(process.pid, process.started)
+        self._take(launch.instance, process)
+        return Handle(launch.instance, process.pid, process.started, str(log))
+
+    async def adopt(self, handle: Handle) -> bool:
+        instance, full_name = handle.instance, names.full(handle.instance)
+        if instance in self._processes:
+            return True
+        if handle.pid is None or handle.started is None:
+            if not await self._caller.ready(full_name, _FIND):
+                return False
+            self._elsewhere.add(instance)
+            return True
+        log = None if handle.log is None else Path(handle.log)
+        process = find(handle.pid, handle.started, ENV_INSTANCE, instance, log)
+        if process is None:
+            return False
+        self._take(instance, process)
+        if not await self._caller.ready(full_name, _FIND) and process.running:
+            raise Unreachable(f"{instance} runs (process {handle.pid}), but its control service is not to be found")
+        return process.running
+
+    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+        gone = self._gone.get(instance)
+        if gone is not None and gone.is_set():
+            raise Unreachable(f"the process of {instance} has ended")
+        calling = asyncio.ensure_future(self._caller.call(names.full(instance), command, timeout))
+        waiting = None if gone is None else asyncio.ensure_future(gone.wait())
+        try:
+            await asyncio.wait(
+                {calling} if waiting is None else {calling, waiting}, return_when=asyncio.FIRST_COMPLETED
+            )
+            if calling.done():
+                return calling.result()
+            raise Unreachable(f"the process of {instance} ended before it answered `{command.op}`")
+        finally:
+            calling.cancel()
+            if waiting is not None:
+                waiting.cancel()
+
+    async def end(self, instance: str, grace: float) -> None:
+        process = self._processes.get(instance)
+        if process is None:
+            return
+        process.on_exit(None)
+        await process.end(grace)
+        self._forget(instance, process)
+
+    def _take(self, instance: str, process: Process) -> None:
+        self._processes[instance] = process
+        self._gone[instance] = asyncio.Event()
+        process.on_exit(lambda status: self._exited(instance, process, status))
+
+    def _exited(self, instance: str, process: Process, status: int | None) -> None:
+        self._forget(instance, process)
+        self._on_event(Exited(instance, status, tail(process.log)))
+
+    def _forget(self, instance: str, process: Process) -> None:
+        if self._processes.get(instance) is process:
+            del self._processes[instance]
+            self._gone[instance].set()
+            self._ended[names.full(instance)] = time.monotonic()
+            self._caller.forget(names.full(instance))
+        if self._guardian is not None:
+            self._guardian.release(process.pid)
+        process.close()
+
+    def _log_of(self, launch: Launch) -> Path:
+        folder = self._logs or _log_folder() / "midstride" / launch.token[:12]
+        return folder / f"{names.full(launch.instance, launch.namespace).strip('/').replace('/', '.')}.log"
+
+    # -- the graph -----------------------------------------------------------------------------------
+
+    async def endpoints(self) -> Endpoints:
+        node = self._joined()
+        publishers: list[tuple[str, str]] = []
+        subscribers: list[tuple[str, str]] = []
+        for topic, _ in node.get_topic_names_and_types():
+            if topic in (events.TOPIC, "/rosout"):
+                continue
+            publishers += _of(node.get_publishers_info_by_topic(topic), topic)
+            subscribers += _of(node.get_subscriptions_info_by_topic(topic), topic)
+        visible = frozenset(name for name in self._names() if not names.is_hidden(name))
+        return Endpoints(visible, tuple(sorted(publishers)), tuple(sorted(subscribers)))
+
+    def _names(self) -> list[str]:
+        return [names.full(name, inside) for name, inside in self._joined().get_node_names_and_namespaces()]
+
+    async def _must_be_free(self, instance: str, full_name: str) -> None:
+        """Raises StartFailed where a node of that name runs: two would both answer.
+
+        What has just ended may linger in the graph, and is waited for.
+        """
+        await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
+        lingers = self._ended.get(full_name)
+        deadline = time.monotonic() + (0.0 if lingers is None else _LINGER)
+        while full_name in self._names():
+            if time.monotonic() >= deadline:
+                raise StartFailed(f"{instance}: a node {full_name} is running already; end it, or use another name")
+            await asyncio.sleep(_POLL)
+
+    # -- what is heard -------------------------------------------------------------------------------
+
+    def _heard(self, event: Any) -> None:
+        """In the manager's ROS thread: an announcement goes to the loop, anything else is not for us."""
+        for parameter in event.changed_parameters:
+            if parameter.name == names.ANNOUNCEMENT:
+                try:
+                    announcement = Announcement.from_json(parameter.value.string_value)
+                except (ValueError, KeyError, TypeError):
+                    self._tell(f"{event.node} announced something that is no announcement")
+                    continue
+                if not self._loop.is_closed():
+                    self._loop.call_soon_threadsafe(self._on_event, announcement)
+
+    def _tell(self, failure: str) -> None:
+        self._node.get_logger().error(failure)
+
+    def _joined(self) -> Any:
+        if self._context is None:
+            raise Unreachable("the back end is not open")
+        return self._node
+
+
+class Ros2Clock(SystemClock):
+    """The manager's clock: steady as ever, ROS time as its node has it (``use_sim_time``)."""
+
+    def __init__(self) -> None:
+        self._ros: Any = None
+
+    def follow(self, ros_clock: Any) -> None:
+        self._ros = ros_clock
+
+    def ros_now(self) -> int:
+        return super().ros_now() if self._ros is None else int(self._ros.now().nanoseconds)
+
+
+def _of(infos: list[Any], topic: str) -> list[tuple[str, str]]:
+    full = (names.full(info.node_name, info.node_namespace) for info in infos)
+    return [(name, topic) for name in full if not names.is_hidden(name)]
+
+
+def _log_folder() -> Path:
+    """Where ROS 2 puts logs."""
+    if folder := os.environ.get("ROS_LOG_DIR"):
+        return Path(folder)
+    home = os.environ.get("ROS_HOME") or os.path.expanduser("~/.ros")
+    return Path(home) / "log" if os.path.isabs(home) else Path(tempfile.gettempdir()) / "ros-log"

@@ -1,0 +1,105 @@
+"""The endpoints of ports: a publisher or a subscription of rclpy, and what the middleware tells of it."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Callable
+from typing import Any, Final
+
+from rclpy.duration import Duration
+from rclpy.exceptions import InvalidHandle
+from rclpy.subscription import Subscription as RclpySubscription
+
+from midstride.model.contract import QoS
+from midstride.node.host import MessageInfo
+
+# Where rclpy can hand message information to a callback at all (not on humble).
+HAS_INFO: Final = hasattr(RclpySubscription, "CallbackType")
+_UNKNOWN: Final = MessageInfo(None, None, None)
+_UNSUPPORTED: Final = 2**64 - 1  # a middleware's word for "I do not count"
+_POLL: Final = 0.002
+
+
+class RosPublisher:
+    """An output's publisher. ``publish`` is rclpy's own method: a message costs nothing on the way."""
+
+    __slots__ = ("_destroy", "_publisher", "_reliable", "publish")
+
+    def __init__(self, publisher: Any, qos: QoS, destroy: Callable[[Any], object]) -> None:
+        self._publisher = publisher
+        self._reliable = qos.is_reliable
+        self._destroy = destroy
+        self.publish: Callable[[Any], None] = publisher.publish
+
+    def matched(self) -> int:
+        """The middleware's own count of matched readers: incompatible ones are not among them, as in the graph."""
+        try:
+            return int(self._publisher.get_subscription_count())
+        except InvalidHandle:
+            return 0
+
+    async def acknowledged(self, timeout: float) -> bool | None:
+        """True as soon as it is so; None where that does not show in time, or nobody acknowledges.
+
+        rclpy's own wait holds the interpreter's lock for as long as it lasts, so it is asked again and again.
+        """
+        if not self._reliable:
+            return None
+        deadline = time.monotonic() + timeout
+        at_once = Duration(nanoseconds=0)
+        while True:
+            try:
+                if self._publisher.wait_for_all_acked(at_once):
+                    return True
+            except InvalidHandle:
+                return None
+            if time.monotonic() > deadline:
+                return None
+            await asyncio.sleep(_POLL)
+
+    def destroy(self) -> None:
+        self._destroy(self._publisher)
+
+
+class RosSubscription:
+    """An input's subscription."""
+
+    __slots__ = ("_destroy", "_subscription")
+
+    def __init__(self, subscription: Any, destroy: Callable[[Any], object]) -> None:
+        self._subscription = subscription
+        self._destroy = destroy
+
+    def matched(self) -> int:
+        try:
+            return int(self._subscription.handle.get_publisher_count())
+        except InvalidHandle:
+            return 0
+
+    def destroy(self) -> None:
+        self._destroy(self._subscription)
+
+
+def for_rclpy(callback: Callable[[Any, Any], None]) -> Callable[..., None]:
+    """The callback as rclpy takes it: with two arguments it is handed the message's information."""
+    if HAS_INFO:
+        return callback
+    return lambda message: callback(message, None)
+
+
+def read_info(info: Any) -> MessageInfo:
+    """What rclpy's dictionary says; what it does not say is None, never 0."""
+    if not info:
+        return _UNKNOWN
+    number = info.get("publication_sequence_number")
+    return MessageInfo(
+        source=info.get("source_timestamp") or None,
+        number=None if number is None or number == _UNSUPPORTED else int(number),
+        publisher=_identity(info.get("publisher_gid")),
+    )
+
+
+def _identity(gid: Any) -> str | None:
+    data = gid.get("data") if isinstance(gid, dict) else gid
+    return bytes(data).hex() if data else None

@@ -1,0 +1,115 @@
+"""The author's own use of the ROS node: its parameters, and the endpoints that are not ports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from typing import Any, Final
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.exceptions import (
+    InvalidParameterTypeException,
+    InvalidParameterValueException,
+    ParameterAlreadyDeclaredException,
+)
+from rclpy.parameter import Parameter
+
+from midstride.errors import CommandRefused, NodeError
+
+# What every node of rclpy brings along.
+_OF_ROS: Final = frozenset({"/parameter_events", "/rosout", "/clock"})
+_SERVICES_OF_ROS: Final = ("/get_type_description",)
+
+
+class OwnParameters:
+    """Parameters of the data node, declared and set on the data side."""
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._on_change: dict[str, Callable[[Any], None]] = {}
+
+    def declare(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
+        """Raises NodeError where ROS 2 takes no such parameter."""
+        try:
+            if self._node.has_parameter(name):  # by the author's set-up, or by ROS itself
+                value = self._node.get_parameter(name).value
+            else:
+                value = self._node.declare_parameter(name, default).value
+        except (
+            InvalidParameterTypeException,
+            InvalidParameterValueException,
+            ParameterAlreadyDeclaredException,
+        ) as error:
+            raise NodeError(f"parameter {name}: {error}") from error
+        if on_change is not None:
+            if not self._on_change:
+                self._node.add_on_set_parameters_callback(self._changing)
+            self._on_change[name] = on_change
+        return value
+
+    def set(self, values: dict[str, Any]) -> None:
+        """All of them or none. Raises CommandRefused."""
+        missing = [name for name in values if not self._node.has_parameter(name)]
+        if missing:
+            raise CommandRefused(f"there is no parameter {', '.join(missing)}")
+        try:
+            parameters = [self._parameter(name, value) for name, value in values.items()]
+        except (TypeError, ValueError) as error:
+            raise CommandRefused(f"not a value of a parameter: {error}") from None
+        result = self._node.set_parameters_atomically(parameters)
+        if not result.successful:
+            raise CommandRefused(result.reason or "the node refuses it without a reason")
+
+    def _parameter(self, name: str, value: Any) -> Any:
+        """JSON knows no difference between 1 and 1.0; ROS 2 does."""
+        kind = self._node.get_parameter(name).type_
+        if kind == Parameter.Type.DOUBLE and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        elif kind == Parameter.Type.DOUBLE_ARRAY and isinstance(value, list):
+            value = [float(member) for member in value]
+        return Parameter(name, value=value)
+
+    def _changing(self, parameters: list[Any]) -> Any:
+        """What an author's function raises refuses the whole set; those told before are told the old values again."""
+        told: list[tuple[Callable[[Any], None], Any]] = []
+        for parameter in parameters:
+            on_change = self._on_change.get(parameter.name)
+            if on_change is None:
+                continue
+            before = self._node.get_parameter(parameter.name).value
+            try:
+                on_change(parameter.value)
+            except Exception as error:
+                for tell, old in reversed(told):
+                    tell(old)
+                return SetParametersResult(successful=False, reason=f"{parameter.name}: {error}")
+            told.append((on_change, before))
+        return SetParametersResult(successful=True)
+
+
+def endpoints(node: Any, ports: Collection[int]) -> list[dict[str, str]]:
+    """The topics, services and ROS actions of ``node`` that are neither ROS's own nor in ``ports`` (by ``id``)."""
+    found: dict[tuple[str, str], None] = {}
+    for topic in (*node.publishers, *node.subscriptions):
+        if id(topic) not in ports and topic.topic_name not in _OF_ROS:
+            found["topic", topic.topic_name] = None
+    for service in (*node.services, *node.clients):
+        name = _service_name(node, service)
+        if not name.endswith(_SERVICES_OF_ROS):
+            found["service", name] = None
+    for waitable in node.waitables:
+        action = getattr(waitable, "_action_name", None)
+        if action is not None:
+            found["ROS action", _absolute(node, action)] = None
+    return [{"kind": kind, "name": name} for kind, name in sorted(found)]
+
+
+def _service_name(node: Any, service: Any) -> str:
+    name = getattr(service, "service_name", None)  # what the graph shows, remappings applied; not on older rclpy
+    return str(name) if name else str(node.resolve_service_name(service.srv_name))
+
+
+def _absolute(node: Any, name: str) -> str:
+    """The full name of a ROS action: rclpy keeps what the author wrote."""
+    from rclpy.expand_topic_name import expand_topic_name
+
+    return str(expand_topic_name(name, node.get_name(), node.get_namespace()))

@@ -1,0 +1,107 @@
+"""A timer on a grid that is agreed beforehand: slot ``n`` is at ``epoch + n * period`` on the ROS clock.
+
+rcl's timers know no phase. Setting the period to what remains until a slot, resetting, and setting
+the period back puts one there; from then on rcl itself adds whole periods, and skips those a late
+call has missed. What rcl is about to do is read back after each call: that tells which slot the next
+call belongs to, and whether the timer has left its grid (a clock that jumped back, a preemption in
+the middle of setting it), which is then mended.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+# A timer further off its grid than this (ns) is put back on it.
+TOLERANCE: Final = 200_000
+# Two readings of clocks that lie further apart than this (ns) are not of one moment: they are taken again.
+_ONE_MOMENT: Final = 50_000
+_ATTEMPTS: Final = 5
+
+
+class GridTimer:
+    """See :class:`midstride.node.host.Timer`. Everything here runs on the data side."""
+
+    def __init__(
+        self,
+        node: Any,
+        group: Any,
+        now: Callable[[], int],
+        period: float,
+        epoch: int | None,
+        callback: Callable[[int], None],
+    ) -> None:
+        self._node = node
+        self._now = now
+        self._period = max(1, round(period * 1e9))
+        self._epoch = epoch
+        self._callback = callback
+        self._due = 0
+        self._waiting = False  # for the clock to start: until then there is no grid to be on
+        self._timer: Any = node.create_timer(period, self._fire, callback_group=group)
+        self._cancelled = False
+        if epoch is not None:
+            self.regrid(epoch)
+        elif now() == 0:
+            self._waiting = True
+        else:
+            self._epoch = self._aim(0)
+            self._due = self._epoch
+
+    def regrid(self, epoch: int) -> None:
+        self._epoch = epoch
+        now = self._now()
+        self._waiting = now == 0
+        if self._waiting:
+            return
+        for _ in range(_ATTEMPTS):
+            slot = now + self._period - (now - epoch) % self._period
+            if 0 <= self._aim(slot - now) - slot <= TOLERANCE:
+                break
+            now = self._now()
+        self._due = slot
+
+    def cancel(self) -> None:
+        if not self._cancelled:
+            self._cancelled = True
+            self._timer.cancel()
+            self._node.destroy_timer(self._timer)
+
+    def _aim(self, remaining: int) -> int:
+        """Have rcl call in ``remaining`` ns; when (ns) it now says it will."""
+        timer = self._timer
+        timer.timer_period_ns = remaining
+        timer.reset()
+        timer.timer_period_ns = self._period
+        return self._next()
+
+    def _next(self) -> int:
+        """When rcl will call next; in the past where that is overdue."""
+        for _ in range(_ATTEMPTS):
+            now = self._now()
+            remaining = self._timer.time_until_next_call()
+            if self._now() - now < _ONE_MOMENT:
+                break
+        return now + int(remaining or 0)
+
+    def _fire(self) -> None:
+        if self._cancelled or self._now() == 0:
+            return
+        if self._waiting:  # no longer: the clock has just started
+            now, epoch = self._now(), self._epoch
+            self.regrid(now if epoch is None else epoch)
+            if epoch is None:
+                self._callback(now)
+            return
+        self._callback(self._due)
+        self._follow()
+
+    def _follow(self) -> None:
+        """Learn which slot comes next; mend the grid where rcl has left it."""
+        if self._cancelled or self._epoch is None:  # by the callback
+            return
+        upcoming = self._next()
+        slots = (upcoming - self._epoch + self._period // 2) // self._period
+        self._due = self._epoch + slots * self._period
+        if abs(upcoming - self._due) > TOLERANCE:
+            self.regrid(self._epoch)
