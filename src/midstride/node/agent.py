@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import asyncio
 import hmac
-import os
 import threading
 import uuid
 from collections import OrderedDict
@@ -54,6 +53,7 @@ class Agent:
         declaration: model.Component,
         host: Host,
         token: str,
+        pid: int,
         standalone: Attachments | None,
     ) -> None:
         self._component = component
@@ -61,6 +61,7 @@ class Agent:
         self._host = host
         self._token = token
         self._start_token = token
+        self._pid = pid
         self._standalone = standalone
         self._uuid = uuid.uuid4().hex
         self._revision = Revision()
@@ -95,7 +96,7 @@ class Agent:
         announcement = Announcement(
             self._host.instance,
             self._uuid,
-            os.getpid(),
+            self._pid,
             self._start_token,
             component_to_document(self._declaration),
             tuple(dict(endpoint) for endpoint in self._host.extra_endpoints()),
@@ -200,7 +201,7 @@ class Agent:
     # -- state -------------------------------------------------------------------------------------
 
     def _state(self) -> dict[str, Any]:
-        identity = {"instance": self._host.instance, "uuid": self._uuid, "pid": os.getpid()}
+        identity = {"instance": self._host.instance, "uuid": self._uuid, "pid": self._pid}
         return {**identity, "revision": self._revision.value, **self._operations.state(), "waiting": self._waiting()}
 
     def _waiting(self) -> str | None:

@@ -7,6 +7,7 @@ manager attaches it, and nothing outside the object is touched before ``start()`
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, TypeVar
 
@@ -179,7 +180,8 @@ class Component:
         self._started = True
         host = factory(surroundings.instance or self.name, surroundings.namespace)
         self.instance, self.clock.host, self.logger = host.instance, host, host.logger
-        agent = Agent(self, declaration, host, surroundings.token, standalone)
+        pid = os.getpid() if surroundings.pid is None else surroundings.pid
+        agent = Agent(self, declaration, host, surroundings.token, pid, standalone)
         host.run(agent.main, agent.serve)
 
     # -- checking ----------------------------------------------------------------------------------

@@ -35,6 +35,7 @@ class Surroundings:
     token: str = ""
     parameters: Mapping[str, Any] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
+    pid: int | None = None
 
 
 current: Final[ContextVar[Surroundings | None]] = ContextVar("midstride_surroundings", default=None)

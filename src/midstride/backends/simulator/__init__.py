@@ -1,0 +1,8 @@
+"""The simulator: the real node code in virtual time, every component in one process, no ROS needed."""
+
+from __future__ import annotations
+
+from midstride.backends.simulator.backend import Simulator
+from midstride.backends.simulator.loop import VirtualLoop
+
+__all__ = ["Simulator", "VirtualLoop"]

@@ -1,0 +1,72 @@
+"""Faults that a test, or a rehearsal, plants into the simulated platform."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from midstride.backends.simulator.network import Network
+from midstride.backends.simulator.process import Process
+from midstride.errors import BackendError
+
+How = Literal["lost_request", "lost_reply", "refused", "unreachable"]
+
+
+@dataclass(slots=True)
+class FailingCall:
+    """The next ``times`` calls of ``op`` (any, where None) at ``instance`` fail in this way, after ``after`` more."""
+
+    instance: str
+    op: str | None
+    how: How
+    times: int
+    after: int
+
+
+class Faults:
+    def __init__(self, processes: Mapping[str, Process], network: Network) -> None:
+        self._processes = processes
+        self._network = network
+        self._failing: list[FailingCall] = []
+
+    def kill(self, instance: str) -> None:
+        """As kill -9, at once."""
+        self._process(instance).kill()
+
+    def freeze(self, instance: str, seconds: float) -> None:
+        """As SIGSTOP, and SIGCONT after ``seconds``: nothing of it runs, nothing that it is sent is lost."""
+        self._process(instance).freeze(seconds)
+
+    def drop(self, topic: str, count: int) -> None:
+        """The next ``count`` messages on ``topic`` reach nobody."""
+        self._network.topic(topic).dropping = count
+
+    def delay(self, topic: str, seconds: float) -> None:
+        """Messages on ``topic`` take so much longer from now on."""
+        self._network.topic(topic).delay = seconds
+
+    def fail_next(
+        self, instance: str, op: str | None = None, how: How = "lost_request", times: int = 1, after: int = 0
+    ) -> None:
+        """The next call of ``op`` at ``instance`` fails; ``lost_reply``: it is carried out, and nobody hears of it."""
+        self._failing.append(FailingCall(instance, op, how, times, after))
+
+    def of_call(self, instance: str, op: str) -> How | None:
+        """What shall happen to this call; counts it."""
+        for fault in self._failing:
+            if fault.instance == instance and fault.op in (None, op):
+                if fault.after:
+                    fault.after -= 1
+                    continue
+                fault.times -= 1
+                if not fault.times:
+                    self._failing.remove(fault)
+                return fault.how
+        return None
+
+    def _process(self, instance: str) -> Process:
+        process = self._processes.get(instance)
+        if process is None:
+            raise BackendError(f"no component {instance} runs; there are: {', '.join(self._processes) or 'none'}")
+        return process

@@ -1,0 +1,221 @@
+"""The simulated middleware: who is on which topic, and messages on their way.
+
+Delivery is in order for each pair of endpoints and takes a fixed latency, plus a seeded jitter
+where one is asked for. Matching, latching, queue depths and QoS are as ROS 2 has them.
+"""
+
+from __future__ import annotations
+
+import copy
+import random
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from midstride.backends.simulator.clock import SimulatedClock
+from midstride.model.contract import QoS
+
+
+class Party(Protocol):
+    """The process an endpoint lives in."""
+
+    @property
+    def instance(self) -> str: ...
+
+    def awake_at(self) -> float:
+        """When it runs again (steady s); in the past where it is not frozen."""
+        ...
+
+
+class Writer:
+    """A publishing endpoint."""
+
+    def __init__(self, network: Network, owner: Party, topic: str, type_: str, qos: QoS) -> None:
+        self.owner = owner
+        self.topic = topic
+        self.type = type_
+        self.qos = qos.effective()
+        self.identity = network.next_identity()
+        self.created = network.clock.steady()
+        self.number = 0
+        self.on_the_way = 0
+        self.history: deque[tuple[Any, Any]] = deque(maxlen=_depth(self.qos))
+        self._network = network
+
+    def publish(self, message: Any) -> None:
+        self._network.publish(self, message)
+
+    def matched(self) -> int:
+        return len(self._network.readers_of(self))
+
+    async def acknowledged(self, timeout: float) -> bool | None:
+        if not self.qos.is_reliable:
+            return None
+        clock = self._network.clock
+        deadline = clock.steady() + timeout
+        while self.on_the_way:
+            if clock.steady() >= deadline:
+                return None
+            await clock.sleep(self._network.latency)
+        return True
+
+    def destroy(self) -> None:
+        self._network.remove_writer(self)
+
+
+class Reader:
+    """A subscribing endpoint; ``wake`` has its process take one message from the queue."""
+
+    def __init__(
+        self, network: Network, owner: Party, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
+    ) -> None:
+        self.owner = owner
+        self.topic = topic
+        self.type = type_
+        self.qos = qos.effective()
+        self.created = network.clock.steady()
+        self.queue: deque[tuple[Any, Any]] = deque(maxlen=_depth(self.qos))
+        self.gone = False
+        self._wake = wake
+        self._network = network
+
+    def arrive(self, message: Any, info: Any) -> None:
+        self.queue.append((message, info))
+        self._wake()
+
+    def matched(self) -> int:
+        return len(self._network.writers_of(self))
+
+    def destroy(self) -> None:
+        self.gone = True
+        self._network.remove_reader(self)
+
+
+def _depth(qos: QoS) -> int | None:
+    return None if qos.history == "keep_all" else qos.depth
+
+
+@dataclass(slots=True)
+class Topic:
+    """The endpoints of a topic, and what a fault does to its messages."""
+
+    writers: list[Writer] = field(default_factory=list)
+    readers: list[Reader] = field(default_factory=list)
+    dropping: int = 0
+    delay: float = 0.0
+
+
+class Network:
+    """``latency`` of a message, ``discovery`` until two endpoints are matched: seconds, greater than 0."""
+
+    def __init__(self, clock: SimulatedClock, latency: float, jitter: float, discovery: float, seed: int) -> None:
+        self.clock = clock
+        self.latency = latency
+        self.discovery = discovery
+        self.topics: dict[str, Topic] = {}
+        self._jitter = jitter
+        self._random = random.Random(seed)
+        self._identities = 0
+        # What is on its way between two endpoints, in order: timers of one moment come in any order.
+        self._on_the_way: dict[tuple[Writer, Reader], deque[tuple[float, Any, Any]]] = {}
+
+    def next_identity(self) -> str:
+        self._identities += 1
+        return f"{self._identities:04x}"
+
+    def topic(self, name: str) -> Topic:
+        return self.topics.setdefault(name if name.startswith("/") else f"/{name}", Topic())
+
+    # -- endpoints ---------------------------------------------------------------------------------
+
+    def create_writer(self, owner: Party, topic: str, type_: str, qos: QoS) -> Writer:
+        writer = Writer(self, owner, topic, type_, qos)
+        self.topic(topic).writers.append(writer)
+        return writer
+
+    def create_reader(self, owner: Party, topic: str, type_: str, qos: QoS, wake: Callable[[], None]) -> Reader:
+        reader = Reader(self, owner, topic, type_, qos, wake)
+        self.topic(topic).readers.append(reader)
+        for writer in self.topic(topic).writers:
+            self._latch(writer, reader)
+        return reader
+
+    def remove_writer(self, writer: Writer) -> None:
+        writers = self.topic(writer.topic).writers
+        if writer in writers:
+            writers.remove(writer)
+
+    def remove_reader(self, reader: Reader) -> None:
+        readers = self.topic(reader.topic).readers
+        if reader in readers:
+            readers.remove(reader)
+
+    def remove_party(self, owner: Party) -> None:
+        """A process is gone: so are its endpoints."""
+        for topic in self.topics.values():
+            topic.writers = [writer for writer in topic.writers if writer.owner is not owner]
+            for reader in topic.readers:
+                reader.gone = reader.gone or reader.owner is owner
+            topic.readers = [reader for reader in topic.readers if not reader.gone]
+
+    def readers_of(self, writer: Writer) -> list[Reader]:
+        """The readers it is matched with by now."""
+        return [reader for reader in self.topic(writer.topic).readers if self._matched(writer, reader)]
+
+    def writers_of(self, reader: Reader) -> list[Writer]:
+        return [writer for writer in self.topic(reader.topic).writers if self._matched(writer, reader)]
+
+    def _matched(self, writer: Writer, reader: Reader) -> bool:
+        known = max(writer.created, reader.created) + self.discovery
+        return known <= self.clock.steady() and _compatible(writer, reader)
+
+    # -- messages ----------------------------------------------------------------------------------
+
+    def publish(self, writer: Writer, message: Any) -> None:
+        topic = self.topic(writer.topic)
+        if writer not in topic.writers:
+            return  # destroyed, or its process is gone
+        writer.number += 1
+        info = (self.clock.ros_now(), writer.number, writer.identity)
+        if writer.qos.is_transient_local:
+            writer.history.append((copy.deepcopy(message), info))
+        if topic.dropping:
+            topic.dropping -= 1
+            return
+        for reader in self.readers_of(writer):
+            self._send(writer, reader, message, info)
+
+    def _latch(self, writer: Writer, reader: Reader) -> None:
+        """A late joiner gets what a transient-local writer has kept, once both know of each other."""
+        if writer.qos.is_transient_local and reader.qos.is_transient_local and _compatible(writer, reader):
+            for message, info in writer.history:
+                self._send(writer, reader, message, info, self.discovery)
+
+    def _send(self, writer: Writer, reader: Reader, message: Any, info: Any, extra: float = 0.0) -> None:
+        jitter = self._random.uniform(0.0, self._jitter) if self._jitter else 0.0
+        at = self.clock.steady() + self.latency + jitter + self.topic(writer.topic).delay + extra
+        waiting = self._on_the_way.setdefault((writer, reader), deque())
+        if waiting:
+            at = max(at, waiting[-1][0])
+        # A copy for each: between processes nobody sees what another one does to its message.
+        waiting.append((at, copy.deepcopy(message), info))
+        writer.on_the_way += 1
+        self.clock.loop.call_later(at - self.clock.steady(), self._arrive, writer, reader)
+
+    def _arrive(self, writer: Writer, reader: Reader) -> None:
+        left = reader.owner.awake_at() - self.clock.steady()
+        if left > 0 and not reader.gone:
+            self.clock.loop.call_later(left, self._arrive, writer, reader)  # a frozen process acknowledges nothing
+            return
+        waiting = self._on_the_way[writer, reader]
+        _, message, info = waiting.popleft()
+        if not waiting:
+            del self._on_the_way[writer, reader]
+        writer.on_the_way -= 1
+        if not reader.gone:
+            reader.arrive(message, info)
+
+
+def _compatible(writer: Writer, reader: Reader) -> bool:
+    return writer.type == reader.type and not reader.qos.unmet_by(writer.qos)

@@ -1,0 +1,299 @@
+"""A simulated process: one component's script in a fibre, with its own arguments, output and modules."""
+
+from __future__ import annotations
+
+import asyncio
+import contextvars
+import importlib.util
+import io
+import re
+import sys
+import traceback
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from types import CodeType, ModuleType
+from typing import Any, Final, Protocol
+
+from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.fibre import Ended, Fibre, Killed, Sleeps, Yielded
+from midstride.backends.simulator.host import SimulatedHost
+from midstride.backends.simulator.network import Network
+from midstride.errors import BackendError, StartFailed
+from midstride.node import surroundings
+from midstride.node.host import Host
+from midstride.runtime.backend import Launch
+from midstride.wire.messages import Announcement, Command, Reply
+
+_PYTHON: Final = re.compile(r"python(3(\.\d+)?)?\Z")
+# Lines of output that are kept.
+KEPT: Final = 1000
+
+
+class World(Protocol):
+    """What a process needs of its simulator."""
+
+    time: SimulatedClock
+    network: Network
+
+    async def call(self, instance: str, command: Command, timeout: float) -> Reply: ...
+
+    def announce(self, announcement: Announcement) -> None: ...
+
+    def register(self, instance: str, process: Process) -> None: ...
+
+
+class Log(io.TextIOBase):
+    """What a process writes to its standard output and error: the last lines are kept."""
+
+    def __init__(self) -> None:
+        self._lines: deque[str] = deque([""], maxlen=KEPT)
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, text: str) -> int:
+        first, *rest = text.split("\n")
+        self._lines[-1] += first
+        self._lines.extend(rest)
+        return len(text)
+
+    def tail(self, lines: int = KEPT) -> str:
+        return "\n".join(list(self._lines)[-lines:]).strip()
+
+
+class Process:
+    """Runs ``launch``. ``on_exit(process)`` is called once, when it is gone; ``status`` then says how."""
+
+    def __init__(self, world: World, launch: Launch, pid: int, on_exit: Callable[[Process], None]) -> None:
+        self.world = world
+        self.launch = launch
+        self.pid = pid
+        self.log = Log()
+        self.host: SimulatedHost | None = None
+        self.dead = False
+        self.terminating = False
+        self.status: int | None = None
+        self.gone = asyncio.Event()
+        self._on_exit = on_exit
+        self._program = Program(launch, self.log)
+        self._thawed_at = 0.0
+        self._asleep = False
+        context = contextvars.copy_context()
+        context.run(surroundings.current.set, self._surroundings())
+        self.fibre = Fibre(launch.instance, self._program.run, context)
+
+    @property
+    def instance(self) -> str:
+        return self.launch.instance
+
+    def _surroundings(self) -> surroundings.Surroundings:
+        def factory(name: str, namespace: str) -> Host:
+            return SimulatedHost(self, name)
+
+        launch = self.launch
+        return surroundings.Surroundings(
+            factory=factory,
+            instance=launch.instance,
+            namespace=launch.namespace,
+            token=launch.token,
+            parameters=dict(launch.parameters),
+            arguments=self._program.arguments,
+            pid=self.pid,
+        )
+
+    # -- running -----------------------------------------------------------------------------------
+
+    def ready(self) -> bool:
+        """Whether the fibre waits for work."""
+        return not self._asleep and not self.dead
+
+    def resume(self, work: Any = None) -> None:
+        """Let the fibre run; whatever it gives way for is seen to."""
+        if self.dead:
+            return
+        with self._program.foreground():
+            try:
+                yielded: Yielded = self.fibre.resume(work)
+            except BackendError as error:
+                self.log.write(f"{error}\n")
+                self._exit(-9)
+                return
+        if isinstance(yielded, Sleeps):
+            self._asleep = True
+            self.world.time.loop.call_later(yielded.seconds, self._wake)
+        elif isinstance(yielded, Ended):
+            self._exit(self._program.status(yielded.error))
+        elif self.host is not None:
+            self.host.idle()
+
+    def _wake(self) -> None:
+        """A `time.sleep` of its code is over."""
+        if self.awake_at() > self.world.time.steady():
+            self.world.time.loop.call_at(self.awake_on_loop(), self._wake)
+            return
+        self._asleep = False
+        self.resume()
+
+    # -- signals and faults ------------------------------------------------------------------------
+
+    def terminate(self) -> None:
+        """SIGTERM: a component in ``start()`` ends in order, a process that has not come so far just ends."""
+        self.terminating = True
+        if self.host is not None and self.host.main is not None:
+            self.host.main.cancel()
+        elif not self.dead:
+            self.kill(-15)
+
+    def kill(self, status: int = -9) -> None:
+        """At once, in the middle of whatever it does."""
+        if not self.dead:
+            self._exit(status)
+
+    def freeze(self, seconds: float) -> None:
+        """As SIGSTOP, and SIGCONT after ``seconds``."""
+        self._thawed_at = max(self._thawed_at, self.world.time.steady() + seconds)
+
+    def awake_at(self) -> float:
+        return self._thawed_at
+
+    def awake_on_loop(self) -> float:
+        loop = self.world.time.loop
+        return max(loop.time(), loop.time() + self._thawed_at - self.world.time.steady())
+
+    async def thaw(self) -> None:
+        """Until it is not frozen. Raises CancelledError where it is dead: its tasks end here."""
+        while not self.dead and (left := self._thawed_at - self.world.time.steady()) > 0:
+            await self.world.time.sleep(left)
+        if self.dead:
+            raise asyncio.CancelledError
+
+    def _exit(self, status: int | None) -> None:
+        self.dead = True
+        self.status = status
+        self.world.network.remove_party(self)
+        if self.host is not None and self.host.main is not None:
+            self.host.main.cancel()
+        with self._program.foreground():
+            self.fibre.kill()
+        self.gone.set()
+        self._on_exit(self)
+
+
+class Program:
+    """The script or module of a command, and what of Python's global state is its own while it runs."""
+
+    def __init__(self, launch: Launch, log: Log) -> None:
+        command = " ".join(launch.arguments)
+        if not launch.arguments or not _is_python(launch.arguments[0]):
+            raise StartFailed(
+                f"{launch.instance}: the simulator runs `python3 FILE.py` and `python3 -m MODULE`, not `{command}`"
+            )
+        rest = list(launch.arguments[1:])
+        while rest and rest[0] in ("-u", "-B"):
+            rest.pop(0)
+        self._module: str | None = None
+        if len(rest) > 1 and rest[0] == "-m":
+            self._module, self._file = rest[1], rest[1]
+            self.arguments = tuple(rest[2:])
+        elif rest and not rest[0].startswith("-"):
+            self._file = str(launch.directory / rest[0])
+            self.arguments = tuple(rest[1:])
+        else:
+            raise StartFailed(f"{launch.instance}: the simulator does not understand `{command}`")
+        self._log = log
+        self._directory = str(launch.directory) if self._module else str(Path(self._file).parent)
+        self._argv = [self._file, *self.arguments]
+        self._main = ModuleType("__main__")
+        self._modules: dict[str, ModuleType] = {"__main__": self._main}
+
+    def run(self) -> None:
+        """In the fibre."""
+        exec(self._load(), self._main.__dict__)
+
+    def _load(self) -> CodeType:
+        if self._module is not None:
+            spec = importlib.util.find_spec(self._module)
+            if spec is not None and spec.submodule_search_locations is not None:
+                spec = importlib.util.find_spec(f"{self._module}.__main__")
+            code = None if spec is None else getattr(spec.loader, "get_code", lambda name: None)(spec.name)
+            if spec is None or code is None:
+                print(f"No module named {self._module}", file=sys.stderr)
+                raise SystemExit(1)
+            self._main.__file__, self._main.__spec__, self._main.__package__ = spec.origin, spec, spec.parent
+            return code  # type: ignore[no-any-return]  # a loader is Any
+        try:
+            source = Path(self._file).read_bytes()
+        except OSError as error:
+            print(f"can't open file {self._file!r}: {error.strerror}", file=sys.stderr)
+            raise SystemExit(2) from None
+        self._main.__file__ = self._file
+        return compile(source, self._file, "exec")
+
+    def status(self, error: BaseException | None) -> int:
+        """The exit status, as Python has it; what was raised goes to the log."""
+        match error:
+            case None:
+                return 0
+            case SystemExit(code=None):
+                return 0
+            case SystemExit(code=int() as code):
+                return code & 0xFF
+            case SystemExit(code=words):
+                self._log.write(f"{words}\n")
+                return 1
+            case Killed():
+                return -9
+            case _:
+                own = str(Path(__file__).parent)
+                trace = error.__traceback__
+                while trace is not None and trace.tb_frame.f_code.co_filename.startswith(own):
+                    trace = trace.tb_next
+                self._log.write("".join(traceback.format_exception(type(error), error, trace)))
+                return 1
+
+    def foreground(self) -> Foreground:
+        return Foreground(self)
+
+
+class Foreground:
+    """While open, Python's global state is as in a process of the program's own."""
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+
+    def __enter__(self) -> None:
+        program = self._program
+        self._before = (sys.stdout, sys.stderr, sys.argv)
+        sys.stdout = sys.stderr = program._log
+        sys.argv = program._argv
+        sys.path.insert(0, program._directory)
+        self._shadowed = {name: sys.modules.get(name) for name in program._modules}
+        sys.modules.update(program._modules)
+        self._known = len(sys.modules)
+
+    def __exit__(self, *_: object) -> None:
+        program = self._program
+        self._keep_own_modules()
+        for name, module in self._shadowed.items():
+            if module is None:
+                sys.modules.pop(name, None)
+            else:
+                sys.modules[name] = module
+        if program._directory in sys.path:
+            sys.path.remove(program._directory)
+        sys.stdout, sys.stderr, sys.argv = self._before
+
+    def _keep_own_modules(self) -> None:
+        """What it imported from its own folder is its own: another component's `helper` is another module."""
+        if len(sys.modules) <= self._known or self._program._module is not None:
+            return
+        folder = self._program._directory.rstrip("/") + "/"
+        for name in list(sys.modules)[self._known :]:  # a dictionary keeps the order in which things came
+            file = getattr(sys.modules[name], "__file__", None)
+            if isinstance(file, str) and file.startswith(folder):
+                self._program._modules[name] = sys.modules.pop(name)
+
+
+def _is_python(program: str) -> bool:
+    return program == sys.executable or bool(_PYTHON.match(Path(program).name))
