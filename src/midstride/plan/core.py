@@ -9,6 +9,7 @@ on, each of them the least that unblocks something. Choosing among them is the p
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -30,7 +31,7 @@ _EPSILON: Final = 1e-9
 _SET_SIZE: Final = 3
 _SET_FROM: Final = 10
 
-Kind: TypeAlias = Literal["create", "remove", "detach", "exchange", "finish", "hand over", "part"]
+Kind: TypeAlias = Literal["create", "remove", "attach", "detach", "exchange", "finish", "hand over", "part"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,25 +122,37 @@ class Core:
         return s.held.get(resource, 0.0) + amount <= s.world.capacity(resource) + _EPSILON
 
     def _attach(self, open_roles: _Open) -> bool:
-        role_of = self.draft.change.role_of
-        progress = False
-        for port, connector in list(self.attaches):
-            live = port.component in self.draft.s.instances
-            if live and role_of(port.component) in open_roles and self._slot(port, connector):
-                del self.attaches[port, connector]
-                self.draft.attach(port, connector)
-                progress = True
-        return progress
+        """Attach what fits beside everything else that is to come on its topic."""
+        wanted: dict[str, int] = {}
+        for port, connector in self.attaches:
+            if not self._is_input(port):
+                wanted[connector] = wanted.get(connector, 0) + 1
+        ready = [
+            (port, connector)
+            for port, connector in self.attaches
+            if self._may_attach(port, open_roles)
+            and (self._is_input(port) or self._slots(connector) >= wanted[connector])
+        ]
+        for port, connector in ready:
+            del self.attaches[port, connector]
+            self.draft.attach(port, connector)
+        return bool(ready)
 
-    def _slot(self, port: PortRef, connector: str) -> bool:
-        """Whether ``port`` may be attached as far as caps go. What is one topic on the wire counts as one."""
+    def _is_input(self, port: PortRef) -> bool:
+        return port.port in self.draft.change.component_of(port.component).inputs
+
+    def _may_attach(self, port: PortRef, open_roles: _Open) -> bool:
+        return port.component in self.draft.s.instances and self.draft.change.role_of(port.component) in open_roles
+
+    def _slots(self, connector: str) -> float:
+        """How many more publishers the topic takes. What is one topic on the wire counts as one."""
         s = self.draft.s
         cap = s.world.connectors[connector].cap
-        if cap is None or not s.is_output(port):
-            return True
+        if cap is None:
+            return math.inf
         sibling = self.draft.change.sibling(connector)
         beside = 0 if sibling is None else len(s.publishers_on(sibling))
-        return publishers_count(s, connector) + beside < cap
+        return cap - publishers_count(s, connector) - beside
 
     def _hand_over(self, open_roles: _Open) -> bool:
         progress = False
@@ -191,11 +204,12 @@ class Core:
             [
                 *self._hand_overs(open_roles),
                 *self._creations(open_roles),
-                *self._slots(open_roles),
+                *self._attachments(open_roles),
                 *self._closings(open_roles),
+                *self._parts(open_roles),
             ]
         )
-        return list(found) or list(self._parts(open_roles))
+        return list(found)
 
     def _hand_overs(self, open_roles: _Open) -> Iterator[Move]:
         for new, swaps in self.swaps.items():
@@ -244,13 +258,15 @@ class Core:
             found.append(tuple(least))
         yield from found
 
-    def _slots(self, open_roles: _Open) -> Iterator[Move]:
-        """Making room on a capped topic: best by handing over to the one that waits, else by detaching."""
+    def _attachments(self, open_roles: _Open) -> Iterator[Move]:
+        """Taking a slot of a capped topic; or making one, by handing over to the one that waits or by detaching."""
         s, change = self.draft.s, self.draft.change
         for port, connector in self.attaches:
-            if port.component not in s.instances or change.role_of(port.component) not in open_roles:
+            if not self._may_attach(port, open_roles):
                 continue
-            for (other, on), _ in self.detaches.items():
+            if self._slots(connector) >= 1:
+                yield Move("attach", attachment=(port, connector))
+            for other, on in self.detaches:
                 if on not in (connector, change.sibling(connector)) or not s.is_output(other):
                     continue
                 if change.role_of(other.component) not in open_roles:
@@ -269,9 +285,10 @@ class Core:
                 yield Move("finish", (role,))
 
     def _parts(self, open_roles: _Open) -> Iterator[Move]:
-        """A replacement that is not good enough for all its topics, taken topic by topic."""
-        for new in self.swaps:
-            if new in self.draft.s.instances and self.draft.change.role_of(new) in open_roles:
+        """A replacement that is not good enough for all its topics: those are not handed over."""
+        for new, swaps in self.swaps.items():
+            live = new in self.draft.s.instances and self.draft.change.role_of(new) in open_roles
+            if live and not self._fits(new, swaps, open_roles):
                 yield Move("part", (new,))
 
     def play(self, move: Move) -> None:
@@ -285,6 +302,10 @@ class Core:
             case "remove":
                 for name in move.names:
                     self._take_down(name)
+            case "attach":
+                assert move.attachment is not None
+                del self.attaches[move.attachment]
+                draft.attach(*move.attachment)
             case "detach":
                 assert move.attachment is not None
                 del self.detaches[move.attachment]
@@ -298,9 +319,9 @@ class Core:
                 self._close(move.names[0])
             case "part":
                 swaps = self.swaps.pop(move.names[0])
-                good = [swap for swap in swaps if self._satisfies(swap.new, swap.connector)]
+                good = tuple(swap for swap in swaps if self._satisfies(swap.new, swap.connector))
                 if good:
-                    draft.hand_over(good)
+                    self.swaps[move.names[0]] = good
                 self._dissolve(swap for swap in swaps if swap not in good)
         draft.rise()
 
@@ -315,6 +336,7 @@ class Core:
         new = self.draft.change.replaced.get(name)
         if new is not None:
             self._dissolve(self.swaps.pop(new, ()))
+            self._attach(self._open_roles())
         pairs = [pair for pair in self.detaches if pair[0].component == name]
         self.draft.detach(pairs)
         for pair in pairs:

@@ -1,0 +1,246 @@
+"""Random systems and random changes to them, small and full of what makes planning hard.
+
+Everything follows from the seed of the ``Random`` given, so that a failure is found again.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from random import Random
+
+from immutables import Map
+
+from midstride.model.component import (
+    Assumption,
+    Component,
+    Connector,
+    EnvironmentGuarantee,
+    Functionality,
+    FunctionalityRef,
+    Mode,
+    NamedInputs,
+    Parameter,
+    Resource,
+)
+from midstride.model.contract import Predicate, satisfies
+from midstride.model.specification import Keep, Limit, Node, Order, Specification
+
+TYPES = ("std_msgs/msg/A", "std_msgs/msg/B")
+RATES = (None, 5.0, 10.0)
+
+
+def predicate(rng: Random, kind: str | None = None) -> Predicate:
+    return Predicate(kind or rng.choice(TYPES), rng.choice(RATES))
+
+
+def component(rng: Random, name: str, like: Component | None = None) -> Component:
+    """A component; ``like`` gives the ports, so that the one can take the other's place."""
+    if like is None:
+        inputs = {f"i{n}": predicate(rng) for n in range(rng.choice((0, 1, 1, 2, 3)))}
+        outputs = tuple(f"o{n}" for n in range(rng.choice((0, 1, 1, 2))))
+        kinds = {output: rng.choice(TYPES) for output in outputs}
+    else:
+        inputs, outputs = dict(like.inputs), like.outputs
+        kinds = {}
+        for output in outputs:
+            endpoint = like.output_endpoint(output)
+            kinds[output] = endpoint[0] if endpoint else rng.choice(TYPES)
+    owners = [f"f{n}" for n in range(rng.choice((1, 1, 2)))]
+    if like is not None and rng.random() < 0.8:
+        owners = list(like.functionality_order)
+    owned: dict[str, list[str]] = {owner: [] for owner in owners}
+    for output in outputs:
+        owned[rng.choice(owners)].append(output)
+    functionalities = tuple(functionality(rng, owner, inputs, owned[owner], kinds) for owner in owners)
+    return Component.of(
+        name,
+        inputs=dict(sorted(inputs.items(), key=lambda _: rng.random())),
+        outputs=outputs,
+        functionalities=functionalities,
+        holds={"device": 1.0} if rng.random() < 0.25 else {"memory": float(rng.choice((1, 2)))} if rng.random() < 0.4 else {},
+        parameters={"p": Parameter(1, changeable=rng.random() < 0.5)} if rng.random() < 0.4 else {},
+        run=f"python3 {name}.py",
+        takes=rng.choice((None, 0.5, 2.0)),
+    )
+
+
+def functionality(
+    rng: Random, name: str, inputs: dict[str, Predicate], outputs: list[str], kinds: dict[str, str]
+) -> Functionality:
+    used = tuple(sorted(rng.sample(sorted(inputs), rng.randint(0, len(inputs)))))
+    length = rng.choice((2, 2, 3))
+    rates = {output: sorted((rng.choice((0.0, 5.0, 10.0, 10.0)) for _ in range(length)), reverse=True) for output in outputs}
+    modes = []
+    for place in range(length):
+        guarantees = {}
+        for output in outputs:
+            rate = rates[output][place]
+            if rate or (place == 0 and rng.random() < 0.7):
+                guarantees[output] = Predicate(kinds[output], rate or 5.0)
+        assumptions: list[Assumption] = []
+        if place < length - 1:
+            for _ in range(rng.choice((0, 1, 1, 2))):
+                if used and rng.random() < 0.7:
+                    assumptions.append(NamedInputs(tuple(sorted(rng.sample(used, rng.randint(1, min(2, len(used))))))))
+                elif rng.random() < 0.8:
+                    assumptions.append(predicate(rng))
+        modes.append(Mode(f"m{place}", tuple(assumptions), Map(guarantees)))
+    return Functionality(name, tuple(modes), used, tuple(outputs), weight=float(rng.choice((1, 1, 2, 5))))
+
+
+def node(rng: Random, role: str, of: Component, connectors: Map[str, Connector], density: float = 0.6) -> Node:
+    """A node of ``of``, attached wherever the contracts allow it and chance has it."""
+    attachments: dict[str, tuple[str, ...]] = {}
+    for port in of.ports():
+        fitting = [name for name in sorted(connectors) if fits(of, port, connectors[name])]
+        chosen = [name for name in fitting if rng.random() < density]
+        if len(chosen) > 1 and rng.random() < 0.6:
+            chosen = chosen[:1]
+        if chosen:
+            attachments[port] = tuple(chosen)
+    parameters = {"p": rng.choice((1, 2))} if "p" in of.parameters and rng.random() < 0.5 else {}
+    return Node(role, of.name, Map(attachments), Map(parameters))
+
+
+def fits(of: Component, port: str, connector: Connector) -> bool:
+    if port in of.outputs:
+        return satisfies(of.owner(port).modes[0].guarantee(port), connector.guarantee)
+    return satisfies(connector.guarantee, of.inputs[port])
+
+
+def system(rng: Random, nodes: int = 5, topics: int = 4) -> Specification:
+    """A specification without caps and with capacities that suffice: :func:`change` sets those."""
+    connectors = {}
+    for n in range(topics):
+        connectors[f"/t{n}"] = Connector(f"/t{n}", Predicate(rng.choice(TYPES), rng.choice((None, 5.0, 5.0))))
+    components = {f"C{n}": component(rng, f"C{n}") for n in range(rng.randint(2, nodes))}
+    for name in list(components):
+        if rng.random() < 0.7:
+            components[f"{name}b"] = component(rng, f"{name}b", like=components[name])
+    environment: list[EnvironmentGuarantee] = []
+    if rng.random() < 0.5:
+        environment.append(EnvironmentGuarantee("world", predicate(rng)))
+    if rng.random() < 0.3:
+        topic = rng.choice(sorted(connectors))
+        environment.append(EnvironmentGuarantee("replay", Predicate(connectors[topic].guarantee.type, 10.0), topic))
+    table = Map(connectors)
+    chosen = [(f"n{n}", components[rng.choice(sorted(components))]) for n in range(rng.randint(1, nodes))]
+    return Specification(
+        "random",
+        connectors=table,
+        components=Map(components),
+        nodes=Map({role: node(rng, role, of, table) for role, of in chosen}),
+        environment=tuple(environment),
+        timing=Map({"remove": 0.25}),
+    )
+
+
+def change(rng: Random, start: Specification, edits: int = 2, world: bool = True) -> tuple[Specification, Specification]:
+    """A start and a target: caps and capacities are drawn so that both ends meet them, often only just."""
+    target = start
+    for _ in range(rng.randint(1, edits)):
+        target = edit(rng, target, world)
+    return bounded(rng, start, target)
+
+
+def edit(rng: Random, target: Specification, world: bool) -> Specification:
+    roles = sorted(target.nodes)
+    kind = rng.choice(("replace", "replace", "replace", "remove", "add", "rewire", "parameter", "contract", "environment"))
+    if kind == "add" or not roles:
+        role = f"added{len(roles)}"
+        of = target.components[rng.choice(sorted(target.components))]
+        return target.with_node(node(rng, role, of, target.connectors))
+    role = rng.choice(roles)
+    old = target.nodes[role]
+    if kind == "remove":
+        return target.without_node(role)
+    if kind == "rewire":
+        return target.with_node(node(rng, role, target.components[old.component], target.connectors))
+    if kind == "parameter":
+        declared = target.components[old.component].parameters
+        return target.with_node(replace(old, parameters=Map({name: rng.choice((1, 2, 3)) for name in declared})))
+    if kind == "contract" and world:
+        name = rng.choice(sorted(target.connectors))
+        changed = replace(target.connectors[name], guarantee=predicate(rng, target.connectors[name].guarantee.type))
+        return refitted(replace(target, connectors=target.connectors.set(name, changed)))
+    if kind == "environment" and world:
+        return replace(target, environment=(*target.environment, EnvironmentGuarantee(f"more{len(target.environment)}", predicate(rng))))
+    alike = [c for c in sorted(target.components) if target.components[c].ports() and _same_ports(target, old.component, c)]
+    name = rng.choice(alike or sorted(target.components))
+    of = target.components[name]
+    if rng.random() < 0.3:
+        of = replace(of, name=f"{name}x", run="python3 other.py", functionality_order=of.functionality_order)
+        target = replace(target, components=target.components.set(of.name, of))
+    kept = {port: topics for port, topics in old.attachments.items() if port in of.ports()}
+    return refitted(target.with_node(Node(role, of.name, Map(kept), Map())), role)
+
+
+def _same_ports(spec: Specification, one: str, other: str) -> bool:
+    return set(spec.components[one].ports()) == set(spec.components[other].ports())
+
+
+def refitted(target: Specification, only: str | None = None) -> Specification:
+    """Without the attachments whose contracts do not fit any more."""
+    for role in sorted(target.nodes) if only is None else [only]:
+        old, of = target.nodes[role], target.component_of(role)
+        kept = {}
+        for port, topics in old.attachments.items():
+            fitting = tuple(topic for topic in topics if fits(of, port, target.connectors[topic]))
+            if fitting:
+                kept[port] = fitting
+        target = target.with_node(replace(old, attachments=Map(kept)))
+    return target
+
+
+def bounded(rng: Random, start: Specification, target: Specification) -> tuple[Specification, Specification]:
+    caps: dict[str, int] = {}
+    for name in target.connectors:
+        ends = [publishers(spec, name) for spec in (start, target) if name in spec.connectors]
+        if rng.random() < 0.5 and max(ends) > 0:
+            caps[name] = max(ends)
+    every = {resource for spec in (start, target) for of in spec.components.values() for resource in of.holds}
+    demand = dict.fromkeys(sorted(every), 1.0)
+    for spec in (start, target):
+        held: dict[str, float] = {}
+        for role in spec.nodes:
+            for resource, amount in spec.component_of(role).holds.items():
+                held[resource] = held.get(resource, 0.0) + amount
+        for resource, amount in held.items():
+            demand[resource] = max(demand[resource], amount)
+    slack = rng.choice((0.0, 0.0, 1.0, 100.0))
+    resources = Map({name: Resource(name, amount + slack) for name, amount in demand.items()})
+
+    def bound(spec: Specification) -> Specification:
+        connectors = {name: replace(c, cap=caps.get(name)) for name, c in spec.connectors.items()}
+        return replace(spec, connectors=Map(connectors), resources=resources)
+
+    return bound(start), bound(target)
+
+
+def publishers(spec: Specification, topic: str) -> int:
+    attached = sum(
+        topic in spec.nodes[role].attachments.get(output, ())
+        for role in spec.nodes
+        for output in spec.component_of(role).outputs
+    )
+    return attached + sum(offer.topic == topic for offer in spec.environment)
+
+
+def constrained(rng: Random, start: Specification, target: Specification) -> Specification:
+    """The target with a few constraints of the user's."""
+    roles = sorted(set(start.nodes) & set(target.nodes))
+    chosen: list[Keep | Limit | Order] = []
+    for _ in range(rng.randint(1, 3)):
+        if not roles:
+            break
+        role = rng.choice(roles)
+        functionality = rng.choice(list(target.component_of(role)))
+        ref = FunctionalityRef(role, functionality.name)
+        kind = rng.randrange(3)
+        if kind == 0:
+            chosen.append(Keep(ref, rng.choice(functionality.modes).name))
+        elif kind == 1:
+            chosen.append(Limit(ref, rng.choice((0.0, 1.0, 5.0))))
+        else:
+            chosen.append(Order(role, rng.choice(sorted(set(start.nodes) | set(target.nodes)))))
+    return replace(target, constraints=tuple(dict.fromkeys(chosen)))
