@@ -106,7 +106,7 @@ def _capacities(specification: Specification) -> Iterator[Problem]:
                 holders.setdefault(resource, []).append((role, amount))
     for name, declared in specification.resources.items():
         total = sum((exact(amount) for _, amount in holders.get(name, [])), start=Fraction())
-        if math.isfinite(declared.capacity) and total > exact(declared.capacity):
+        if 0 < declared.capacity < math.inf and total > exact(declared.capacity):
             who = ", ".join(f"{role} {amount:g}" for role, amount in holders[name])
             message = f"{float(total):g} of {name} is held ({who}), its capacity is {declared.capacity:g}"
             yield Problem("E023", ("resources", name), message, "take a holder out, or raise the capacity")

@@ -1,0 +1,435 @@
+"""Hypothesis strategies over the model: contracts, components, structures, configurations, actions.
+
+Everything is drawn from small alphabets, so that things meet: few types, few rates, few topics.
+What is drawn is well formed (M1 to M3; every output owned) and every attachment fits, as ``attach``
+asks. Cycles, several publishers of a topic, one input on several topics, caps, resources, the
+environment and both forms of assumption come of themselves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import pairwise, product
+from typing import Final
+
+from hypothesis import strategies as st
+from immutables import Map
+
+from midstride.model.action import (
+    Action,
+    Attach,
+    Create,
+    Degrade,
+    Detach,
+    Handover,
+    Remove,
+    SetParameters,
+    Swap,
+    Upgrade,
+    contract_reasons,
+)
+from midstride.model.best import lowered
+from midstride.model.component import (
+    Assumption,
+    Component,
+    Connector,
+    Endpoint,
+    EnvironmentGuarantee,
+    Functionality,
+    FunctionalityRef,
+    Mode,
+    NamedInputs,
+    Parameter,
+    ParameterValue,
+    PortRef,
+    Resource,
+)
+from midstride.model.configuration import Configuration, Instance, World
+from midstride.model.contract import (
+    NOTHING,
+    Contract,
+    Durability,
+    Interval,
+    Liveliness,
+    OneOf,
+    Predicate,
+    QoS,
+    Reliability,
+    Scalar,
+    ValueSet,
+    satisfies,
+)
+from midstride.model.rules import normal_guarantee
+from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification, structure
+
+TYPES: Final = ("demo_msgs/msg/A", "demo_msgs/msg/B")
+RATES: Final = (None, 1.0, 5.0, 10.0)
+RESOURCES: Final = ("gpu", "/dev/video0")
+TOPICS: Final = ("/t0", "/t1", "/t2", "/t3")
+
+_A, _B = TYPES
+_LOSSY: Final = QoS(reliability="best_effort")
+_WIDE: Final = (("width", Interval(low=1)),)
+# What ports and topics of drawn systems speak of: few enough to meet, different in every clause.
+NEEDS: Final = (Predicate(_A, 5.0), Predicate(_A, 1.0), Predicate(_A), Predicate(_A, 1.0, _LOSSY), Predicate(_B, 1.0))
+OFFERS: Final = (
+    Predicate(_A, 10.0),
+    Predicate(_A, 5.0, fields=_WIDE),
+    Predicate(_A, 1.0),
+    Predicate(_A, 5.0, _LOSSY),
+    Predicate(_B, 5.0),
+)
+
+
+# -- contracts ---------------------------------------------------------------------------------------
+
+
+@cache
+def intervals() -> st.SearchStrategy[Interval]:
+    """Intervals with ends among a few whole numbers, some of them open, some empty."""
+    lows = st.sampled_from((float("-inf"), 0, 1, 2))
+    highs = st.sampled_from((float("inf"), 3, 2, 1))
+    return st.builds(Interval, lows, highs, st.booleans(), st.booleans())
+
+
+@cache
+def value_sets() -> st.SearchStrategy[ValueSet]:
+    """Sets of values that are not empty."""
+    members: tuple[Scalar, ...] = (0, 1, 2, 2.5, True, "rgb8", "bgr8")
+    some = st.lists(st.sampled_from(members), min_size=1, max_size=3).map(OneOf.of)
+    return st.one_of(intervals().filter(lambda interval: not interval.is_empty), some)
+
+
+_RELIABILITIES: Final[tuple[Reliability | None, ...]] = (None, "reliable", "best_effort")
+_DURABILITIES: Final[tuple[Durability | None, ...]] = (None, "volatile", "transient_local")
+_LIVELINESSES: Final[tuple[Liveliness | None, ...]] = (None, "automatic", "manual_by_topic")
+_UNCOMPARED: Final = (QoS(), QoS(depth=1, history="keep_last"), QoS(depth=10, history="keep_all", lifespan=3.0))
+_PROFILES: Final = [
+    replace(rest, reliability=reliability, durability=durability, deadline=deadline, liveliness=liveliness, lease=lease)
+    for rest in _UNCOMPARED
+    for reliability, durability, deadline, liveliness, lease in product(
+        _RELIABILITIES, _DURABILITIES, (None, 0.5, 1.0), _LIVELINESSES, (None, 2.0)
+    )
+]
+
+
+@cache
+def qos_profiles() -> st.SearchStrategy[QoS]:
+    return st.sampled_from(_PROFILES)
+
+
+@cache
+def predicates() -> st.SearchStrategy[Predicate]:
+    """Predicates that differ in everything there is."""
+    one = st.tuples(st.sampled_from(("width", "header.frame_id")), value_sets()).map(lambda field: (field,))
+    two = st.tuples(value_sets(), value_sets()).map(lambda sets: (("width", sets[0]), ("height", sets[1])))
+    return st.builds(
+        Predicate, st.sampled_from(TYPES), st.sampled_from(RATES), qos_profiles(), st.one_of(st.just(()), one, two)
+    )
+
+
+@cache
+def contracts() -> st.SearchStrategy[Contract]:
+    return st.one_of(st.just(NOTHING), predicates())
+
+
+@st.composite
+def stronger(draw: st.DrawFn, weaker: Predicate) -> Predicate:
+    """A predicate of the same endpoint that satisfies ``weaker``."""
+    rates = [rate for rate in RATES if weaker.rate is None or (rate is not None and rate >= weaker.rate)]
+    fields = dict(weaker.fields)
+    for path, values in weaker.fields:
+        narrowed = values.intersection(draw(value_sets()))
+        if not narrowed.is_empty:
+            fields[path] = narrowed
+    if draw(st.booleans()):
+        fields.setdefault("height", Interval(low=1))
+    return replace(weaker, rate=draw(st.sampled_from(rates)), fields=tuple(fields.items()))
+
+
+def _chains(length: int) -> list[tuple[Contract, ...]]:
+    """All that one output may guarantee in a chain of modes, best first, made of OFFERS: M2 and M3 hold."""
+
+    def allowed(chain: tuple[Contract, ...]) -> bool:
+        stated = [contract for contract in chain if isinstance(contract, Predicate)]
+        one_endpoint = all(c.type == stated[0].type and c.qos == stated[0].qos for c in stated)
+        return one_endpoint and all(worse is NOTHING or satisfies(better, worse) for better, worse in pairwise(chain))
+
+    links: tuple[Contract, ...] = (*OFFERS, NOTHING)
+    return [chain for chain in product(links, repeat=length) if allowed(chain)]
+
+
+_CHAINS: Final = {length: _chains(length) for length in (2, 3)}
+_LOSING: Final = {length: [c for c in chains if c[-1] is NOTHING] for length, chains in _CHAINS.items()}
+
+
+def guarantee_chains(length: int) -> st.SearchStrategy[tuple[Contract, ...]]:
+    """What one output guarantees in each mode, best first; mostly nothing in the last."""
+    return st.sampled_from(_LOSING[length] * 2 + _CHAINS[length])
+
+
+# -- components --------------------------------------------------------------------------------------
+
+
+@st.composite
+def components(draw: st.DrawFn, name: str = "C") -> Component:
+    """Well-formed components of up to three inputs, two outputs and two functionalities."""
+    needs = draw(st.lists(st.sampled_from((*NEEDS[:2], *NEEDS)), max_size=3))
+    inputs = {f"in{number}": predicate for number, predicate in enumerate(needs)}
+    owners = draw(st.sampled_from(((0,), (0, 0), (0, 1), (1,), ())))  # which functionality owns each output
+    owned: dict[int, list[str]] = {0: [], 1: []}
+    for number, owner in enumerate(owners):
+        owned[owner].append(f"out{number}")
+    count = 1 + max((*owners, draw(st.sampled_from((0, 0, 1)))))
+    return Component.of(
+        name,
+        inputs=inputs,
+        outputs=tuple(f"out{number}" for number in range(len(owners))),
+        functionalities=tuple(draw(_functionalities(f"f{n}", inputs, tuple(owned[n]))) for n in range(count)),
+        holds=draw(st.sampled_from(({}, {}, {"gpu": 0.1}, {"gpu": 0.2, "/dev/video0": 1.0}))),
+        parameters=draw(st.sampled_from(({}, _PARAMETERS))),
+    )
+
+
+_PARAMETERS: Final = {"gain": Parameter(0.5, changeable=True), "model": Parameter("small")}
+
+
+@st.composite
+def _functionalities(
+    draw: st.DrawFn, name: str, inputs: dict[str, Predicate], outputs: tuple[str, ...]
+) -> Functionality:
+    spared = draw(st.sampled_from((None, None, None, *inputs)))
+    used = tuple(port for port in inputs if port != spared)
+    length = draw(st.sampled_from((2, 2, 3)))
+    chains = {output: draw(guarantee_chains(length)) for output in outputs}
+    modes = []
+    for index in range(length):
+        assumed = draw(_assumptions(inputs, used)) if index < length - 1 else ()
+        guaranteed = {output: chain[index] for output, chain in chains.items()}
+        stated = {output: contract for output, contract in guaranteed.items() if isinstance(contract, Predicate)}
+        modes.append(Mode(f"m{index}", assumed, Map(stated)))
+    weight = draw(st.sampled_from((1.0, 3.0, 0.5)))
+    return Functionality(name, tuple(modes), used, outputs, weight)
+
+
+def _assumptions(inputs: dict[str, Predicate], used: tuple[str, ...]) -> st.SearchStrategy[tuple[Assumption, ...]]:
+    """None, one or several: of one input, of alternatives, or by a predicate."""
+    if not used:
+        return st.sampled_from(((), (), (NEEDS[1],)))
+    each: list[tuple[Assumption, ...]] = [(NamedInputs((port,)),) for port in used]
+    predicate: list[tuple[Assumption, ...]] = [(inputs[port],) for port in used[:1]]
+    several: list[tuple[Assumption, ...]] = [
+        (),
+        (NamedInputs(used),),
+        tuple(NamedInputs((p,)) for p in used),
+        (NEEDS[2],),
+    ]
+    return st.sampled_from([*each, *predicate, *several])
+
+
+# -- systems -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """A valid configuration, and components and topics that actions on it may speak of."""
+
+    configuration: Configuration
+    components: tuple[Component, ...]
+
+
+@st.composite
+def specifications(draw: st.DrawFn, *, most: int = 5) -> Specification:
+    """Well-formed specifications of up to ``most`` nodes, whose attachments fit and whose caps and capacities hold."""
+    types = [draw(components(f"C{number}")) for number in range(draw(st.integers(1, 3)))]
+    names = TOPICS[: draw(st.integers(1, len(TOPICS)))]
+    guarantees = {name: draw(st.sampled_from((*NEEDS[:2], *NEEDS))) for name in names}
+    environment = tuple(
+        EnvironmentGuarantee(f"e{number}", draw(st.sampled_from(OFFERS)), draw(st.sampled_from((None, *names))))
+        for number in range(draw(st.sampled_from((0, 0, 1, 2))))
+    )
+    nodes = {}
+    for number in range(draw(st.integers(1, most))):
+        component = draw(st.sampled_from(types))
+        attachments = {port: draw(_fitting(component, port, guarantees)) for port in component.ports()}
+        attachments = {port: topics for port, topics in attachments.items() if topics}
+        own = Map({"gain": 0.75}) if "gain" in component.parameters and number % 2 else Map()
+        nodes[f"n{number}"] = Node(f"n{number}", component.name, Map(attachments), own)
+    components_ = Map({component.name: component for component in types})
+    bare = Specification("drawn", components=components_, nodes=Map(nodes), environment=environment)
+    connectors = {name: Connector(name, guarantee) for name, guarantee in guarantees.items()}
+    s = structure(replace(bare, connectors=Map(connectors)))
+    capped = draw(st.sampled_from((None, *names)))
+    if capped is not None:
+        count = len(s.publishers_on(capped)) + len(s.world.publishers_out_of_scope(connectors[capped]))
+        connectors[capped] = replace(connectors[capped], cap=count + draw(st.integers(0, 1)))
+    spare = draw(st.sampled_from((0.0, 0.3, 2.0)))
+    resources = {name: Resource(name, float(s.held.get(name, 0)) + spare or 1.0) for name in RESOURCES}
+    whole = replace(bare, connectors=Map(connectors), resources=Map(resources))
+    timing = draw(st.sampled_from(({}, {"create": 0.25, "handover": 0.0})))
+    return replace(whole, constraints=draw(_constraints(whole)), timing=Map(timing))
+
+
+def _fitting(component: Component, port: str, topics: dict[str, Predicate]) -> st.SearchStrategy[tuple[str, ...]]:
+    """Some of the topics that the port may be attached to; one for the most part."""
+    if component.has_output(port):
+        fit = [name for name in topics if satisfies(normal_guarantee(component, port), topics[name])]
+    else:
+        fit = [name for name in topics if satisfies(topics[name], component.inputs[port])]
+    if not fit:
+        return st.just(())
+    return st.sampled_from([*((name,) for name in fit * 2), tuple(fit[:2]), ()])
+
+
+@st.composite
+def _constraints(draw: st.DrawFn, specification: Specification) -> tuple[Constraint, ...]:
+    roles = specification.roles()
+    found: list[Constraint] = []
+    for _ in range(draw(st.sampled_from((0, 0, 1, 2)))):
+        role = draw(st.sampled_from(roles))
+        functionality = draw(st.sampled_from(list(specification.component_of(role))))
+        ref = FunctionalityRef(role, functionality.name)
+        later = [other for other in roles if other > role]
+        kind = draw(st.sampled_from(("keep", "limit", "order")))
+        if kind == "keep":
+            found.append(Keep(ref, draw(st.sampled_from(functionality.modes)).name))
+        elif kind == "limit":
+            found.append(Limit(ref, draw(st.sampled_from((0.0, 1.5)))))
+        elif later:
+            found.append(Order(role, draw(st.sampled_from(later))))
+    return tuple(found)
+
+
+@st.composite
+def configurations(draw: st.DrawFn, *, most: int = 5) -> Configuration:
+    """Valid configurations, in any of their valid mode assignments."""
+    return draw(scenes(most=most)).configuration
+
+
+@st.composite
+def scenes(draw: st.DrawFn, *, most: int = 5) -> Scene:
+    specification = draw(specifications(most=most))
+    s = structure(specification)
+    # Any valid assignment is the best one below itself: so all of them are drawn, the best one more often.
+    highest = {
+        ref: draw(st.sampled_from((0, 0, *range(s.functionality(ref).last_mode + 1)))) for ref in sorted(s.modes)
+    }
+    s = s.with_modes(highest)
+    components_ = tuple(component for _, component in sorted(specification.components.items()))
+    return Scene(s.with_modes(lowered(s, sorted(s.modes))), components_)
+
+
+# -- actions -----------------------------------------------------------------------------------------
+
+_KINDS: Final = ("create", "remove", "attach", "detach", "degrade", "upgrade", "upgrade", "handover", "handover", "set")
+_SETTINGS: Final[tuple[tuple[str, ParameterValue], ...]] = (
+    ("gain", 0.9),
+    ("gain", 2),
+    ("gain", "much"),
+    ("model", "large"),
+    ("colour", 1),
+)
+
+
+@st.composite
+def actions(draw: st.DrawFn, scene: Scene, *, kinds: tuple[str, ...] = _KINDS) -> Action:
+    """Actions that speak of what there is, and now and then of what there is not. Many, not all, may be taken."""
+    s = scene.configuration
+    kind = draw(st.sampled_from(kinds))
+    names = [*sorted(s.instances), "nobody"]
+    if kind == "create":
+        name = draw(st.sampled_from(("fresh", names[0])))
+        return Create(Instance(name, name, draw(st.sampled_from(scene.components))))
+    if kind == "remove":
+        isolated = [name for name in names[:-1] if not s.attached_ports(name)]
+        return Remove(draw(st.sampled_from(isolated * 3 + names)))
+    if kind == "set":
+        return SetParameters(draw(st.sampled_from(names)), Map([draw(st.sampled_from(_SETTINGS))]))
+    if kind == "degrade":
+        return Degrade(Map(_moved(draw, s, better=False)))
+    if kind == "upgrade":
+        return Upgrade(Map(_moved(draw, s, better=True)))
+    attached = sorted(s.attachments())
+    ports = [PortRef(name, port) for name in names[:-1] for port in s.component(name).ports()]
+    topics = sorted(s.world.connectors)
+    if kind == "attach":
+        free = [(port, topic) for port in ports for topic in topics if not s.is_attached(port, topic)]
+        fit = [pair for pair in free if not contract_reasons(s, pair[0], s.world.connectors[pair[1]])]
+        strange = [
+            (PortRef("nobody", "out0"), topics[0]),
+            (PortRef(names[0], "in0"), "/none"),
+            (PortRef(names[0], "x"), topics[0]),
+        ]
+        return Attach(*draw(st.sampled_from(fit * 3 + free + attached[:1] + strange)))
+    if kind == "detach":
+        return Detach(
+            *draw(
+                st.sampled_from(
+                    attached * 2 + [(port, topics[0]) for port in ports] + [(PortRef("nobody", "x"), "/t0")]
+                )
+            )
+        )
+    return Handover(_swaps(draw, s, ports, attached))
+
+
+def _moved(draw: st.DrawFn, s: Configuration, *, better: bool) -> dict[FunctionalityRef, int]:
+    """New modes for one functionality or a group; now and then one that is not better (worse) at all."""
+    refs = sorted(s.modes)
+    movable = [ref for ref in refs if (s.modes[ref] > 0 if better else s.modes[ref] < s.functionality(ref).last_mode)]
+    if not refs:
+        return {}
+    count = draw(st.sampled_from((1, 1, 1, 2, 3, 0)))
+    chosen = [draw(st.sampled_from(movable * 4 + refs)) for _ in range(count)]
+    modes = {}
+    for ref in dict.fromkeys(chosen):
+        last, now = s.functionality(ref).last_mode, s.modes[ref]
+        proper = range(now) if better else range(now + 1, last + 1)
+        modes[ref] = draw(st.sampled_from(proper or range(last + 2)))
+    return modes
+
+
+def _swaps(
+    draw: st.DrawFn, s: Configuration, ports: list[PortRef], attached: list[tuple[PortRef, str]]
+) -> tuple[Swap, ...]:
+    outputs = [port for port in ports if s.is_output(port)]
+    leaving = [pair for pair in attached if s.is_output(pair[0])]
+    if not attached:
+        return ()
+    swaps = []
+    for _ in range(draw(st.sampled_from((1, 1, 1, 2, 2, 0)))):
+        old, connector = draw(st.sampled_from(leaving * 4 + attached))
+        needed = s.world.connectors[connector].guarantee
+        able = [port for port in outputs if satisfies(s.guarantee(port), needed)]
+        free = [port for port in able if not s.is_attached(port, connector)]
+        swaps.append(Swap(connector, old, draw(st.sampled_from(free * 6 + outputs * 2 + ports))))
+    return tuple(swaps)
+
+
+@cache
+def endpoints() -> st.SearchStrategy[Endpoint]:
+    return st.builds(Endpoint, st.sampled_from(("topic", "service", "action")), st.sampled_from(("~/reset", "/tf")))
+
+
+def worlds() -> st.SearchStrategy[World]:
+    return specifications().map(lambda specification: specification.world)
+
+
+__all__ = [
+    "RESOURCES",
+    "TOPICS",
+    "TYPES",
+    "Scene",
+    "actions",
+    "components",
+    "configurations",
+    "contracts",
+    "endpoints",
+    "intervals",
+    "predicates",
+    "qos_profiles",
+    "scenes",
+    "specifications",
+    "value_sets",
+    "worlds",
+]

@@ -1,0 +1,378 @@
+"""What must hold of every system, as functions of drawn data. `test_properties` runs them, briefly and at length."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+from hypothesis import assume
+from hypothesis import strategies as st
+from immutables import Map
+
+from midstride.errors import ActionRefused, SpecificationError
+from midstride.model.action import Action
+from midstride.model.best import best, consumers_of, lowered, rebalanced
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration, Instance, configure
+from midstride.model.contract import NOTHING, Predicate, explain, satisfies
+from midstride.model.document import (
+    component_from_document,
+    component_to_document,
+    predicate_from_document,
+    predicate_to_document,
+    specification_from_document,
+    specification_to_document,
+)
+from midstride.model.rules import violations
+from midstride.model.specification import initial
+from midstride.model.wellformed import check, errors
+from midstride.testing.strategies import (
+    Scene,
+    actions,
+    components,
+    contracts,
+    predicates,
+    scenes,
+    specifications,
+    stronger,
+    value_sets,
+)
+from tests.model import twin
+
+Property = Callable[[st.DataObject], None]
+STEPS = 6
+
+
+# -- contracts -------------------------------------------------------------------------------------------
+
+
+def satisfaction_is_the_twins(data: st.DataObject) -> None:
+    p, q = data.draw(contracts()), data.draw(contracts())
+    expected = twin.satisfies(twin.of_contract(p), twin.of_contract(q))
+    assert satisfies(p, q) == expected
+    assert (not explain(p, q)) == expected
+
+
+def satisfaction_is_reflexive_but_for_nothing(data: st.DataObject) -> None:
+    p = data.draw(contracts())
+    assert satisfies(p, p) == (p is not NOTHING)
+    if isinstance(p, Predicate):
+        assert satisfies(p, replace(p))
+    assert not satisfies(NOTHING, p)
+    assert not satisfies(p, NOTHING)
+
+
+def satisfaction_is_transitive(data: st.DataObject) -> None:
+    r = data.draw(predicates())
+    q = data.draw(st.one_of(stronger(r), predicates()))
+    p = data.draw(st.one_of(stronger(q), predicates()))
+    if satisfies(p, q) and satisfies(q, r):
+        assert satisfies(p, r)
+
+
+def stronger_satisfies(data: st.DataObject) -> None:
+    """The strategy keeps its word; else the chains it makes would prove nothing."""
+    weaker = data.draw(predicates())
+    assert satisfies(data.draw(stronger(weaker)), weaker)
+
+
+def intersection_is_what_both_hold(data: st.DataObject) -> None:
+    one, other = data.draw(value_sets()), data.draw(value_sets())
+    both = one.intersection(other)
+    for value in (-1, 0, 0.5, 1, 1.5, 2, 2.5, 3, 4, True, False, "rgb8", "bgr8", "mono"):
+        assert (value in both) == (value in one and value in other)
+    assert both.is_subset(one)
+    assert both.is_subset(other)
+    assert one.intersection(other).is_empty == other.intersection(one).is_empty
+
+
+# -- configurations and actions --------------------------------------------------------------------------
+
+
+def _walk(data: st.DataObject, visit: Callable[[Configuration, Action], None]) -> None:
+    """Along a sequence of actions, taken where they may be."""
+    scene = data.draw(scenes())
+    for _ in range(STEPS):
+        action = data.draw(actions(scene))
+        visit(scene.configuration, action)
+        if not action.check(scene.configuration):
+            scene = Scene(action.apply(scene.configuration), scene.components)
+
+
+def preconditions_and_effects_are_the_twins(data: st.DataObject) -> None:
+    def visit(s: Configuration, action: Action) -> None:
+        plain = twin.of_configuration(s)
+        reasons = action.check(s)
+        assert (not reasons) == twin.allowed(plain, action), (action.describe(s), reasons)
+        if not reasons:
+            assert twin.of_configuration(action.apply(s)) == twin.effect(plain, action)
+
+    _walk(data, visit)
+
+
+def actions_keep_what_is_valid(data: st.DataObject) -> None:
+    def visit(s: Configuration, action: Action) -> None:
+        if not action.check(s):
+            after = action.apply(s)
+            assert not violations(after)
+            assert twin.valid(twin.of_configuration(after))
+
+    _walk(data, visit)
+
+
+def undo_undoes(data: st.DataObject) -> None:
+    """Exactly, by steps each of which is itself accepted; and what is derived does not depend on the way."""
+
+    def visit(s: Configuration, action: Action) -> None:
+        if action.check(s):
+            return
+        back = action.apply(s)
+        assert back == _from_scratch(back)
+        for step in action.undo(s):
+            back = step.apply(back)
+            assert not violations(back)
+        assert back == s
+
+    _walk(data, visit)
+
+
+def plans_roll_back(data: st.DataObject) -> None:
+    """F6 for a sequence: each action undone in turn, last first."""
+    taken: list[tuple[Configuration, Action]] = []
+
+    def visit(s: Configuration, action: Action) -> None:
+        if not action.check(s):
+            taken.append((s, action))
+
+    _walk(data, visit)
+    if taken:
+        s = taken[-1][1].apply(taken[-1][0])
+        for before, action in reversed(taken):
+            for step in action.undo(before):
+                s = step.apply(s)
+            assert s == before
+
+
+def refusals_say_why(data: st.DataObject) -> None:
+    def visit(s: Configuration, action: Action) -> None:
+        reasons = action.check(s)
+        if not reasons:
+            return
+        with pytest.raises(ActionRefused) as refused:
+            action.apply(s)
+        assert refused.value.reasons == reasons
+        for reason in reasons:
+            assert reason.precondition
+            assert reason.because in str(refused.value)
+            assert reason.subjects or reason.precondition == "named"
+            unsaid = [name for name in reason.subjects[:1] if name.rpartition(".")[2] not in str(refused.value)]
+            assert not unsaid
+
+    _walk(data, visit)
+
+
+def _from_scratch(s: Configuration) -> Configuration:
+    return configure(s.world, s.instances.values(), s.attachments(), dict(s.modes))
+
+
+def violations_are_the_twins(data: st.DataObject) -> None:
+    """In any modes, and with caps and capacities exceeded."""
+    s = data.draw(scenes()).configuration
+    modes = {ref: data.draw(st.integers(0, s.functionality(ref).last_mode)) for ref in sorted(s.modes)}
+    s = s.with_modes(modes)
+    if data.draw(st.booleans()):
+        capped = {name: replace(c, cap=1) for name, c in s.world.connectors.items()}
+        resources = {name: replace(r, capacity=0.2) for name, r in s.world.resources.items()}
+        s = s.with_world(replace(s.world, connectors=Map(capped), resources=Map(resources)))
+    assert (not violations(s)) == twin.valid(twin.of_configuration(s))
+
+
+# -- best ------------------------------------------------------------------------------------------------
+
+
+def _plain(modes: Map[FunctionalityRef, int]) -> dict[twin.Functionality, int]:
+    return {(ref.component, ref.functionality): index for ref, index in modes.items()}
+
+
+def best_is_the_twins(data: st.DataObject) -> None:
+    s = best(data.draw(scenes()).configuration)
+    assert not violations(s)
+    assert _plain(s.modes) == twin.best(twin.of_configuration(s))
+    assert best(s) == s
+
+
+def best_is_the_greatest(data: st.DataObject) -> None:
+    """Among all valid assignments of a small system, found by trying them; pointwise (F2)."""
+    s = data.draw(scenes(most=3)).configuration
+    count = 1
+    for ref in s.modes:
+        count *= len(s.functionality(ref).modes)
+    assume(count <= 100)
+    found = _plain(best(s).modes)
+    valid = twin.valid_assignments(twin.of_configuration(s))
+    assert found in valid
+    assert all(found[f] <= modes[f] for modes in valid for f in modes)
+    for one in valid:  # closed under the pointwise better of two
+        assert {f: min(one[f], found[f]) for f in one} in valid
+
+
+def rebalanced_is_best(data: st.DataObject) -> None:
+    """After any changes to the structure, several at once, whether or not an action would allow them."""
+    scene = data.draw(scenes())
+    s = best(scene.configuration)
+    seeds: set[FunctionalityRef] = set()
+    for _ in range(data.draw(st.integers(1, 4))):
+        s = _changed(data, scene, s, seeds)
+    changes = rebalanced(s, sorted(ref for ref in seeds if ref.component in s.instances))
+    assert s.with_modes(changes) == best(s)
+    assert all(s.modes[ref] != index for ref, index in changes.items())
+
+
+def _changed(data: st.DataObject, scene: Scene, s: Configuration, seeds: set[FunctionalityRef]) -> Configuration:
+    kind = data.draw(st.sampled_from(("attach", "attach", "detach", "detach", "create", "remove")))
+    name = data.draw(st.sampled_from(sorted(s.instances))) if s.instances else ""
+    if kind == "create":
+        new = Instance(f"new{len(seeds)}", "new", data.draw(st.sampled_from(scene.components)))
+        if new.name not in s.instances:
+            s = s.with_instance(new)
+            seeds.update(new.functionality_refs())
+    elif kind == "remove" and name:
+        for port, connector in s.attached_ports(name):
+            seeds.update(consumers_of(s, port, connector))
+        s = s.without_instance(name)
+    elif kind == "attach" and name and (ports := s.component(name).ports()):
+        port = PortRef(name, data.draw(st.sampled_from(ports)))
+        connector = data.draw(st.sampled_from(sorted(s.world.connectors)))
+        if not s.is_attached(port, connector):
+            s = s.with_attachment(port, connector)
+            seeds.update(consumers_of(s, port, connector))
+    elif kind == "detach" and (attached := sorted(s.attachments())):
+        port, connector = data.draw(st.sampled_from(attached))
+        seeds.update(consumers_of(s, port, connector))
+        s = s.without_attachment(port, connector)
+    return s
+
+
+def rebalanced_keeps_below_a_ceiling(data: st.DataObject) -> None:
+    scene = data.draw(scenes())
+    top = {
+        ref: data.draw(st.integers(0, scene.configuration.functionality(ref).last_mode))
+        for ref in sorted(scene.configuration.modes)
+    }
+    s = _below(scene.configuration, top)
+    seeds: set[FunctionalityRef] = set()
+    for _ in range(2):
+        s = _changed(data, scene, s, seeds)
+    top.update({ref: 0 for ref in s.modes if ref not in top})
+    live = sorted(ref for ref in seeds if ref.component in s.instances)
+    assert s.with_modes(rebalanced(s, live, lambda ref: top[ref])) == _below(s, top)
+
+
+def _below(s: Configuration, top: dict[FunctionalityRef, int]) -> Configuration:
+    """The best assignment no better than ``top``, as the twin would find it."""
+    s = s.with_modes({ref: index for ref, index in top.items() if ref in s.modes})
+    while True:
+        plain = twin.of_configuration(s)
+        unsatisfied = [ref for ref in s.modes if not twin.satisfied(plain, (ref.component, ref.functionality))]
+        if not unsatisfied:
+            return s
+        s = s.with_modes({unsatisfied[0]: s.modes[unsatisfied[0]] + 1})
+
+
+def lowered_is_the_least_degradation(data: st.DataObject) -> None:
+    """F3: after detaching, from where one stands."""
+    s = data.draw(scenes()).configuration
+    seeds: list[FunctionalityRef] = []
+    for port, connector in sorted(s.attachments()):
+        if data.draw(st.booleans()):
+            seeds += consumers_of(s, port, connector)
+            s = s.without_attachment(port, connector)
+    assert s.with_modes(lowered(s, seeds)) == _below(s, dict(s.modes))
+
+
+# -- specifications --------------------------------------------------------------------------------------
+
+
+def documents_come_back(data: st.DataObject) -> None:
+    specification = data.draw(specifications())
+    document = specification_to_document(specification)
+    again = json.loads(json.dumps(document))
+    assert again == document
+    assert specification_from_document(again) == specification
+    component = data.draw(components())
+    assert component_from_document(json.loads(json.dumps(component_to_document(component)))) == component
+    predicate = data.draw(predicates())
+    assert predicate_from_document(json.loads(json.dumps(predicate_to_document(predicate)))) == predicate
+
+
+def spoilt_documents_are_refused_or_read(data: st.DataObject) -> None:
+    """Whatever is put in whatever place: a specification, or SpecificationError with a path; nothing else."""
+    document = specification_to_document(data.draw(specifications(most=2)))
+    for _ in range(data.draw(st.integers(1, 3))):
+        _spoil(data, document)
+    problems: tuple[Any, ...] = ()
+    try:
+        specification = specification_from_document(document)
+    except SpecificationError as error:
+        problems = error.problems
+        assert problems  # what else it may raise must come through
+    else:
+        check(specification)  # whatever it finds, it returns
+    assert all(problem.path.startswith("/") and problem.severity == "error" for problem in problems)
+
+
+def _spoil(data: st.DataObject, document: dict[str, Any]) -> None:
+    strange = data.draw(st.sampled_from((None, True, -1, float("nan"), 10**400, "", "x", [], ["x"], {}, {"x": 1})))
+    here: Any = document
+    while True:
+        keys = list(here) if isinstance(here, dict) else list(range(len(here)))
+        key = data.draw(st.sampled_from(keys))
+        deeper = isinstance(here[key], (dict, list)) and here[key]
+        if deeper and data.draw(st.integers(0, 4)):
+            here = here[key]
+            continue
+        how = data.draw(st.sampled_from(("put", "drop", "rename")))
+        if how == "put" or not isinstance(here, dict):
+            here[key] = strange
+        elif how == "drop":
+            del here[key]
+        else:
+            here[key + "x"] = here.pop(key)
+        return
+
+
+def drawn_specifications_are_well_formed(data: st.DataObject) -> None:
+    specification = data.draw(specifications())
+    problems = check(specification)
+    assert not errors(problems)
+    assert problems == check(specification)
+    s = initial(specification)
+    assert not violations(s)
+    warned = {problem.subject[1] for problem in problems if problem.code == "W033"}
+    assert warned == {ref.component for ref, index in s.modes.items() if index > 0}
+
+
+PROPERTIES: dict[Property, int] = {  # how many examples at each run of the tests
+    satisfaction_is_the_twins: 300,
+    satisfaction_is_reflexive_but_for_nothing: 100,
+    satisfaction_is_transitive: 300,
+    stronger_satisfies: 100,
+    intersection_is_what_both_hold: 200,
+    preconditions_and_effects_are_the_twins: 150,
+    actions_keep_what_is_valid: 100,
+    undo_undoes: 150,
+    plans_roll_back: 80,
+    refusals_say_why: 80,
+    violations_are_the_twins: 150,
+    best_is_the_twins: 150,
+    best_is_the_greatest: 80,
+    rebalanced_is_best: 200,
+    rebalanced_keeps_below_a_ceiling: 80,
+    lowered_is_the_least_degradation: 80,
+    documents_come_back: 100,
+    spoilt_documents_are_refused_or_read: 150,
+    drawn_specifications_are_well_formed: 100,
+}

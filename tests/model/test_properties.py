@@ -1,0 +1,35 @@
+"""The properties, on random systems: the same ones at every run."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tests.model.properties import PROPERTIES, Property
+
+_SLOW = [HealthCheck.too_slow, HealthCheck.data_too_large, HealthCheck.filter_too_much]
+
+
+def run(prop: Property, examples: int) -> None:
+    given(st.data())(
+        settings(
+            max_examples=examples,
+            derandomize=True,
+            database=None,
+            deadline=None,
+            suppress_health_check=_SLOW,
+        )(prop)
+    )()
+
+
+@pytest.mark.parametrize("prop", PROPERTIES, ids=lambda prop: prop.__name__)
+def test_briefly(prop: Property) -> None:
+    run(prop, PROPERTIES[prop])
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("prop", PROPERTIES, ids=lambda prop: prop.__name__)
+def test_at_length(prop: Property) -> None:
+    run(prop, 40 * PROPERTIES[prop])
