@@ -227,7 +227,7 @@ def publishers(spec: Specification, topic: str) -> int:
 
 
 def constrained(rng: Random, start: Specification, target: Specification) -> Specification:
-    """The target with a few constraints of the user's."""
+    """The target with a few constraints of the user's, of roles that it has."""
     roles = sorted(set(start.nodes) & set(target.nodes))
     chosen: list[Keep | Limit | Order] = []
     for _ in range(rng.randint(1, 3)):
@@ -242,5 +242,5 @@ def constrained(rng: Random, start: Specification, target: Specification) -> Spe
         elif kind == 1:
             chosen.append(Limit(ref, rng.choice((0.0, 1.0, 5.0))))
         else:
-            chosen.append(Order(role, rng.choice(sorted(set(start.nodes) | set(target.nodes)))))
+            chosen.append(Order(role, rng.choice(sorted(target.nodes))))
     return replace(target, constraints=tuple(dict.fromkeys(chosen)))

@@ -122,11 +122,14 @@ class Core:
         return s.held.get(resource, 0.0) + amount <= s.world.capacity(resource) + _EPSILON
 
     def _attach(self, open_roles: _Open) -> bool:
-        """Attach what fits beside everything else that is to come on its topic."""
+        """Attach what fits beside everything else that is to come on its topic, or may have to."""
         wanted: dict[str, int] = {}
         for port, connector in self.attaches:
             if not self._is_input(port):
                 wanted[connector] = wanted.get(connector, 0) + 1
+        for swap in (swap for swaps in self.swaps.values() for swap in swaps):
+            if swap.connector in wanted and not self._good(swap):
+                wanted[swap.connector] += 1
         ready = [
             (port, connector)
             for port, connector in self.attaches
@@ -165,8 +168,11 @@ class Core:
         return progress
 
     def _fits(self, new: str, swaps: Sequence[Swap], open_roles: _Open) -> bool:
-        live = new in self.draft.s.instances and self.draft.change.role_of(new) in open_roles
-        return live and all(self._satisfies(swap.new, swap.connector) for swap in swaps)
+        return self.draft.change.role_of(new) in open_roles and all(self._good(swap) for swap in swaps)
+
+    def _good(self, swap: Swap) -> bool:
+        """Whether the new one may take over, as it stands now."""
+        return swap.new.component in self.draft.s.instances and self._satisfies(swap.new, swap.connector)
 
     def _satisfies(self, output: PortRef, connector: str) -> bool:
         s = self.draft.s
@@ -319,7 +325,7 @@ class Core:
                 self._close(move.names[0])
             case "part":
                 swaps = self.swaps.pop(move.names[0])
-                good = tuple(swap for swap in swaps if self._satisfies(swap.new, swap.connector))
+                good = tuple(swap for swap in swaps if self._good(swap))
                 if good:
                     self.swaps[move.names[0]] = good
                 self._dissolve(swap for swap in swaps if swap not in good)
