@@ -186,3 +186,33 @@ def test_only_the_window_counts() -> None:
             recorder.write("new", slot)
     seen = recorder.observe(55, 105)
     assert (seen.missed, seen.lost) == (0, 0)
+
+
+def answers(cut: int, *, lose: frozenset[int] = frozenset(), twice: frozenset[int] = frozenset()) -> SwapReport:
+    """A filter at 200 Hz whose source skips slots of its own; ``cut`` is the first input that the new one answers."""
+    chance = random.Random(3)
+    inputs = [slot * 5 * MS for slot in range(200) if slot % 17]
+    rows, numbers = [], {"old": 0, "new": 0}
+    for index, source in enumerate(inputs):
+        names = ["old"] if index < cut else ["new"]
+        names = ["old", "new"] if index in twice else names
+        for name in names:
+            numbers[name] += 1
+            if index in lose:
+                continue
+            written = source + chance.randrange(9 * MS)
+            rows.append(Row(written + SKEW + MS, written, numbers[name], name))
+    return report(
+        Observation(
+            "/t", "sink.in", rows, 60 * 5 * MS + SKEW, 200 * 5 * MS + SKEW, 0.005, None, None, inputs=inputs[40:]
+        )
+    )
+
+
+def test_a_message_driven_output_is_held_to_the_inputs_it_had_to_answer() -> None:
+    assert (answers(90).missed, answers(90).duplicates) == (0, 0)
+
+
+def test_an_input_that_nobody_answered_is_missed_and_one_answered_twice_is_a_duplicate() -> None:
+    assert answers(90, lose=frozenset({89, 90, 91})).missed == 3
+    assert answers(90, twice=frozenset({95})).duplicates == 1

@@ -47,6 +47,7 @@ class Executor:
     moved: Moved
     tell: Told
     is_gone: Callable[[str], bool] = lambda _: False
+    before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
     starting: Callable[[Sequence[Instance]], None] = lambda _: None
     drain_timeout: float = DRAIN_TIMEOUT
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
@@ -236,6 +237,8 @@ class Executor:
             exported = await self.link.read(old, "export_state")
             if exported.get("state") is not None:
                 await self.link.change(new, "import_state", state=exported["state"])
+        if self.before_handover is not None:
+            await self.before_handover(s, action)
         handed = await hand_over(self.link, s, action)
         self.last_numbers.update(handed.last)
         for warning in handed.warnings:

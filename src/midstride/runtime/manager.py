@@ -210,6 +210,7 @@ class Manager:
         before = self.configuration
         self.configuration = plan.change.start
         executor = self._executor(falls)
+        executor.before_handover = recording.witness
         outcome, because = "done", None
         try:
             await executor.run(actions, documents)

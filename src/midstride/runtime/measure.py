@@ -8,6 +8,7 @@ that would need it.
 
 from __future__ import annotations
 
+import bisect
 import itertools
 import math
 from collections.abc import Iterable, Sequence
@@ -18,6 +19,8 @@ from typing import Any, Final, NamedTuple
 WINDOW_PERIODS: Final = 20
 # A message may come this part of a period before its slot by the publisher's own jitter.
 _EARLY: Final = 0.25
+# A publisher that answers less than this part of its inputs is no publisher of one answer to each.
+_ANSWERED: Final = 0.8
 
 
 class Row(NamedTuple):
@@ -46,7 +49,12 @@ class SwapReport:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What was recorded at one input, and between which moments of its own steady clock (ns)."""
+    """What was recorded at one input, and between which moments of its own steady clock (ns).
+
+    ``last_number`` is the number of the old publisher's last message by its own word. ``inputs`` are
+    the source times of the messages that a message-driven publisher had to answer, as far as they
+    are known: then they are its time grid, since it has no other.
+    """
 
     topic: str
     subscriber: str
@@ -56,6 +64,7 @@ class Observation:
     guaranteed_period: float | None
     grid_period: float | None = None
     last_number: int | None = None
+    inputs: Sequence[int] | None = None
 
 
 def report(seen: Observation) -> SwapReport:
@@ -70,7 +79,9 @@ def report(seen: Observation) -> SwapReport:
     if grid and not rows:
         missed = math.floor((seen.ended - seen.begun) / (grid * 1e9))
     elif grid and sides is not None:
-        missed, duplicates = _slots(rows, _swapped(rows, sides, seen.begun, tail), grid, seen.ended)
+        by_side = _swapped(rows, sides, seen.begun, tail)
+        answered = None if seen.inputs is None else _answers(by_side, seen.inputs)
+        missed, duplicates = answered or _slots(rows, by_side, grid, seen.ended)
     return SwapReport(
         topic=seen.topic,
         subscriber=seen.subscriber,
@@ -189,6 +200,27 @@ def _assign(sources: Sequence[int], origin: float, step: float) -> Iterable[int]
         if slots[index] - slots[index - 1] == 2 and places[index] < slots[index]:
             slots[index] -= 1
     return [slot + shift for slot in slots]
+
+
+def _answers(by_side: dict[str, list[Row]], inputs: Sequence[int]) -> tuple[int, int] | None:
+    """Inputs that nobody answered, and inputs that two publishers answered.
+
+    None where the publishers do not answer each input with one message, so that this grid is not
+    theirs. The last inputs may still be under way, and are not counted.
+    """
+    slots = sorted(set(inputs))
+    answered: dict[int, set[str]] = {}
+    for name, rows in by_side.items():
+        following = len(slots)
+        for source in sorted((row.source for row in rows if row.source is not None), reverse=True):
+            following = min(bisect.bisect_right(slots, source), following) - 1
+            if following < 0:
+                break  # answers to what came before the first input that is known
+            answered.setdefault(following, set()).add(name)
+    if not answered or len(answered) < _ANSWERED * len(slots):
+        return None
+    missed = sum(1 for slot in range(max(answered)) if slot not in answered)
+    return missed, sum(1 for names in answered.values() if len(names) > 1)
 
 
 def _lost(

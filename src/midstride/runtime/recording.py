@@ -72,6 +72,7 @@ class Recording:
     clock: Clock
     subjects: list[_Subject] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)
+    _witnesses: dict[PortRef, PortRef] = field(default_factory=dict)
 
     async def begin(self, s: Configuration, actions: Sequence[Action]) -> None:
         """Turn recording on at each subscriber that is there before and after."""
@@ -91,6 +92,20 @@ class Recording:
                     continue
                 self.subjects.append(_Subject(exchange, topic, port, int(reply["now"]), period, grid_period))
 
+    async def witness(self, s: Configuration, action: Handover) -> None:
+        """Just before a hand-over: have the new side of a message-driven output note what there is to answer."""
+        for swap in action.swaps:
+            try:
+                if (await self.link.read(swap.old.component, "grid", port=swap.old.port))["trigger"] != "message":
+                    continue
+                owner = s.component(swap.new.component).owner(swap.new.port)
+                inputs = [PortRef(swap.new.component, name) for name in owner.inputs]
+                if len(inputs) == 1:
+                    await self.link.change(swap.new.component, "record", inputs=[inputs[0].port], on=True)
+                    self._witnesses[swap.old] = inputs[0]
+            except MidstrideError:
+                continue  # the hand-over itself will say what is wrong
+
     async def _grid_period(self, old: PortRef) -> float | None:
         try:
             period = (await self.link.read(old.component, "grid", port=old.port))["period"]
@@ -105,27 +120,43 @@ class Recording:
         periods = [subject.guaranteed_period for subject in self.subjects]
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
         await self.clock.sleep(min(max(tails), LONGEST_TAIL))
-        return [await self._report(subject, last_numbers) for subject in self.subjects] + self.unknown
+        # The subscribers first: what they have received, the witnesses must have too.
+        seen = [(subject, await self._records(subject.input)) for subject in self.subjects]
+        inputs = {old: await self._records(port) for old, port in self._witnesses.items()}
+        return [_report(subject, records, inputs, last_numbers) for subject, records in seen] + self.unknown
 
-    async def _report(self, subject: _Subject, last_numbers: dict[PortRef, int | None]) -> SwapReport:
-        port = subject.input
+    async def _records(self, port: PortRef) -> dict[str, Any] | None:
         try:
             reply = await self.link.read(port.component, "records", input=port.port)
             await self.link.change(port.component, "record", inputs=[port.port], on=False)
         except MidstrideError:
-            return _unknown(subject.topic, port, subject.guaranteed_period)
-        return report(
-            Observation(
-                topic=subject.topic,
-                subscriber=str(port),
-                rows=[Row(*row) for row in reply["rows"]],
-                begun=subject.begun,
-                ended=int(reply["now"]),
-                guaranteed_period=subject.guaranteed_period,
-                grid_period=subject.grid_period,
-                last_number=last_numbers.get(subject.exchange.old),
-            )
+            return None
+        return reply
+
+
+def _report(
+    subject: _Subject,
+    records: dict[str, Any] | None,
+    inputs: dict[PortRef, dict[str, Any] | None],
+    last_numbers: dict[PortRef, int | None],
+) -> SwapReport:
+    if records is None:
+        return _unknown(subject.topic, subject.input, subject.guaranteed_period)
+    to_answer = inputs.get(subject.exchange.old)
+    sources = None if to_answer is None else [Row(*row).source for row in to_answer["rows"]]
+    return report(
+        Observation(
+            topic=subject.topic,
+            subscriber=str(subject.input),
+            rows=[Row(*row) for row in records["rows"]],
+            begun=subject.begun,
+            ended=int(records["now"]),
+            guaranteed_period=subject.guaranteed_period,
+            grid_period=subject.grid_period,
+            last_number=last_numbers.get(subject.exchange.old),
+            inputs=None if sources is None else [source for source in sources if source is not None],
         )
+    )
 
 
 def _normal(s: Configuration, output: PortRef) -> Predicate | None:
