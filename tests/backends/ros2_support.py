@@ -1,0 +1,228 @@
+"""Real ROS 2 for tests: a back end, components from a few lines of source, and nothing left behind.
+
+Nothing here imports ROS at the top, so that the tests can be collected where there is none.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import textwrap
+import time
+import uuid
+from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
+from pathlib import Path
+from typing import Any, TypeVar
+
+from midstride.runtime import guardian
+from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.runtime.guardian import Guardian, look
+from midstride.runtime.link import Link
+from midstride.wire.messages import ENV_TOKEN, Announcement
+
+T = TypeVar("T")
+
+TALKER = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("talker")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+count = 0
+
+def normal():
+    global count
+    count += 1
+    out.write(String(data=str(count)))
+
+talk.set_normal_mode(normal, rate=50, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+LISTENER = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("listener")
+in_ = comp.create_input("in", String, rate=10)
+listen = comp.create_functionality("listen", inputs=[in_])
+listen.set_normal_mode(lambda message: None, inputs=[in_])
+listen.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+def run(coroutine: Coroutine[Any, Any, T], seconds: float = 60.0) -> T:
+    """Run a test's coroutine; one that hangs fails."""
+
+    async def bounded() -> T:
+        return await asyncio.wait_for(coroutine, seconds)
+
+    return asyncio.run(bounded())
+
+
+def alive(pid: int) -> bool:
+    seen = look(pid)
+    return seen is not None and seen.alive
+
+
+async def until(condition: Callable[[], Any], seconds: float = 20.0) -> None:
+    """Wait for what the test is waiting for, and no longer."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline, "it did not come true in time"
+        await asyncio.sleep(0.005)
+
+
+async def until_async(condition: Callable[[], Awaitable[Any]], seconds: float = 20.0) -> None:
+    deadline = time.monotonic() + seconds
+    while not await condition():
+        assert time.monotonic() < deadline, "it did not come true in time"
+        await asyncio.sleep(0.01)
+
+
+class Rig:
+    """An opened back end with what it has heard. Made by :func:`rig`."""
+
+    def __init__(self, backend: Any, folder: Path, token: str) -> None:
+        self.backend = backend
+        self.folder = folder
+        self.token = token
+        self.link = Link(backend, token)
+        self.announced: dict[str, Announcement] = {}
+        self.exits: list[Exited] = []
+        self.exited_at: dict[str, float] = {}
+        self.handles: dict[str, Handle] = {}
+
+    def heard(self, event: Announcement | Exited) -> None:
+        if isinstance(event, Announcement):
+            if event.start_token == self.token:
+                self.announced[event.instance] = event
+        else:
+            self.exits.append(event)
+            self.exited_at[event.instance] = time.monotonic()
+
+    def write(self, name: str, source: str) -> Path:
+        path = self.folder / f"{name}.py"
+        path.write_text(textwrap.dedent(source), encoding="utf-8")
+        return path
+
+    async def launch(self, instance: str, source: str, *arguments: str, **options: Any) -> Handle:
+        """Start a component's process and return at once."""
+        self.announced.pop(instance, None)
+        self.link.forget(instance)
+        self.write(instance.replace("/", "_"), source)
+        command = ("python3", f"{instance.replace('/', '_')}.py", *arguments)
+        handle: Handle = await self.backend.start(
+            Launch(instance, options.pop("namespace", ""), command, self.token, self.folder, **options)
+        )
+        self.handles[instance] = handle
+        return handle
+
+    async def start(self, instance: str, source: str, *arguments: str, **options: Any) -> Announcement:
+        """Start a component and welcome it."""
+        handle = await self.launch(instance, source, *arguments, **options)
+        await until(lambda: instance in self.announced or self.exits)
+        assert instance in self.announced, f"{instance} ended before it registered:\n{Path(handle.log or '').read_text()}"
+        await self.link.change(instance, "welcome", manager="a test")
+        return self.announced[instance]
+
+    async def modes(self, instance: str, because: str = "a test asked for it", **modes: str) -> None:
+        await self.link.change(instance, "modes", timeout=5.0, modes=modes, because=because)
+
+    async def attach(self, instance: str, port: str, topic: str, gate: str = "open", peers: int = 0) -> None:
+        await self.link.change(instance, "attach", timeout=10.0, port=port, topic=topic, gate=gate, peers=peers)
+
+    async def detach(self, instance: str, port: str, topic: str) -> Any:
+        return await self.link.change(instance, "detach", timeout=5.0, port=port, topic=topic)
+
+    def pid(self, instance: str) -> int:
+        pid = self.handles[instance].pid
+        assert pid is not None
+        return pid
+
+    def kill(self, instance: str, number: int = signal.SIGKILL) -> None:
+        os.kill(self.pid(instance), number)
+
+    def log(self, instance: str) -> str:
+        return Path(self.handles[instance].log or "").read_text(encoding="utf-8")
+
+
+@contextlib.asynccontextmanager
+async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
+    """A back end, opened; at the end it is closed, and everything it started is ended."""
+    from midstride.backends.ros2 import create_backend
+
+    token = f"test-{uuid.uuid4().hex}"
+    with Guardian(ENV_TOKEN, token) as guarding:
+        backend = create_backend(logs=folder / "logs", guardian=guarding, **options)
+        rig = Rig(backend, folder, token)
+        await backend.open(rig.heard)
+        try:
+            yield rig
+        finally:
+            await backend.close()
+    assert guardian.left({}, ENV_TOKEN, token) == set()
+
+
+def shared_memory_of(pid: int) -> list[str]:
+    """The files of the middleware in ``/dev/shm`` that a process has mapped."""
+    lines = Path(f"/proc/{pid}/maps").read_text(encoding="utf-8").splitlines()
+    return sorted({line.split()[-1] for line in lines if "/dev/shm/fast" in line})
+
+
+class Bare:
+    """A bare rclpy node beside the back end, in a context of its own; call :meth:`spin` to let it work."""
+
+    def __init__(self, name: str = "bare", environment: dict[str, str] | None = None) -> None:
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+        from rclpy.node import Node
+        from rclpy.signals import SignalHandlerOptions
+
+        from midstride.backends.ros2 import tuning
+
+        self.context = Context()
+        with tuning.in_force(tuning.of_this_process()):
+            rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
+            self.node: Any = Node(name, context=self.context, use_global_arguments=False, start_parameter_services=False)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    async def until(self, condition: Callable[[], Any], seconds: float = 20.0) -> None:
+        """Spin, while the test's loop goes on, until ``condition`` holds."""
+        deadline = time.monotonic() + seconds
+        while not condition():
+            assert time.monotonic() < deadline, "it did not come true in time"
+            self.executor.spin_once(timeout_sec=0.002)
+            await asyncio.sleep(0)
+
+    async def ask(self, client: Any, request: Any, seconds: float = 20.0) -> Any:
+        """A service's answer, asked for again where it is lost."""
+        await self.until(client.service_is_ready, seconds)
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            future = client.call_async(request)
+            again = time.monotonic() + 5.0
+            while not future.done() and time.monotonic() < again:
+                self.executor.spin_once(timeout_sec=0.002)
+                await asyncio.sleep(0)
+            if future.done():
+                return future.result()
+        raise AssertionError("no answer came")
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+    def __enter__(self) -> Bare:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
