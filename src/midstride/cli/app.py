@@ -27,7 +27,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "down": ("running", "end a system: every component, and its manager"),
     "demo": ("demo", "run an example from beginning to end"),
 }
-HIDDEN: Final[dict[str, str]] = {"_manager": "manage", "_demo": "demo"}
+HIDDEN: Final[dict[str, str]] = {"_manager": "manage"}
 
 
 @dataclass(slots=True)

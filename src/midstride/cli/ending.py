@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from typing import Any
 
 from midstride import backends
 from midstride.cli.systems import find
-from midstride.errors import ManagerError, MidstrideError, NoManager
+from midstride.errors import ManagerBusy, ManagerError, MidstrideError, NoManager
 from midstride.runtime.backend import Backend, Handle
 from midstride.runtime.launcher import STOP_GRACE
 from midstride.runtime.workspace import Workspace
+
+# How long a manager may take to end once its system is down (s).
+LAST_BREATH = 10.0
+POLL = 0.02
 
 
 def take_down(system: str | None) -> str:
@@ -25,7 +30,20 @@ def take_down(system: str | None) -> str:
             _end_what_is_left(left[0])
         return left[0].name
     client.post("/down")
+    _until_free(workspace)
     return workspace.name
+
+
+def _until_free(workspace: Workspace) -> None:
+    """The system is down; its manager is about to end. Then the next `up` finds nobody in its way."""
+    end = time.monotonic() + LAST_BREATH
+    while time.monotonic() < end:
+        try:
+            with workspace.lock():
+                return
+        except ManagerBusy:
+            time.sleep(POLL)
+    raise ManagerError(f"{workspace.name} is down, but its manager has not ended within {LAST_BREATH:g} s")
 
 
 def _end_what_is_left(workspace: Workspace) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from functools import cache
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -13,6 +12,9 @@ from midstride.cli.app import Settings
 
 if TYPE_CHECKING:
     from rich.console import Console
+
+
+UNFOLDED = 1000
 
 
 def wants_json() -> bool:
@@ -25,9 +27,8 @@ def print_json(document: Any) -> None:
     print(json.dumps(document, indent=2, ensure_ascii=False))
 
 
-@cache
 def console(stderr: bool = False) -> Console:
-    """The console of standard output or standard error. What its encoding cannot show becomes a question mark."""
+    """A console on standard output or standard error. What its encoding cannot show becomes a question mark."""
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
@@ -35,8 +36,8 @@ def console(stderr: bool = False) -> Console:
     if reconfigure is not None:
         reconfigure(errors="replace")
     # Piped output is not folded at 80 columns: programs and `grep` read it.
-    width = None if stream.isatty() else 200
-    return Console(stderr=stderr, highlight=False, emoji=False, width=width)
+    width = None if stream.isatty() else UNFOLDED
+    return Console(file=stream, highlight=False, emoji=False, width=width)
 
 
 def is_interactive() -> bool:

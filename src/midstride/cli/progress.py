@@ -22,6 +22,7 @@ class Progress:
         self._console = console
         self._status = console.status("") if console.is_terminal else None
         self._begun: dict[int, float] = {}
+        self._words = self._aside = ""
 
     def __enter__(self) -> Progress:
         if self._status is not None:
@@ -52,9 +53,16 @@ class Progress:
         elif kind not in _QUIET:
             self._console.print("  ", event_line(event), sep="")
 
+    def aside(self, words: str) -> None:
+        """Something to stand beside the step under way, on a terminal: what a component has just said."""
+        self._aside = words
+        self._doing(self._words)
+
     def _doing(self, words: str) -> None:
+        self._words = words
         if self._status is not None:
-            self._status.update(escape(words))
+            beside = f"   [dim]{escape(self._aside)}[/dim]" if self._aside else ""
+            self._status.update(escape(words) + beside)
 
 
 def _words(event: dict[str, Any]) -> str:

@@ -53,25 +53,23 @@ def step_words(step: Document) -> str:
 
 def plan(document: Document, title: str) -> RenderableType:
     """The steps, who falls, how far and for how long, and what it costs."""
-    table = Table(title=escape(title), title_justify="left", title_style="bold", box=None, pad_edge=False)
+    table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("#", justify="right", style="dim")
     table.add_column("step")
     table.add_column("takes about", justify="right")
     for number, step in enumerate(document["steps"], 1):
         table.add_row(str(number), escape(step_words(step)), seconds(step.get("seconds")))
-    return Group(table, Text.from_markup(falls(document)), Text(cost(document)))
+    return Group(Text(title, style="bold"), table, Text.from_markup(falls(document)), Text(cost(document), style="dim"))
 
 
 def falls(document: Document) -> str:
     """Who falls on the way, how far, for how long and why; and what stands otherwise afterwards."""
     lines = [f"[yellow]Falls:[/yellow] {escape(_fall(document, fall))}" for fall in document["falls"]]
-    if not lines:
+    lower, higher = _afterwards(document)
+    if not lines and not lower:
         lines = ["[green]Nothing falls:[/green] every functionality keeps its level throughout."]
-        if afterwards := _afterwards(document):
-            lines = ["Nothing falls below what start and target have in common."]
-            lines += [f"[yellow]Afterwards:[/yellow] {escape(words)}" for words in afterwards]
-    else:
-        lines += [f"[yellow]Afterwards:[/yellow] {escape(words)}" for words in _afterwards(document)]
+    lines += [f"[yellow]Stays lower:[/yellow] {escape(words)}" for words in lower]
+    lines += [f"[green]Rises:[/green] {escape(words)}" for words in higher]
     return "\n".join(lines)
 
 
@@ -81,7 +79,7 @@ def _fall(document: Document, fall: Document) -> str:
     where = f"steps {since} to {until}" if until is not None else f"from step {since} on"
     far = _mode_entered(steps[since - 1], fall["functionality"]) if since else None
     how_far = f" to {far}" if far else ""
-    return f"{fall['functionality']}{how_far} for about {seconds(fall['seconds'])} ({where}): {fall['because']}"
+    return f"{fall['functionality']}{how_far} for about {seconds(fall['seconds'])} ({where})\n  {fall['because']}"
 
 
 def _mode_entered(step: Document, functionality: str) -> str | None:
@@ -94,21 +92,23 @@ def _mode_entered(step: Document, functionality: str) -> str | None:
     return None
 
 
-def _afterwards(document: Document) -> list[str]:
-    """The functionalities of what stays that end in another mode than they began in."""
+def _afterwards(document: Document) -> tuple[list[str], list[str]]:
+    """Of what stays: the functionalities that end lower than they began, and those that end higher."""
     steps: list[Document] = document["steps"]
     passing = {step["component"] for step in steps if step["action"] in {"create", "remove"}}
-    before: dict[str, str] = {}
-    after: dict[str, str] = {}
+    first: dict[str, Document] = {}
+    last: dict[str, str] = {}
     for step in steps:
         for ref, modes in step.get("modes", {}).items():
-            before.setdefault(ref, modes["from"])
-            after[ref] = modes["to"]
-    return [
-        f"{ref} is in mode {after[ref]} (now {before[ref]})"
-        for ref in before
-        if after[ref] != before[ref] and ref.rpartition(".")[0] not in passing
-    ]
+            if ref.rpartition(".")[0] not in passing:
+                first.setdefault(ref, {"action": step["action"], "mode": modes["from"]})
+                last[ref] = modes["to"]
+    lower, higher = [], []
+    for ref, begun in first.items():
+        if last[ref] != begun["mode"]:
+            words = f"{ref}, from {begun['mode']} to {last[ref]}"
+            (higher if begun["action"] == "upgrade" else lower).append(words)
+    return lower, higher
 
 
 def cost(document: Document) -> str:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-BACKENDS = ("ros2", "sim")
+if TYPE_CHECKING:
+    from midstride.model.specification import Specification
+    from midstride.runtime.workspace import Workspace
 
 
 @click.command("_manager", hidden=True)
@@ -23,13 +26,40 @@ def manager_command(file: Path, backend: str, http: int | None, http_host: str |
     from midstride.runtime.workspace import Workspace
     from midstride.server.serve import LOOPBACK, Tcp, serve
 
-    specification = load(file)
-    workspace = Workspace.of(specification.name)
+    wanted = load(file)
+    workspace = Workspace.of(wanted.name)
     tcp = None if http is None else Tcp(http, http_host or LOOPBACK)
 
     async def run() -> int:
-        manager = Manager(specification, backends.make(backend), workspace, file.resolve().parent)
+        specification = _still_running(workspace) or wanted
+        platform = backends.make(backend, logs=workspace.logs)
+        manager = Manager(specification, platform, workspace, file.resolve().parent)
         return await serve(manager, workspace, backend=backend, tcp=tcp)
 
     with workspace.lock():
         return asyncio.run(run())
+
+
+def _still_running(workspace: Workspace) -> Specification | None:
+    """What an earlier manager left running: it is taken up as it stands, whatever FILE says by now.
+
+    What is left written of a system of which nothing runs any more is forgotten.
+    """
+    from midstride.runtime.adoption import specification_of
+
+    state = workspace.load()
+    if state is None:
+        return None
+    if not any(_runs(entry["handle"]) for entry in state["instances"]):
+        workspace.forget()
+        return None
+    return specification_of(state)
+
+
+def _runs(handle: dict[str, Any] | None) -> bool:
+    from midstride.runtime.guardian import look
+
+    if handle is None or handle["pid"] is None:
+        return False
+    seen = look(handle["pid"])
+    return seen is not None and seen.alive and seen.started == handle["started"]

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import click
 
+from midstride.backends import NAMES
 from midstride.cli.app import json_option
 from midstride.cli.client import Client, Document
-from midstride.cli.commands.manage import BACKENDS
 from midstride.errors import ManagerBusy, ManagerError
 
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
@@ -22,7 +22,7 @@ POLL = 0.02
 
 @click.command("up")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--backend", type=click.Choice(BACKENDS), default="ros2", show_default=True, help="What it runs on.")
+@click.option("--backend", type=click.Choice(NAMES), default="ros2", show_default=True, help="What it runs on.")
 @click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
 @click.option("--http", type=click.IntRange(0, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
 @click.option("--http-host", metavar="ADDRESS", help="With --http: on this address of the machine instead of loopback.")
@@ -35,11 +35,13 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     """
     from midstride.cli.files import load
     from midstride.cli.output import print_json, wants_json
+    from midstride.model.document import specification_to_document
     from midstride.runtime.workspace import Workspace
 
     if http_host is not None and http is None:
         raise click.UsageError("--http-host needs --http PORT")
-    workspace = Workspace.of(load(file).name)
+    wanted = load(file)
+    workspace = Workspace.of(wanted.name)
     client = Client(workspace.socket)
     if (running := client.service()) is not None:
         raise ManagerBusy(
@@ -52,6 +54,12 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     manager = _start(arguments, workspace.logs / "manager.log")
     _first_answer(client, manager, workspace.logs / "manager.log")
     answer = _until_up(client, workspace.name)
+    if client.get("/specification") != specification_to_document(wanted):
+        click.echo(
+            f"{workspace.name} was running, and is not as {file} says: it has been taken up as it is. "
+            f"`midstride apply {file}` changes it.",
+            err=True,
+        )
     if wants_json():
         print_json(answer)
         return 0

@@ -1,0 +1,75 @@
+"""The examples that ``demo`` runs: a folder with a specification, its programs, and ``demo.json``, what to do with them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+import midstride
+from midstride.cli.files import load
+from midstride.errors import SpecificationError
+from midstride.model.problems import suggestion
+from midstride.model.reading import parse_json
+from midstride.model.specification import Specification
+from midstride.plan.request import Request
+
+
+@dataclass(frozen=True, slots=True)
+class Act:
+    """One change of an example: what it is called, what is said of it, what is asked for."""
+
+    name: str
+    says: str
+    request: Request
+
+
+@dataclass(frozen=True, slots=True)
+class Example:
+    """``listen_to`` is the role whose log shows what the change looks like from a subscriber's side."""
+
+    name: str
+    folder: Path
+    title: str
+    specification: Specification
+    listen_to: str
+    acts: tuple[Act, ...]
+
+
+def find(name: str) -> Example:
+    """The example called ``name``, or in the folder ``name``. Raises UsageError where there is none."""
+    root = examples_folder()
+    known = {file.parent.name: file.parent for file in sorted(root.glob("*/demo.json"))} if root else {}
+    folder = known.get(name) or Path(name)
+    if not (folder / "demo.json").is_file():
+        where = "" if root else " (the examples are in the repository, not in the installed package: give a folder)"
+        raise click.UsageError(f"there is no example `{name}`; {suggestion(name, known)}{where}")
+    return read(folder)
+
+
+def examples_folder() -> Path | None:
+    """The examples that came with this Midstride, where it runs from its repository."""
+    folder = Path(midstride.__file__).resolve().parents[2] / "examples"
+    return folder if folder.is_dir() else None
+
+
+def read(folder: Path) -> Example:
+    """The example in ``folder``. Raises SpecificationError where its ``demo.json`` is none."""
+    file = folder / "demo.json"
+    document: Any = parse_json(file.read_text(encoding="utf-8"))
+    try:
+        return Example(
+            name=folder.name,
+            folder=folder.resolve(),
+            title=str(document["title"]),
+            specification=load(folder / document["specification"]),
+            listen_to=str(document["listen_to"]),
+            acts=tuple(
+                Act(str(act["name"]), str(act["says"]), Request.from_document(act["request"]))
+                for act in document["acts"]
+            ),
+        )
+    except (KeyError, TypeError) as error:
+        raise SpecificationError(f"{file}: not the description of an example ({error!r})") from None
