@@ -1,4 +1,1 @@
-"""For users and for Midstride's own tests: hypothesis strategies over the model, and more.
-
-`strategies` needs the package `hypothesis`; nothing else of Midstride does.
-"""
+"""For tests, Midstride's own and its users': puppets, virtual time, and the checks any back end must pass."""

@@ -1,0 +1,285 @@
+"""The hand-over: agreed cuts, and what happens where one side does not do its part."""
+
+from __future__ import annotations
+
+import itertools
+from pathlib import Path
+from typing import Any, Final
+
+from midstride.runtime.backend import Backend
+from midstride.testing.conformance import puppets
+from midstride.testing.conformance.lab import Lab
+
+# How far ahead a cut is agreed (s): many round trips on a busy machine.
+LEAD: Final = 0.3
+
+
+async def _two_talkers(lab: Lab, rate: float) -> None:
+    """``old`` talks to ``sink``, ``new`` does so behind its gate."""
+    await lab.start("sink", puppets.sink())
+    for name in ("old", "new"):
+        await lab.start(name, puppets.talker(rate=rate))
+    await lab.attach("sink", "in", "/chatter")
+    await lab.mode("sink", "hear", "normal")
+    await lab.attach("old", "out", "/chatter", peers=1)
+    await lab.attach("new", "out", "/chatter", peers=1, gate="closed")
+    for name in ("old", "new"):
+        await lab.mode(name, "talk", "normal")
+    await lab.read("new", "await_write", port="out", topic="/chatter", timeout=5.0)
+    await lab.change("new", "meet", peer="old")
+    await lab.sleep(0.3)
+
+
+async def _slot(lab: Lab, instance: str, lead: float = LEAD) -> tuple[int, int, float]:
+    """A slot of the output's grid ``lead`` seconds ahead, an epoch of the grid, and its period."""
+    grid = await lab.read(instance, "grid", port="out")
+    period = round(grid["period"] * 1e9)
+    ahead = (grid["now"] + int(lead * 1e9) - grid["epoch"]) // period + 1
+    return grid["epoch"] + ahead * period, grid["epoch"], grid["period"]
+
+
+def _swap(**more: Any) -> list[dict[str, Any]]:
+    return [{"port": "out", "topic": "/chatter", **more}]
+
+
+async def _cut(
+    lab: Lab, at: int, epoch: int | None, resume_after: float, cut: str = "cut", latch: bool = False
+) -> None:
+    await lab.change("old", "cut_out", cut=cut, swaps=_swap(), at=at, resume_after=resume_after)
+    await lab.change("new", "cut_in", cut=cut, swaps=_swap(latch=latch), at=at, epoch=epoch, peer="old")
+
+
+async def _outcomes(lab: Lab, cut: str = "cut", timeout: float = 5.0) -> tuple[dict[str, Any], dict[str, Any]]:
+    new = await lab.read("new", "await_cut", cut=cut, timeout=timeout)
+    old = await lab.read("old", "await_cut", cut=cut, timeout=timeout)
+    return old, new
+
+
+async def hands_over_on_the_grid(backend: Backend, workspace: Path) -> None:
+    """At 50 Hz: every slot written by exactly one side, the cut where it was agreed, both publishers in the graph."""
+    async with Lab(backend, workspace) as lab:
+        await _two_talkers(lab, rate=50)
+        at, epoch, period = await _slot(lab, "old")
+        await lab.change("sink", "record", inputs=["in"], on=True)
+        publishers = (await lab.backend.endpoints()).publishers
+        assert {("old", "/chatter"), ("new", "/chatter")} <= set(publishers), publishers
+        await _cut(lab, at, epoch, resume_after=1.0)
+        old, new = await _outcomes(lab)
+        assert old["outcome"] == "done" and new["outcome"] == "done", (old, new)
+        assert (await lab.port("old", "out", "/chatter"))["gate"] == "closed"
+        assert (await lab.port("new", "out", "/chatter"))["gate"] == "open"
+        await lab.change("old", "detach", port="out", topic="/chatter", timeout=2.0)
+        await lab.sleep(0.5)
+        words = await lab.received("sink")
+        sides = [word.split(" ")[0] for word in words]
+        turn = sides.index("new")
+        assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "they spoke in turns"
+        for side in ("old", "new"):
+            spoken = [int(word.rsplit(" ", 1)[1]) for word in words if word.startswith(side)]
+            assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), (side, spoken)
+        assert old["last"]["out /chatter"][0] == turn, (old, turn)
+        assert new["first"]["out /chatter"][0] == 1, new
+        rows = await lab.rows("sink")
+        if all(row[1] is not None for row in rows):
+            await _check_slots(rows, at, period)
+
+
+async def _check_slots(rows: list[list[Any]], at: int, period: float) -> None:
+    """By source time: one message in each slot, and the first of the new one in the slot agreed on."""
+    slots = [(row[1] - at) / 1e9 / period for row in rows]
+    # A write comes after its slot's time, late by what the machine makes of it.
+    nearest = [round(slot - 0.1) for slot in slots]
+    assert len(set(nearest)) == len(nearest), f"two messages in one slot: {slots}"
+    assert nearest == list(range(nearest[0], nearest[0] + len(nearest))), f"a slot without a message: {slots}"
+
+
+async def hands_over_what_messages_drive(backend: Backend, workspace: Path) -> None:
+    """At 200 Hz: every question answered exactly once, whoever answers it."""
+    async with Lab(backend, workspace) as lab:
+        await lab.start("source", puppets.talker(rate=200))
+        await lab.start("sink", puppets.sink())
+        await lab.attach("sink", "in", "/chatter")
+        await lab.mode("sink", "hear", "normal")
+        for name, gate in (("old", "open"), ("new", "closed")):
+            await lab.start(name, puppets.relay())
+            await lab.attach(name, "out", "/chatter", peers=1, gate=gate)
+            await lab.attach(name, "in", "/questions")
+            await lab.mode(name, "answer", "normal")
+        await lab.attach("source", "out", "/questions", peers=2)
+        await lab.mode("source", "talk", "normal")
+        await lab.read("new", "await_write", port="out", topic="/chatter", timeout=5.0)
+        await lab.change("new", "meet", peer="old")
+        await lab.sleep(0.3)
+        grid = await lab.read("old", "grid", port="out")
+        at = grid["now"] + int(LEAD * 1e9)
+        await _cut(lab, at, None, resume_after=1.0)
+        old, new = await _outcomes(lab)
+        assert old["outcome"] == "done" and new["outcome"] == "done", (old, new)
+        await lab.change("old", "detach", port="out", topic="/chatter", timeout=2.0)
+        await lab.sleep(0.3)
+        await lab.mode("source", "talk", "degraded")
+        await lab.sleep(0.3)
+        asked = (await lab.told("source"))["calls"]["talk.normal"]
+        assert await lab.received("sink") == [f"source normal {n}" for n in range(1, asked + 1)]
+        assert (await lab.port("new", "out", "/chatter"))["count"] > 20
+
+
+async def hands_over_a_latched_topic(backend: Backend, workspace: Path) -> None:
+    """On a transient-local topic the new one writes before the old goes, and a late joiner gets what it wrote."""
+    async with Lab(backend, workspace) as lab:
+        for name, gate in (("old", "open"), ("new", "closed")):
+            await lab.start(name, puppets.latch())
+            await lab.attach(name, "out", "/chatter", gate=gate)
+            await lab.mode(name, "talk", "normal")
+        await lab.read("new", "await_write", port="out", topic="/chatter", timeout=5.0)
+        await lab.change("new", "meet", peer="old")
+        grid = await lab.read("old", "grid", port="out")
+        assert grid["trigger"] == "none" and grid["epoch"] is None, grid
+        await _cut(lab, grid["now"] + int(LEAD * 1e9), None, resume_after=2.0, latch=True)
+        old, new = await _outcomes(lab)
+        assert old["outcome"] == "done" and new["outcome"] == "done", (old, new)
+        await lab.change("old", "detach", port="out", topic="/chatter", timeout=2.0)
+        await lab.start("late", puppets.sink(durability="transient_local"))
+        await lab.mode("late", "hear", "normal")
+        await lab.attach("late", "in", "/chatter", peers=1)
+        await lab.eventually("the late joiner has it", lambda: lab.received("late"))
+        assert await lab.received("late") == ["new normal 1"]
+
+
+async def takes_up_again_unless_relieved(backend: Backend, workspace: Path) -> None:
+    """The new side is never told: the old one takes up again by itself, after the time stated and not before."""
+    async with Lab(backend, workspace) as lab:
+        await _two_talkers(lab, rate=50)
+        await lab.change("sink", "record", inputs=["in"], on=True)
+        at, _, _ = await _slot(lab, "old")
+        await lab.change("old", "cut_out", cut="cut", swaps=_swap(), at=at, resume_after=0.4)
+        old = await lab.read("old", "await_cut", cut="cut", timeout=5.0)
+        assert old["outcome"] == "resumed", old
+        assert (await lab.port("old", "out", "/chatter"))["gate"] == "open"
+        await lab.sleep(0.3)
+        words = await lab.received("sink")
+        assert all(word.startswith("old ") for word in words)
+        received = [row[0] for row in await lab.rows("sink")]
+        gap = max(later - earlier for earlier, later in itertools.pairwise(received)) / 1e9
+        assert 0.35 < gap < 0.7, f"it was silent for {gap} s"
+        # Told too late, the new side hears so, and stays behind its gate.
+        late, epoch, _ = await _slot(lab, "old")
+        await lab.change("new", "cut_in", cut="cut", swaps=_swap(), at=late, epoch=epoch, peer="old")
+        new = await lab.read("new", "await_cut", cut="cut", timeout=5.0)
+        assert new["outcome"] == "cancelled", new
+        assert (await lab.port("new", "out", "/chatter"))["gate"] == "closed"
+
+
+async def waits_for_a_question_before_it_takes_up_again(backend: Backend, workspace: Path) -> None:
+    """A message-driven old side that nobody asks anything has nothing to take up again for."""
+    async with Lab(backend, workspace) as lab:
+        await lab.start("source", puppets.talker(rate=50))
+        await lab.start("old", puppets.relay())
+        await lab.start("sink", puppets.sink())
+        await lab.attach("sink", "in", "/chatter")
+        await lab.mode("sink", "hear", "normal")
+        await lab.attach("old", "out", "/chatter", peers=1)
+        await lab.attach("old", "in", "/questions")
+        await lab.mode("old", "answer", "normal")
+        await lab.attach("source", "out", "/questions", peers=1)
+        grid = await lab.read("old", "grid", port="out")
+        at = grid["now"] + int(LEAD * 1e9)
+        await lab.change("old", "cut_out", cut="cut", swaps=_swap(), at=at, resume_after=0.2)
+        waiting = await lab.read("old", "await_cut", cut="cut", timeout=LEAD + 1.0)
+        assert waiting["outcome"] == "waiting", waiting
+        await lab.mode("source", "talk", "normal")
+        old = await lab.read("old", "await_cut", cut="cut", timeout=5.0)
+        assert old["outcome"] == "resumed", old
+        await lab.eventually("it answers again", lambda: lab.received("sink"))
+
+
+async def cancels_a_cut(backend: Backend, workspace: Path) -> None:
+    """Before its moment or after it: the old side's gate is open, the new one's closed; and another cut can be."""
+    async with Lab(backend, workspace) as lab:
+        await _two_talkers(lab, rate=50)
+        at, epoch, _ = await _slot(lab, "old")
+        await _cut(lab, at, epoch, resume_after=1.0, cut="first")
+        for side in ("new", "old"):
+            await lab.change(side, "cancel_cut", cut="first")
+        old, new = await _outcomes(lab, "first")
+        assert old["outcome"] == "cancelled" and new["outcome"] == "cancelled", (old, new)
+        await lab.sleep(LEAD + 0.2)
+        assert (await lab.port("old", "out", "/chatter"))["gate"] == "open"
+        assert (await lab.port("new", "out", "/chatter"))["count"] == 0
+        at, epoch, _ = await _slot(lab, "old")
+        await _cut(lab, at, epoch, resume_after=1.0, cut="second")
+        await _outcomes(lab, "second")
+        for side in ("new", "old"):
+            await lab.change(side, "cancel_cut", cut="second")
+        assert (await lab.port("old", "out", "/chatter"))["gate"] == "open"
+        assert (await lab.port("new", "out", "/chatter"))["gate"] == "closed"
+        count = len(await lab.received("sink"))
+        await lab.sleep(0.3)
+        words = (await lab.received("sink"))[count:]
+        assert words and all(word.startswith("old ") for word in words), words
+        await lab.change("new", "cancel_cut", cut="never agreed")
+
+
+async def refuses_cuts_that_cannot_be(backend: Backend, workspace: Path) -> None:
+    """In the past, on the wrong side of a gate, on what is not attached, twice: refused, and nothing has changed."""
+    async with Lab(backend, workspace) as lab:
+        await _two_talkers(lab, rate=50)
+        at, epoch, _ = await _slot(lab, "old")
+        past = at - int(10e9)
+        common: dict[str, Any] = {"cut": "cut", "swaps": _swap()}
+        assert "passed" in await lab.refusal("old", "cut_out", **common, at=past, resume_after=1.0)
+        assert "passed" in await lab.refusal("new", "cut_in", **common, at=past, epoch=epoch, peer="old")
+        assert "closed" in await lab.refusal("new", "cut_out", **common, at=at, resume_after=1.0)
+        assert "open" in await lab.refusal("old", "cut_in", **common, at=at, epoch=epoch, peer="new")
+        elsewhere = [{"port": "out", "topic": "/elsewhere"}]
+        refused = await lab.refusal("old", "cut_out", cut="cut", swaps=elsewhere, at=at, resume_after=1.0)
+        assert "/elsewhere" in refused
+        assert "nobody" in await lab.refusal("new", "meet", peer="nobody", timeout=0.5)
+        at, epoch, _ = await _slot(lab, "old", lead=5.0)
+        await lab.change("old", "cut_out", **common, at=at, resume_after=1.0)
+        assert "cut" in await lab.refusal("old", "cut_out", **common, at=at, resume_after=1.0)
+        assert "cut" in await lab.refusal("old", "gate", port="out", topic="/chatter", gate="closed")
+        await lab.change("old", "cancel_cut", cut="cut")
+        assert "unheard of" in await lab.read_refusal("old", "await_cut", cut="unheard of", timeout=0.1)
+
+
+async def keeps_to_the_grid_across_a_busy_spell(backend: Backend, workspace: Path) -> None:
+    """A new side that is busy at the cut writes its slots late or not at all, but never one of the old side's."""
+    async with Lab(backend, workspace) as lab:
+        await lab.start("sink", puppets.sink())
+        await lab.start("old", puppets.talker(rate=20))
+        await lab.start("new", puppets.talker(rate=20, mode={"sleep": 0.2, "at_call": 30}))
+        await lab.attach("sink", "in", "/chatter")
+        await lab.mode("sink", "hear", "normal")
+        await lab.attach("old", "out", "/chatter", peers=1)
+        await lab.attach("new", "out", "/chatter", peers=1, gate="closed")
+        for name in ("old", "new"):
+            await lab.mode(name, "talk", "normal")
+        await lab.change("new", "meet", peer="old")
+        await lab.eventually("it is about to be busy", lambda: _called(lab, 24))
+        at, epoch, _ = await _slot(lab, "old", lead=0.25)
+        await _cut(lab, at, epoch, resume_after=2.0)
+        old, new = await _outcomes(lab)
+        assert old["outcome"] == "done" and new["outcome"] == "done", (old, new)
+        await lab.sleep(0.3)
+        sides = [word.split(" ")[0] for word in await lab.received("sink")]
+        turn = sides.index("new")
+        assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "they spoke in turns"
+        assert (await lab.port("old", "out", "/chatter"))["count"] == turn
+
+
+async def _called(lab: Lab, least: int) -> bool:
+    calls: int = (await lab.told("new"))["calls"].get("talk.normal", 0)
+    return calls >= least
+
+
+CHECKS: Final = (
+    hands_over_on_the_grid,
+    hands_over_what_messages_drive,
+    hands_over_a_latched_topic,
+    takes_up_again_unless_relieved,
+    waits_for_a_question_before_it_takes_up_again,
+    cancels_a_cut,
+    refuses_cuts_that_cannot_be,
+    keeps_to_the_grid_across_a_busy_spell,
+)

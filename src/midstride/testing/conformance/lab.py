@@ -1,0 +1,195 @@
+"""A back end opened for one check: starting puppets, commanding them, and leaving nothing behind."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+from midstride.errors import BackendError, CommandRefused
+from midstride.runtime.backend import Backend, Exited, Handle, Launch
+from midstride.testing.conformance.puppets import Description, command_of
+from midstride.wire.messages import Announcement, Command, Reply
+
+TOKEN: Final = "the-token-of-the-laboratory"
+# How long anything may take that only waits for processes and discovery (s); a loaded machine is slow.
+PATIENCE: Final = 20.0
+# The grace in which a component may end in order (s).
+GRACE: Final = 5.0
+
+
+class Lab:
+    """``async with Lab(backend, workspace) as lab``: on leaving, all that it started is ended."""
+
+    def __init__(self, backend: Backend, workspace: Path) -> None:
+        self.backend = backend
+        self.clock = backend.clock
+        self.announcements: list[Announcement] = []
+        self.exits: dict[str, Exited] = {}
+        self.handles: dict[str, Handle] = {}
+        self._workspace = workspace
+        self._revisions: dict[str, int] = {}
+        self._ids = 0
+
+    async def __aenter__(self) -> Lab:
+        await self.backend.open(self._on_event)
+        return self
+
+    async def __aexit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        try:
+            for instance in self.handles:
+                await self.backend.end(instance, GRACE)
+        finally:
+            await self.backend.close()
+
+    def _on_event(self, event: Announcement | Exited) -> None:
+        if isinstance(event, Announcement):
+            self.announcements.append(event)
+        else:
+            self.exits[event.instance] = event
+
+    # -- processes ---------------------------------------------------------------------------------
+
+    async def launch(self, instance: str, description: Description, **parameters: object) -> Handle:
+        """Start a puppet, and wait for nothing."""
+        arguments = command_of(sys.executable, description)
+        handle = await self.backend.start(Launch(instance, "", arguments, TOKEN, self._workspace, parameters))
+        self.handles[instance] = handle
+        return handle
+
+    async def start(self, instance: str, description: Description, **parameters: object) -> Announcement:
+        """Start a puppet, and welcome it once it has announced itself."""
+        await self.launch(instance, description, **parameters)
+        announcement = await self.announced(instance)
+        await self.welcome(instance)
+        return announcement
+
+    async def announced(self, instance: str) -> Announcement:
+        def look() -> Announcement | None:
+            if exited := self.exits.get(instance):
+                raise AssertionError(f"{instance} ended before it announced itself: {exited}")
+            return next((a for a in self.announcements if a.instance == instance), None)
+
+        announcement: Announcement = await self.eventually(f"{instance} announces itself", look)
+        return announcement
+
+    async def welcome(self, instance: str) -> dict[str, Any]:
+        await self.read(instance, "observe")
+        return await self.change(instance, "welcome", manager="laboratory")
+
+    async def exited(self, instance: str) -> Exited:
+        exited: Exited = await self.eventually(f"the exit of {instance} is seen", lambda: self.exits.get(instance))
+        return exited
+
+    # -- commands ----------------------------------------------------------------------------------
+
+    async def send(self, instance: str, command: Command, timeout: float = PATIENCE) -> Reply:
+        return await self.backend.call(instance, command, timeout)
+
+    async def reply(self, instance: str, op: str, changes: bool, **arguments: Any) -> Reply:
+        self._ids += 1
+        revision = self._revisions[instance] if changes else None
+        command = Command(op, arguments, f"lab-{id(self)}-{self._ids}", TOKEN, revision)
+        reply = await self.send(instance, command)
+        if changes or op == "observe":
+            self._revisions[instance] = reply.revision
+        return reply
+
+    async def change(self, instance: str, op: str, **arguments: Any) -> dict[str, Any]:
+        """Raises CommandRefused with the component's reason."""
+        return self._result(await self.reply(instance, op, True, **arguments))
+
+    async def read(self, instance: str, op: str, **arguments: Any) -> dict[str, Any]:
+        return self._result(await self.reply(instance, op, False, **arguments))
+
+    async def refusal(self, instance: str, op: str, **arguments: Any) -> str:
+        """The words with which a changing command is refused, which it must be; and nothing may change by it."""
+        before = await self.read(instance, "observe")
+        reply = await self.reply(instance, op, True, **arguments)
+        assert reply.refused is not None, f"`{op}` {arguments} was not refused"
+        after = await self.read(instance, "observe")
+        assert settled(before) == settled(after), f"`{op}` was refused and changed something:\n{before}\n{after}"
+        return reply.refused
+
+    async def read_refusal(self, instance: str, op: str, **arguments: Any) -> str:
+        """The words with which a reading command is refused, which it must be."""
+        reply = await self.reply(instance, op, False, **arguments)
+        assert reply.refused is not None, f"`{op}` {arguments} was not refused"
+        return reply.refused
+
+    def _result(self, reply: Reply) -> dict[str, Any]:
+        if reply.refused is not None:
+            raise CommandRefused(reply.refused)
+        return dict(reply.result)
+
+    # -- what checks do over and over --------------------------------------------------------------
+
+    async def attach(self, instance: str, port: str, topic: str, peers: int = 0, gate: str = "open") -> None:
+        await self.change(instance, "attach", port=port, topic=topic, gate=gate, peers=peers, timeout=PATIENCE)
+
+    async def mode(self, instance: str, functionality: str, mode: str, timeout: float = 5.0) -> dict[str, Any]:
+        return await self.change(instance, "modes", modes={functionality: mode}, timeout=timeout, because="a check")
+
+    async def told(self, instance: str) -> dict[str, Any]:
+        """What a puppet tells of itself."""
+        state = (await self.read(instance, "export_state"))["state"]
+        told: dict[str, Any] = json.loads(base64.b64decode(state))
+        return told
+
+    async def received(self, instance: str, port: str = "in") -> list[str]:
+        words: list[str] = (await self.told(instance))["received"].get(port, [])
+        return words
+
+    async def rows(self, instance: str, port: str = "in") -> list[list[Any]]:
+        rows: list[list[Any]] = (await self.read(instance, "records", input=port))["rows"]
+        return rows
+
+    async def port(self, instance: str, port: str, topic: str) -> dict[str, Any]:
+        """The state of one attachment."""
+        link: dict[str, Any] = (await self.read(instance, "observe"))["ports"][port][topic]
+        return link
+
+    async def functionality(self, instance: str, name: str) -> dict[str, Any]:
+        state: dict[str, Any] = (await self.read(instance, "observe"))["functionalities"][name]
+        return state
+
+    async def sleep(self, seconds: float) -> None:
+        await self.clock.sleep(seconds)
+
+    async def eventually(self, what: str, look: Callable[[], Any], patience: float = PATIENCE) -> Any:
+        """What ``look`` finds once it finds something; it may be async."""
+        deadline = self.clock.steady() + patience
+        while True:
+            found = look()
+            if isinstance(found, Awaitable):
+                found = await found
+            if found:
+                return found
+            assert self.clock.steady() < deadline, f"in {patience:g} s it has not come about that {what}"
+            await self.sleep(0.02)
+
+    async def unreachable(self, instance: str) -> bool:
+        """Whether calling ``instance`` fails as calling somebody who is gone must."""
+        with contextlib.suppress(BackendError):
+            await self.send(instance, Command("ping", {}, "gone", TOKEN), 1.0)
+            return False
+        return True
+
+
+def settled(state: dict[str, Any]) -> dict[str, Any]:
+    """The part of a component's state that only commands change."""
+    return {
+        "revision": state["revision"],
+        "modes": {name: entry["mode"] for name, entry in state["functionalities"].items()},
+        "gates": {
+            port: {topic: link["gate"] for topic, link in links.items()} for port, links in state["ports"].items()
+        },
+        "parameters": state["parameters"],
+    }

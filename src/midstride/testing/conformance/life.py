@@ -1,0 +1,193 @@
+"""Starting, announcing, being welcomed, ending; and who may command."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+from midstride.errors import BackendError
+from midstride.model.document import component_from_document
+from midstride.runtime.backend import Backend
+from midstride.testing.conformance import puppets
+from midstride.testing.conformance.lab import TOKEN, Lab
+from midstride.wire.messages import Command
+
+
+async def starts_announces_and_waits(backend: Backend, workspace: Path) -> None:
+    """A component says who it is until it is welcomed, and stands degraded and unattached."""
+    async with Lab(backend, workspace) as lab:
+        description = puppets.relay()
+        await lab.launch("relay_2", description)
+        announcement = await lab.announced("relay_2")
+        assert announcement.start_token == TOKEN
+        assert component_from_document(announcement.declaration) == component_from_document(description["component"])
+        assert announcement.endpoints == ()
+        count = len(lab.announcements)
+        await lab.eventually("it announces itself again", lambda: len(lab.announcements) > count)
+        state = await lab.read("relay_2", "observe")
+        assert state["instance"] == "relay_2" and state["uuid"] == announcement.uuid
+        assert state["waiting"] and state["ports"] == {"out": {}, "in": {}}
+        assert state["functionalities"]["answer"]["mode"] == "degraded"
+        welcomed = await lab.welcome("relay_2")
+        assert welcomed["waiting"] is None
+        await lab.sleep(0.5)
+        count = len(lab.announcements)
+        await lab.sleep(0.5)
+        assert len(lab.announcements) == count, "it went on announcing itself after it was welcomed"
+        assert "relay_2" in (await lab.backend.endpoints()).nodes
+
+
+async def stops_in_order(backend: Backend, workspace: Path) -> None:
+    """`stop`: the author's last word still goes out, then the process ends with status 0, and its endpoints with it."""
+    async with Lab(backend, workspace) as lab:
+        await lab.start("sink", puppets.sink())
+        await lab.start("talker", puppets.talker(on_stop={"write": "last words"}))
+        await lab.attach("sink", "in", "/chatter")
+        await lab.attach("talker", "out", "/chatter", peers=1)
+        await lab.mode("sink", "hear", "normal")
+        await lab.mode("talker", "talk", "normal")
+        await lab.eventually("the sink hears it", lambda: lab.received("sink"))
+        await lab.change("talker", "stop")
+        exited = await lab.exited("talker")
+        assert exited.status == 0, exited
+        assert (await lab.received("sink"))[-1] == "last words"
+        assert await lab.unreachable("talker")
+        await lab.eventually("the graph shows it no more", lambda: _gone(lab, "talker"))
+
+
+async def _gone(lab: Lab, instance: str) -> bool:
+    endpoints = await lab.backend.endpoints()
+    return instance not in endpoints.nodes and all(node != instance for node, _ in endpoints.publishers)
+
+
+async def ends_in_order_from_outside(backend: Backend, workspace: Path) -> None:
+    """`Backend.end` asks first: the author's last word goes out, and the exit is reported."""
+    async with Lab(backend, workspace) as lab:
+        await lab.start("sink", puppets.sink())
+        await lab.start("talker", puppets.talker(on_stop={"write": "last words"}))
+        await lab.attach("sink", "in", "/chatter")
+        await lab.attach("talker", "out", "/chatter", peers=1)
+        await lab.mode("sink", "hear", "normal")
+        await lab.backend.end("talker", 10.0)
+        assert (await lab.exited("talker")).status == 0
+        assert await lab.received("sink") == ["last words"]
+
+
+async def ends_what_does_not_end(backend: Backend, workspace: Path) -> None:
+    """A last word that takes for ever does not keep a component alive, and `end` has its way after its grace."""
+    async with Lab(backend, workspace) as lab:
+        await lab.start("stubborn", puppets.talker(on_stop={"sleep": 60, "timeout": 60}))
+        begun = lab.clock.steady()
+        await lab.backend.end("stubborn", 1.0)
+        assert lab.clock.steady() - begun < 15
+        assert (await lab.exited("stubborn")).status != 0
+
+
+async def tells_of_what_never_comes_up(backend: Backend, workspace: Path) -> None:
+    """Code that raises on import, or exits at once, is an exit with its status and its words; none announces itself."""
+    async with Lab(backend, workspace) as lab:
+        await lab.launch("raising", puppets.talker(at_import={"raise": "no such calibration file"}))
+        await lab.launch("leaving", puppets.talker(at_import={"exit": 3}))
+        await lab.launch("endless", puppets.talker(endless=True))
+        raising, leaving = await lab.exited("raising"), await lab.exited("leaving")
+        assert raising.status == 1 and "no such calibration file" in raising.log_tail, raising
+        assert leaving.status == 3, leaving
+        await lab.sleep(0.5)
+        assert not lab.announcements and "endless" not in lab.exits
+        await lab.backend.end("endless", 1.0)
+        assert (await lab.exited("endless")).status != 0
+        assert await lab.unreachable("endless")
+
+
+async def refuses_a_name_in_use(backend: Backend, workspace: Path) -> None:
+    """A second component of a name does not come up, and the first does not notice."""
+    async with Lab(backend, workspace) as lab:
+        await lab.start("talker", puppets.talker())
+        before = await lab.read("talker", "observe")
+        refused = ""
+        try:
+            await lab.launch("talker", puppets.talker())
+        except BackendError as error:
+            refused = str(error)
+        assert "talker" in refused, "a second component of the same name was started"
+        assert (await lab.read("talker", "observe"))["uuid"] == before["uuid"]
+
+
+async def finds_again_what_was_started(backend: Backend, workspace: Path) -> None:
+    """Leaving the platform ends nothing; a handle finds the component again, until it is gone."""
+    lab = Lab(backend, workspace)
+    async with lab:
+        await lab.start("talker", puppets.talker())
+        handle = lab.handles["talker"]
+        await backend.close()
+        await backend.open(lab._on_event)
+        assert await backend.adopt(handle)
+        assert (await lab.read("talker", "observe"))["instance"] == "talker"
+        await lab.change("talker", "stop")
+        await lab.exited("talker")
+        assert not await backend.adopt(handle)
+
+
+async def obeys_its_manager_alone(backend: Backend, workspace: Path) -> None:
+    """Without the token, with another revision, or without an id, a command is refused with its reason."""
+    async with Lab(backend, workspace) as lab:
+        await lab.start("talker", puppets.talker())
+        state = await lab.read("talker", "observe")
+        degrade = {"modes": {"talk": "normal"}, "timeout": 1.0}
+        for command, word in (
+            (Command("modes", degrade, "a", "somebody else's", state["revision"]), "token"),
+            (Command("modes", degrade, "b", "", state["revision"]), "token"),
+            (Command("observe", {}, "c", "somebody else's"), "token"),
+            (Command("modes", degrade, "d", TOKEN, state["revision"] - 1), "revision"),
+            (Command("modes", degrade, "e", TOKEN, state["revision"] + 1), "revision"),
+            (Command("modes", degrade, "f", TOKEN, None), "revision"),
+            (Command("modes", degrade, "", TOKEN, state["revision"]), "id"),
+            (Command("explode", {}, "g", TOKEN, state["revision"]), "explode"),
+            (Command("modes", {"modes": "normal"}, "h", TOKEN, state["revision"]), "modes"),
+            (Command("attach", {"topic": "/chatter"}, "i", TOKEN, state["revision"]), "port"),
+            (Command("attach", {"port": "put", "topic": "/chatter"}, "j", TOKEN, state["revision"]), "put"),
+        ):
+            reply = await lab.send("talker", command)
+            assert reply.refused is not None and word in reply.refused, (command, reply)
+            assert reply.revision == state["revision"], (command, reply)
+        after = await lab.read("talker", "observe")
+        assert after["functionalities"]["talk"]["mode"] == "degraded" and after["ports"] == {"out": {}}
+
+
+async def answers_a_repeat_as_before(backend: Backend, workspace: Path) -> None:
+    """A command that comes twice is carried out once, and answered twice alike; refusals too."""
+    async with Lab(backend, workspace) as lab:
+        await lab.start("talker", puppets.talker())
+        revision = (await lab.read("talker", "observe"))["revision"]
+        attach = Command("attach", {"port": "out", "topic": "/chatter"}, "once", TOKEN, revision)
+        first = await lab.send("talker", attach)
+        detach = Command("detach", {"port": "out", "topic": "/chatter"}, "back", TOKEN, revision + 1)
+        assert first.ok and (await lab.send("talker", detach)).ok
+        assert await lab.send("talker", attach) == first, "a late duplicate was not answered as the first"
+        refused = Command("gate", {"port": "out", "topic": "/chatter", "gate": "open"}, "no", TOKEN, revision + 2)
+        words = await lab.send("talker", refused)
+        assert words.refused is not None and await lab.send("talker", refused) == words
+        state = await lab.read("talker", "observe")
+        assert state["revision"] == revision + 2 and state["ports"] == {"out": {}}
+
+
+async def calls_to_nobody_fail(backend: Backend, workspace: Path) -> None:
+    """A call to a component that is not there ends in an error of the back end, in time."""
+    async with Lab(backend, workspace) as lab:
+        begun = lab.clock.steady()
+        assert await lab.unreachable("nobody")
+        assert lab.clock.steady() - begun < 5
+
+
+CHECKS: Final = (
+    starts_announces_and_waits,
+    stops_in_order,
+    ends_in_order_from_outside,
+    ends_what_does_not_end,
+    tells_of_what_never_comes_up,
+    refuses_a_name_in_use,
+    finds_again_what_was_started,
+    obeys_its_manager_alone,
+    answers_a_repeat_as_before,
+    calls_to_nobody_fail,
+)

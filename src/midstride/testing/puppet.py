@@ -1,0 +1,231 @@
+"""A component made from a description: ``python3 -m midstride.testing.puppet '{"component": …}'``.
+
+So any component of the model can be run on any back end. The description is JSON::
+
+    {"component": <the component's document, its name in it>,
+     "modes": {"talk.normal": {"rate": 50, "sleep": 0.5, "pause": 0.5, "raise": "words", "at_call": 3,
+                               "silent": true, "driven": "message", "sync": 0.05}},
+     "refuse": {"speed": [13]}, "on_stop": {"write": "bye", "sleep": 1, "timeout": 2},
+     "at_import": {"sleep": 1, "raise": "words", "exit": 3}, "keeps_state": true,
+     "latest": ["in"], "wrong_type": "out", "endless": true}
+
+Everything but ``component`` may be left out. A mode that guarantees a rate is called at the highest
+it guarantees; one that only assumes inputs, for every message; one that does neither, once. A call
+writes one message to each output its mode guarantees: the words it answers, or else "instance mode n".
+``sleep`` blocks, ``pause`` awaits, before the write; with ``at_call`` these and ``raise`` befall that
+call alone. The exported state tells what was received and called, and what was imported.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import sys
+import time
+from collections.abc import Callable
+from typing import Any
+
+from midstride import Component, Functionality, Input, Output, any_of, approximate, guarantee
+from midstride.model import component as model
+from midstride.model.contract import Predicate, satisfies
+from midstride.model.document import component_from_document
+
+
+class Puppet:
+    """``description`` as a component; :meth:`start` runs it."""
+
+    def __init__(self, description: dict[str, Any]) -> None:
+        self._description = description
+        self._declared: model.Component = component_from_document(description["component"])
+        self._modes: dict[str, dict[str, Any]] = description.get("modes", {})
+        self.component = Component(self._declared.name)
+        self._inputs: dict[str, Input] = {}
+        self._outputs: dict[str, Output] = {}
+        self._received: dict[str, list[str]] = {}
+        self._calls: dict[str, int] = {}
+        self._imported: Any = None
+        self._ports()
+        for functionality in self._declared:
+            self._functionality(functionality)
+        for name, parameter in self._declared.parameters.items():
+            self.component.parameter(name, parameter.value, self._changed(name) if parameter.changeable else None)
+        self._hooks()
+
+    def start(self) -> None:
+        self.component.start()
+
+    # -- declaring ---------------------------------------------------------------------------------
+
+    def _ports(self) -> None:
+        for name in self._declared.input_order:
+            predicate = self._declared.inputs[name]
+            where = dict(predicate.fields) or None
+            port = self.component.create_input(name, message_type(predicate.type), predicate.rate, predicate.qos, where)
+            self._inputs[name] = port
+        for name in self._declared.outputs:
+            endpoint = self._declared.output_endpoint(name)
+            type_, qos = endpoint if endpoint is not None else ("std_msgs/msg/String", None)
+            self._outputs[name] = self.component.create_output(name, message_type(type_), qos)
+
+    def _functionality(self, declared: model.Functionality) -> None:
+        functionality = self.component.create_functionality(
+            declared.name,
+            inputs=[self._inputs[name] for name in declared.inputs],
+            outputs=[self._outputs[name] for name in declared.outputs],
+            weight=declared.weight,
+        )
+        last = declared.last_mode
+        for index, mode in enumerate(declared.modes):
+            self._mode(functionality, declared, mode, "first" if index == 0 else "last" if index == last else "between")
+
+    def _mode(self, functionality: Functionality, declared: model.Functionality, mode: model.Mode, place: str) -> None:
+        key = f"{declared.name}.{mode.name}"
+        behaviour = self._modes.get(key, {})
+        inputs = [self._assumed(declared, assumption) for assumption in mode.assumptions]
+        inputs = [entry for entry in inputs if entry is not None]
+        outputs = [self._outputs[name] for name in declared.outputs if name in mode.guarantees]
+        promises = {self._outputs[n]: guarantee(p.rate, dict(p.fields) or None) for n, p in mode.guarantees.items()}
+        rates = [predicate.rate for predicate in mode.guarantees.values() if predicate.rate is not None]
+        rate = behaviour.get("rate", max(rates, default=None))
+        if behaviour.get("driven") == "message":
+            rate = None
+        function: Any = self._call(key, outputs, behaviour, ())
+        sync = None
+        if rate is None and inputs:
+            named = list(dict.fromkeys(port for entry in inputs for port in _ports_of(entry)))
+            if "sync" in behaviour:
+                sync = approximate(behaviour["sync"])
+                function = self._call(key, outputs, behaviour, tuple(named))
+            else:
+                function = {port: self._call(key, outputs, behaviour, (port,)) for port in named}
+        arguments: dict[str, Any] = {"rate": rate, "outputs": outputs, "guarantees": promises}
+        if place == "first":
+            functionality.set_normal_mode(function, inputs=inputs, sync=sync, name=mode.name, **arguments)
+        elif place == "between":
+            functionality.set_mode(mode.name, function, inputs=inputs, sync=sync, **arguments)
+        else:
+            functionality.set_degraded_mode(function, name=mode.name, **arguments)
+
+    def _assumed(self, declared: model.Functionality, assumption: model.Assumption) -> Any:
+        """What names the inputs that count; None where only the environment meets the assumption."""
+        if isinstance(assumption, Predicate):
+            names = [name for name in declared.inputs if satisfies(self._declared.inputs[name], assumption)]
+        else:
+            names = list(assumption.inputs)
+        ports = [self._inputs[name] for name in names]
+        return any_of(*ports) if len(ports) > 1 else next(iter(ports), None)
+
+    # -- behaving ----------------------------------------------------------------------------------
+
+    def _call(
+        self, key: str, outputs: list[Output], behaviour: dict[str, Any], inputs: tuple[Input, ...]
+    ) -> Callable[..., Any]:
+        """The function of a mode: called with one message of each of ``inputs``."""
+
+        def befalls() -> bool:
+            self._calls[key] = self._calls.get(key, 0) + 1
+            return "at_call" not in behaviour or behaviour["at_call"] == self._calls[key]
+
+        def answer(messages: tuple[Any, ...]) -> str:
+            for port, message in zip(inputs, messages, strict=True):
+                self._received.setdefault(port.name, []).append(text_of(message))
+            if messages:
+                return " ".join(text_of(message) for message in messages)
+            return f"{self.component.instance} {key.rpartition('.')[2]} {self._calls[key]}"
+
+        def finish(words: str, befallen: bool) -> None:
+            if befallen and "raise" in behaviour:
+                raise RuntimeError(behaviour["raise"])
+            if not behaviour.get("silent"):
+                for output in outputs:
+                    self._write(output, words)
+
+        def blocking(*messages: Any) -> None:
+            befallen, words = befalls(), answer(messages)
+            if befallen and "sleep" in behaviour:
+                time.sleep(behaviour["sleep"])
+            finish(words, befallen)
+
+        async def awaiting(*messages: Any) -> None:
+            befallen, words = befalls(), answer(messages)
+            if befallen:
+                await self.component.clock.sleep(behaviour["pause"])
+            finish(words, befallen)
+
+        return awaiting if "pause" in behaviour else blocking
+
+    def _write(self, output: Output, words: str) -> None:
+        if self._description.get("wrong_type") == output.name:
+            output.write(object())
+            return
+        message = output.type()
+        if isinstance(getattr(message, "data", None), str):
+            message.data = words
+        output.write(message)
+
+    def _changed(self, name: str) -> Callable[[Any], None]:
+        def on_change(value: Any) -> None:
+            if value in self._description.get("refuse", {}).get(name, []):
+                raise ValueError(f"{name} cannot be {value}")
+
+        return on_change
+
+    # -- hooks -------------------------------------------------------------------------------------
+
+    def _hooks(self) -> None:
+        self.component.on_export_state(self._export)
+        if self._description.get("keeps_state"):
+            self.component.on_import_state(self._import)
+        stop = self._description.get("on_stop")
+        if stop is not None:
+            self.component.on_stop(lambda: self._stop(stop), timeout=stop.get("timeout", 2.0))
+
+    def _export(self) -> bytes:
+        latest = {name: text_of(self._inputs[name].latest) for name in self._description.get("latest", [])}
+        told = {"received": self._received, "calls": self._calls, "imported": self._imported, "latest": latest}
+        return json.dumps(told).encode()
+
+    def _import(self, state: bytes) -> None:
+        self._imported = json.loads(state)
+
+    def _stop(self, stop: dict[str, Any]) -> None:
+        if "sleep" in stop:
+            time.sleep(stop["sleep"])
+        if "write" in stop:
+            for output in self._outputs.values():
+                self._write(output, stop["write"])
+
+
+def _ports_of(entry: Any) -> list[Input]:
+    return [entry] if isinstance(entry, Input) else list(entry)
+
+
+def text_of(message: Any) -> str:
+    """What a message says, where it is words; its type else."""
+    data = getattr(message, "data", None)
+    return data if isinstance(data, str) else type(message).__name__
+
+
+def message_type(name: str) -> type:
+    """The class of ``std_msgs/msg/String``, of whichever ROS is there."""
+    package, _, short = name.partition("/")
+    found: type = getattr(importlib.import_module(f"{package}.msg"), short.rpartition("/")[2])
+    return found
+
+
+def main(arguments: list[str]) -> None:
+    description = json.loads(arguments[0])
+    at_import = description.get("at_import", {})
+    if "sleep" in at_import:
+        time.sleep(at_import["sleep"])
+    if "raise" in at_import:
+        raise RuntimeError(at_import["raise"])
+    if "exit" in at_import:
+        sys.exit(at_import["exit"])
+    while description.get("endless"):
+        time.sleep(0.1)
+    Puppet(description).start()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
