@@ -1,4 +1,4 @@
-"""The examples that ``demo`` runs: a folder with a specification, its programs, and ``demo.json``, what to do with them."""
+"""The examples that ``demo`` runs: a folder with a specification, its programs, and what to do with them."""
 
 from __future__ import annotations
 

@@ -11,8 +11,8 @@ from rich.markup import escape
 from midstride.cli.render import event as event_line
 from midstride.cli.render import seconds, step_words
 
-# Told elsewhere, or of no interest to people while it runs.
-_QUIET = frozenset({"plan", "outcome", "measured", "command"})
+# Told at the end, or of no interest to people while it runs.
+_QUIET = frozenset({"plan", "outcome", "measured", "command", "up_failed"})
 
 
 class Progress:
@@ -45,7 +45,8 @@ class Progress:
             done = f"  [green]✓[/green] [dim]{event['index'] + 1}/{event['of']}[/dim]"
             self._console.print(f"{done} {escape(_words(event))} [dim]{seconds(took)}[/dim]")
         elif kind == "step_failed":
-            self._console.print(f"  [red]✗[/red] {escape(event['words'])}")
+            place = f"[dim]{event['index'] + 1}/{event['of']}[/dim]"
+            self._console.print(f"  [red]✗[/red] {place} {escape(_words(event))}")
         elif kind in {"measuring", "waiting"}:
             self._doing(event["words"])
             if self._status is None:

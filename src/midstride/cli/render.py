@@ -103,7 +103,8 @@ def _afterwards(document: Document) -> tuple[list[str], list[str]]:
             if ref.rpartition(".")[0] not in passing:
                 first.setdefault(ref, {"action": step["action"], "mode": modes["from"]})
                 last[ref] = modes["to"]
-    lower, higher = [], []
+    lower: list[str] = []
+    higher: list[str] = []
     for ref, begun in first.items():
         if last[ref] != begun["mode"]:
             words = f"{ref}, from {begun['mode']} to {last[ref]}"
@@ -236,5 +237,8 @@ def event(document: Document) -> Text:
     at = time.strftime("%H:%M:%S", time.localtime(document["at"]))
     millis = int(document["at"] % 1 * 1000)
     styles = {"step_failed": "red", "up_failed": "red", "exited": "red", "degraded": "yellow", "rollback": "yellow"}
+    words = str(document["words"])
+    if document["kind"] == "outcome":
+        words = f"outcome: {words}"
     line = Text(f"{at}.{millis:03d} ", style="dim")
-    return line.append(str(document["words"]), style=styles.get(document["kind"], "default"))
+    return line.append(words, style=styles.get(document["kind"], "default"))

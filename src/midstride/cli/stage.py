@@ -11,7 +11,7 @@ import secrets
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -74,10 +74,8 @@ def _folder() -> Iterator[Path]:
     finally:
         shutil.rmtree(folder, ignore_errors=True)
         if root is not None:
-            try:
+            with suppress(OSError):  # another demo is running
                 root.rmdir()
-            except OSError:  # another demo is running
-                pass
 
 
 def _sweep(root: Path) -> None:

@@ -18,6 +18,8 @@ from midstride.errors import MidstrideError
 # How often the state is asked for again (s), and how many events stand below it.
 REFRESH = 0.5
 EVENTS_SHOWN = 12
+# The next step begins when the one before it is done.
+UNINTERESTING = frozenset({"step_done"})
 
 
 def watch(client: Client, system: str) -> int:
@@ -50,7 +52,8 @@ def _live(client: Client, out: Console, seen: deque[Event]) -> None:
     def listen() -> None:
         try:
             for event in client.events():
-                seen.append(event)
+                if event["kind"] not in UNINTERESTING:
+                    seen.append(event)
                 changed.set()
         except MidstrideError:  # it ended meanwhile
             pass

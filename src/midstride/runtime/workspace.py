@@ -120,6 +120,5 @@ class Workspace:
         return document
 
     def forget(self) -> None:
-        """The system is down: its state and socket go, its logs stay until the next start."""
-        for path in (self.state, self.socket):
-            path.unlink(missing_ok=True)
+        """The system is down: its state goes; its logs stay until the next start, its socket until its manager ends."""
+        self.state.unlink(missing_ok=True)

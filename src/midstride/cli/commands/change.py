@@ -103,10 +103,9 @@ def change(system: str | None, request: Document, title: str, yes: bool) -> int:
     if not yes:
         preview = client.post("/plan", request)
         _show_plan(preview, title, to_stderr=wants_json())
-        if not preview["steps"]:
-            click.echo("Nothing is to be done.", err=True)
-        elif not click.confirm("Go ahead?", err=True):
-            raise click.Abort
+        if preview["steps"] and not click.confirm("Go ahead?", err=True):
+            click.echo("Nothing was changed.", err=True)
+            return 1
         expected = preview["revision"]
     answer = carry_out(client, {"request": request, "expected": expected}, title, show_plan=yes)
     if wants_json():
