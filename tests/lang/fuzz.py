@@ -1,7 +1,8 @@
 """A byte-level mutation fuzzer for the language: `python tests/lang/fuzz.py [N] [--seed S]`.
 
 It holds that no input makes `load` or `format_text` raise, that each is dealt with within a time bound, that what
-formatting yields formats to itself and means the same, and that memory stays bounded. `make test-long` runs it on 1,000,000 inputs.
+formatting yields formats to itself and means the same, and that memory stays bounded. `make test-long` runs it on
+1,000,000 inputs.
 """
 
 from __future__ import annotations
@@ -23,15 +24,26 @@ SECONDS_PER_INPUT = 2.0  # generous: the machine may be busy; the median is a th
 MEGABYTES = 1024
 
 # Pieces that mean something, so that mutations go deeper than the lexer.
-PIECES = (
-    b"system s\n", b"{", b"}", b"(", b")", b"[", b"]", b"<-", b"->", b":", b"=", b"@", b",", b".", b"\"", b"'", b"#", b"\\", b"\0",
-    b"\r\n", b"\r", b"\xef\xbb\xbf", b"\xff", b"\xc3", b"/", b"~", b"//", b"-", b"1e999", b"9" * 50, b"0", b"-1", b"1.5", b" Hz", b" s",
-    b"component C {", b"functionality f {", b"mode m {", b"assume ", b"guarantee out : ", b"node n : C {", b"namespace a {",
-    b"include \"a.stride\"", b"contract K = ", b"std_msgs/msg/String", b" where x in {a, b}", b" qos(depth = 5)", b" or ", b" like C ",
-    b"parameters {", b"parameters \"p.yaml\"", b"keep n.f at m", b"limit n.f below baseline 2 s", b"order a before b", b"timing {",
-    b"environment {", b"resource r = 3", b"topic /t : K", b"input ", b"output ", b"uses ", b"produces ", b"run \"x\" takes 2 s",
-    "é".encode(), "\u2028".encode(), "\U0001f916".encode(),
-)  # fmt: skip
+_WORDS = rb"""
+system s|{|}|(|)|[|]|<-|->|:|=|@|,|.|"|'|#|\|/|~|//|-|1e999|99999999999999999999999999999999999999999999999999|0|-1
+|1.5| Hz| s|component C {|functionality f {|mode m {|assume |guarantee out : |node n : C {|namespace a {
+|include "a.stride"|contract K = |std_msgs/msg/String| where x in {a, b}| qos(depth = 5)| or | like C |parameters {
+|parameters "p.yaml"|keep n.f at m|limit n.f below baseline 2 s|order a before b|timing {|environment {|resource r = 3
+|topic /t : K|input |output |uses |produces |run "x" takes 2 s
+"""
+_BYTES = (
+    b"\0",
+    b"\r\n",
+    b"\r",
+    b"\n",
+    b"\xef\xbb\xbf",
+    b"\xff",
+    b"\xc3",
+    b"\xc3\xa9",
+    b"\xe2\x80\xa8",
+    b"\xf0\x9f\xa4\x96",
+)
+PIECES = (*_WORDS.strip().split(b"|"), *_BYTES)
 
 
 def mutated(data: bytes, others: list[bytes], rng: random.Random) -> bytes:

@@ -1,8 +1,8 @@
 """From the files of a system to its specification, or to all that is wrong with it.
 
 What a text can do wrong is found here; what must hold of a specification however it is written is judged by
-:mod:`midstride.model.wellformed` on all that could be built, and told at its place in the text. What would only follow from a
-part that could not be read is left out.
+:mod:`midstride.model.wellformed` on all that could be built, and told at its place in the text. What would only follow
+from a part that could not be read is left out.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ from immutables import Map
 from midstride.lang.components import UNRESOLVED, Components
 from midstride.lang.contracts import Contracts
 from midstride.lang.declarations import Declarations, collect, topic_name
-from midstride.lang.diagnostics import Diagnostic, Reporter, in_order
+from midstride.lang.diagnostics import Diagnostic, Note, Reporter, in_order
 from midstride.lang.files import Loader, Read, join
+from midstride.lang.lexer import is_topic_name
 from midstride.lang.messages import Messages
 from midstride.lang.nodes import Nodes
 from midstride.lang.places import Places
@@ -31,6 +32,8 @@ _CONSEQUENCES = frozenset({"W031", "W032", "W033", "W034"})
 # Judgements of a functionality that need all its contracts, and those that need all its modes.
 _ON_CONTRACTS = frozenset({"E011", "E012", "W032"})
 _ON_MODES = frozenset({"E010", "E011", "E012", "E015", "W032"})
+# The statements that declare what the JSON form has in these sections.
+_WORD = {"functionalities": "functionality", "parameters": "parameters"}
 # Judged where the text is resolved, with a better place.
 _OURS = frozenset({"E016"})
 
@@ -48,7 +51,8 @@ class Resolved:
 def check_files(
     source: Source, read: Read, messages: Messages | None
 ) -> tuple[Specification | None, tuple[Diagnostic, ...], tuple[Source, ...], Resolved]:
-    """The specification that ``source`` and its includes say, or None where they are in error; the diagnostics; the sources."""
+    """The specification that ``source`` and its includes say, or None where they are in error; the diagnostics; the
+    sources."""
     reporter = Reporter()
     loader = Loader(read, reporter)
     loader.load(source)
@@ -62,6 +66,7 @@ def check_files(
     building = _Building(declarations, frozenset(loader.lost), messages, read, judging)
     specification = building.specification()
     building.judge(specification, loader.incomplete)
+    reporter.finish(source.name)
     resolved = Resolved(declarations, building.components, building.contracts, specification)
     sources = (*loader.sources, *building.nodes.sources)
     return (None if reporter.has_errors else specification), in_order(reporter.found), sources, resolved
@@ -152,7 +157,23 @@ class _Building:
             place = places.of(problem)
             if self._follows(problem, specification, incomplete, place):
                 continue
-            self.reporter.report(problem.code, place, problem.message, help=problem.help or None)
+            notes = self._contracts_of(problem, specification) if problem.code == "E020" else ()
+            self.reporter.report(problem.code, place, problem.message, help=problem.help or None, notes=notes)
+
+    def _contracts_of(self, problem: Problem, specification: Specification) -> list[Note]:
+        """Where the two contracts of an attachment are stated."""
+        _, role, _, port, index = problem.subject
+        node = specification.nodes[role]
+        declaration = self.components.merged[node.component]
+        topic = self.declarations.topics[node.attachments[port][int(index)]]
+        notes = [Note("the contract of the topic", topic.contract.span)] if topic.contract is not None else []
+        stated = next((i.contract for i in declaration.inputs if i.name.text == port), None)
+        owner = next((f for f in declaration.functionalities if any(o.text == port for o in f.produces)), None)
+        if owner is not None:
+            stated = next((g.contract for g in owner.modes[0].guarantees if g.output.text == port), None)
+        if stated is not None:
+            notes.append(Note("what the port states", stated.span))
+        return notes
 
     def _follows(self, problem: Problem, specification: Specification, incomplete: bool, place: Span | None) -> bool:
         """Whether a problem may only follow from a part that could not be read or resolved."""
@@ -160,12 +181,14 @@ class _Building:
         if problem.code == "E008":
             text = "" if place is None else place.text
             return incomplete or text in self.lost or text.rpartition("/")[2] in self.lost or self._undeclared(problem)
+        if problem.code == "E006" and place is not None and not is_topic_name(place.text):
+            return True  # its characters have been told
         if kind == "components":
             doubts = self.components.doubts[name]
             if rest and rest[0] == "functionalities":
                 of_contracts = problem.code in _ON_CONTRACTS and rest[1] in doubts.functionalities
                 return of_contracts or (rest[1] in doubts.broken and problem.code in _ON_MODES)
-            return doubts.whole and problem.code == "E013"
+            return problem.code == "E013" and (doubts.may_declare("functionality") or bool(doubts.broken))
         if kind == "nodes":
             return self._node_follows(problem, specification, name, tuple(rest))
         if kind == "topics" and name in self.doubtful_topics:
@@ -173,11 +196,12 @@ class _Building:
         return problem.code == "W031" and incomplete
 
     def _undeclared(self, problem: Problem) -> bool:
-        """Whether the name may be inherited from a component that is not known."""
-        declared = problem.declared
-        if declared[:1] == ("components",) and len(declared) > 1:
-            return declared[1] in self.components.doubts and self.components.doubts[declared[1]].base
-        return False
+        """Whether the name may be declared by a statement that is missing from a component, or by what it is like."""
+        kind, name, section = (*problem.declared, "", "", "")[:3]
+        if kind != "components" or name not in self.components.doubts:
+            return False
+        words = {"inputs": ("input", "output"), "outputs": ("input", "output")}.get(section, (_WORD.get(section, ""),))
+        return bool(name) and self.components.doubts[name].may_declare(*words)
 
     def _node_follows(self, problem: Problem, specification: Specification, role: str, rest: tuple[str, ...]) -> bool:
         entry = self.declarations.nodes[role]
@@ -186,12 +210,12 @@ class _Building:
         if doubts is None:
             return False
         if problem.code == "W030":
-            return entry.declaration.broken or doubts.whole
+            return entry.declaration.broken or bool(doubts.lost) or doubts.base
         if problem.code == "E020" and len(rest) > 2:
             port, index = rest[1], rest[2]
             topics = node.attachments.get(port, ())
             topic = topics[int(index)] if index.isdecimal() and int(index) < len(topics) else ""
             owner = specification.components[node.component].find_owner(port)
-            broken = owner is not None and owner.name in doubts.broken
+            broken = owner is not None and owner.name in doubts.normal
             return port in doubts.ports or topic in self.doubtful_topics or broken
         return False

@@ -13,6 +13,7 @@ from typing import Final, TypeVar
 from immutables import Map
 
 from midstride.lang.contracts import Contracts
+from midstride.lang.cursor import RESERVED
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.suggest import did_you_mean
 from midstride.lang.syntax import (
@@ -40,15 +41,21 @@ ENDPOINT_KINDS: Final = {"topic": "topic", "service": "service", "ROS action": "
 class Doubts:
     """What of a component could not be read or resolved, so that nothing may be concluded about it.
 
-    ``whole``: something is missing from it. ``base``: what it is like is not known. ``broken``: the functionalities something
-    is missing from. ``functionalities`` and ``ports``: those with a contract that is not known.
+    ``lost``: the first words of the statements missing from it. ``normal``: the functionalities whose normal mode is
+    in doubt. ``base``: what it is like is not known. ``broken``: the functionalities something is missing from.
+    ``functionalities`` and ``ports``: those with a contract that is not known.
     """
 
-    whole: bool = False
+    lost: frozenset[str] = frozenset()
     base: bool = False
     broken: set[str] = field(default_factory=set)
+    normal: set[str] = field(default_factory=set)
     functionalities: set[str] = field(default_factory=set)
     ports: set[str] = field(default_factory=set)
+
+    def may_declare(self, *words: str) -> bool:
+        """Whether a statement beginning with one of ``words`` may be among what is missing."""
+        return self.base or any(word not in RESERVED or word in words for word in self.lost)
 
 
 class Components:
@@ -78,15 +85,18 @@ class Components:
 
     def _merge(self, name: str) -> None:
         """Settle ``merged`` and ``doubts`` for ``name`` and for all it is like. A long chain takes no stack."""
-        chain: list[str] = []
+        chain: dict[str, None] = {}
         while name not in self.merged:
             own = self.declared[name]
-            chain.append(name)
+            chain[name] = None
             if own.like is None:
                 break
             base = own.like.text
             if base in chain:
-                told = " is like ".join(f"`{other}`" for other in [*chain[chain.index(base) :], base])
+                names = list(chain)
+                circle = [*names[names.index(base) :], base]
+                circle = circle if len(circle) <= 8 else [*circle[:4], "…", *circle[-3:]]
+                told = " is like ".join(f"`{other}`" for other in circle)
                 message = f"components are like each other: {told}"
                 self.reporter.report("E140", own.like.span, message, help="declare one of them by itself")
                 break
@@ -98,16 +108,16 @@ class Components:
             name = base
         for name in reversed(chain):
             own = self.declared[name]
-            doubts = self.doubts[name] = Doubts(whole=own.broken)
+            doubts = self.doubts[name] = Doubts(lost=own.lost)
             merged = self._without_duplicates(own)
             if own.like is not None:
                 base_name = own.like.text
                 if base_name in self.merged:
                     merged = _over(self.merged[base_name], merged)
-                    doubts.whole |= self.doubts[base_name].whole
+                    doubts.lost |= self.doubts[base_name].lost
                     doubts.base = self.doubts[base_name].base
                 else:
-                    doubts.whole = doubts.base = True
+                    doubts.base = True
             self.merged[name] = merged
 
     def _without_duplicates(self, own: ComponentDeclaration) -> ComponentDeclaration:
@@ -120,7 +130,8 @@ class Components:
             if contract is not None:
                 name = declared.name
                 note = Note("the contract is here", contract.name.span)
-                message = f"`{name.text}` is an input of {own.name.text} and a contract: `assume {name.text}` could mean either"
+                either = f"`assume {name.text}` could mean either"
+                message = f"`{name.text}` is an input of {own.name.text} and a contract: {either}"
                 self.reporter.report("E141", name.span, message, help="rename one of the two", notes=[note])
         inputs = self._once(own.inputs, lambda declared: declared.name, "input")
         outputs = self._once(own.outputs, lambda name: name, "output")
@@ -141,7 +152,8 @@ class Components:
         modes = self._once(functionality.modes, lambda mode: mode.name, "mode")
         for mode in modes:
             self._once(mode.guarantees, lambda guarantee: guarantee.output, "guarantee for")
-        return functionality._replace(modes=modes)
+        fewer = len(modes) < len(functionality.modes)
+        return functionality._replace(modes=modes, broken=functionality.broken or fewer)
 
     def _once(self, entries: Iterable[T], name_of: Callable[[T], Name], what: str) -> tuple[T, ...]:
         first: dict[str, T] = {}
@@ -202,6 +214,8 @@ class Components:
         name = declared.name.text
         if declared.broken:
             doubts.broken.add(name)
+            if not any(mode.broken for mode in declared.modes[1:]):
+                doubts.normal.add(name)
         modes = tuple(self._mode(mode, name, owner, inputs, doubts) for mode in declared.modes)
         return Functionality(
             name,
@@ -265,7 +279,7 @@ class Components:
                 message,
                 help=f"write `assume {base.text}`, and the rest where the input is declared",
             )
-        elif base.text not in self.lost:
+        elif base.text not in self.lost and not self.doubts[owner.name.text].may_declare("input"):
             help = did_you_mean(base.text, [*inputs, *self.contracts.declared])
             message = f"`{base.text}` is neither an input of {owner.name.text} nor a contract"
             self.reporter.report("E008", base.span, message, help=help)
@@ -293,5 +307,4 @@ def _over(base: ComponentDeclaration, own: ComponentDeclaration) -> ComponentDec
         outputs=merged(lambda name: name, base.outputs, own.outputs),
         allows=(*base.allows, *own.allows),
         functionalities=merged(lambda declared: declared.name, base.functionalities, own.functionalities),
-        broken=own.broken or base.broken,
     )

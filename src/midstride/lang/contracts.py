@@ -57,7 +57,6 @@ class Contracts:
         self.messages = messages
         self.reporter = reporter
         self._resolved: dict[str, Contract | None] = {}
-        self._resolving: list[str] = []
         self._types: dict[str, Message | bool | None] = {}
         self._cache: dict[tuple[str, float | None], Predicate] = {}
 
@@ -122,34 +121,40 @@ class Contracts:
     # -- names and types -------------------------------------------------------------------------------
 
     def _named(self, name: str, span: Span) -> Contract | None:
-        if name in self._resolved:
-            return self._resolved[name]
-        declaration = self.declared.get(name)
-        if declaration is None:
-            if name not in self.lost:
-                help = did_you_mean(name, self.declared)
-                if help is None:
-                    help = f"declare it (`contract {name} = …`), or name a message type (`std_msgs/msg/String`)"
-                self.reporter.report("E008", span, f"there is no contract `{name}`", help=help)
-            return None
-        if name in self._resolving:
-            circle = [*self._resolving[self._resolving.index(name) :], name]
-            told = " is ".join(f"`{other}`" for other in circle)
-            self.reporter.report(
-                "E136",
-                declaration.name.span,
-                f"contracts are defined by each other: {told}",
-                help="let one of them name a message type",
-            )
-            for other in circle:
-                self._resolved[other] = None
-            return None
-        self._resolving.append(name)
-        found = self.contract(declaration.contract)
-        self._resolving.pop()
-        if name not in self._resolved:
-            self._resolved[name] = found
-        return self._resolved[name]
+        """The contract called ``name``. What it refines is resolved first, so that a long chain takes no stack."""
+        chain: dict[str, None] = {}
+        first = name
+        while name not in self._resolved:
+            declaration = self.declared.get(name)
+            if declaration is None:
+                self._undeclared(name, span)
+                break
+            if name in chain:
+                names = list(chain)
+                told = " is ".join(f"`{other}`" for other in _shortened([*names[names.index(name) :], name]))
+                message = f"contracts are defined by each other: {told}"
+                self.reporter.report("E136", declaration.name.span, message, help="let one of them name a message type")
+                self._resolved.update(dict.fromkeys(chain))
+                break
+            chain[name] = None
+            base = None if declaration.contract is None else declaration.contract.base
+            if base is None or "/" in base.text:
+                break
+            name, span = base.text, base.span
+        for refined in reversed(chain):
+            if refined not in self._resolved:
+                contract = self.declared[refined].contract
+                base = None if contract is None else contract.base
+                known = base is None or "/" in base.text or base.text in self._resolved
+                self._resolved[refined] = self.contract(contract) if known else None
+        return self._resolved.get(first)
+
+    def _undeclared(self, name: str, span: Span) -> None:
+        if name not in self.lost:
+            help = did_you_mean(name, self.declared)
+            if help is None:
+                help = f"declare it (`contract {name} = …`), or name a message type (`std_msgs/msg/String`)"
+            self.reporter.report("E008", span, f"there is no contract `{name}`", help=help)
 
     def _type(self, name: Name) -> bool:
         """Whether a type may be used: it is known, or nothing is known of its package."""
@@ -271,6 +276,10 @@ class Contracts:
             self.reporter.report("E138", constraint.span, message)
             return False
         return True
+
+
+def _shortened(names: list[str]) -> list[str]:
+    return names if len(names) <= 8 else [*names[:4], "…", *names[-3:]]
 
 
 _TOLD: Final = {"number": "a number", "text": "a text", "boolean": "true or false"}

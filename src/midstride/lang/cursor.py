@@ -120,7 +120,8 @@ class Cursor:
             raise self.fail(f"`{word}` {after}")
 
     def name(self, what: str, then: tuple[str, ...] = ()) -> Name:
-        """A declared name, or a use of one. A word of the language is none, and is taken for one only before ``then``."""
+        """A declared name, or a use of one. A word of the language is none, and is taken for one only before
+        ``then``."""
         if self.kinds[self.i] != "name":
             number = self.kinds[self.i] == "number"
             raise self.fail(what, "a name begins with a letter" if number else None)
@@ -187,29 +188,38 @@ class Cursor:
         while True:
             comma = self.kinds[self.i] == ","
             at = self.i + comma
-            if self.kinds[at] != "name" or self.texts[at] in RESERVED:
+            if self.kinds[at] != "name" or self.texts[at] in RESERVED or self._is_misspelt_statement(at):
                 return tuple(found)
             self.i = at
             self.layout.items.add(at)
             found.append(self.name(what))
 
+    def _is_misspelt_statement(self, at: int) -> bool:
+        """Whether the name at ``at`` rather begins a statement: `mod normal {`."""
+        heads = self.kinds[at + 1] == "name" and self.kinds[min(at + 2, len(self.kinds) - 1)] in {"{", ":"}
+        return heads and nearest(self.texts[at], RESERVED) is not None
+
     # -- blocks ------------------------------------------------------------------------------------------
 
     def block(
         self, what: str, first: int, handlers: Handlers, other: Callable[[], bool] | None = None, separator: str = "   "
-    ) -> bool:
+    ) -> frozenset[str]:
         """Read ``{ … }``: statements by their first word, or by ``other``, which says whether it took one.
 
-        ``first`` is the token that the whole declaration begins with. True iff all of the block could be read.
+        ``first`` is the token that the whole declaration begins with. Yields
+        the first words of the statements that could not be read.
         """
         opened = self.i
         if not self.accept("{"):
-            raise self.fail(f"`{{` to open {what}")
+            panic = self.fail(f"`{{` to open {what}")
+            if self.texts[self.i] not in handlers:
+                raise panic
+            opened -= 1  # it was merely forgotten
         self._open.append((first, handlers))
-        sound = self.statements(what, opened, handlers, other, separator)
+        lost = self.statements(what, opened, handlers, other, separator)
         self._open.pop()
         self.layout.blocks[opened] = self.i - 1
-        return sound
+        return lost
 
     def statements(
         self,
@@ -218,9 +228,9 @@ class Cursor:
         handlers: Handlers,
         other: Callable[[], bool] | None = None,
         separator: str = "   ",
-    ) -> bool:
+    ) -> frozenset[str]:
         """The statements up to the closing brace, which is read; up to the end of the file where ``opened`` is None."""
-        sound = True
+        lost: set[str] = set()
         while not self.reporter.is_full:
             if self.kinds[self.i] == ",":
                 self.i += 1
@@ -228,11 +238,12 @@ class Cursor:
             if kind == "end":
                 if opened is not None:
                     self._not_closed(what, opened, "the end of the file")
-                return sound
+                    return frozenset({*lost, text})
+                return frozenset(lost)
             if kind == "}":
                 self.i += 1
                 if opened is not None:
-                    return sound
+                    return frozenset(lost)
                 self.reporter.report("E124", self.span(start), "this `}` closes nothing", help="leave it out")
                 continue
             self.layout.statements[start] = separator
@@ -245,16 +256,16 @@ class Cursor:
                     if opened is not None and self._ends_block(start):
                         self._not_closed(what, opened, f"`{text}`")
                         del self.layout.statements[start]
-                        return sound
+                        return frozenset(lost)
                     self.reporter.report("E122", self.span(), f"`{text}` belongs {BELONGS[text]}, not in {what}")
                     raise Panic
                 else:
                     self._unknown(what, handlers)
             except Panic:
-                sound = False
+                lost.add(text)
                 self._skip(start)
         self.i = len(self.kinds) - 1
-        return False
+        return frozenset({*lost, ""})
 
     def _unknown(self, what: str, handlers: Handlers) -> None:
         """A word that begins no statement here: taken for the one it is nearest to, if the rest may fit."""
@@ -268,7 +279,8 @@ class Cursor:
         handlers[meant]()
 
     def _ends_block(self, at: int) -> bool:
-        """Whether the word at ``at``, unknown in this block, goes on with an outer one: so it was meant if it stands no deeper."""
+        """Whether the word at ``at``, unknown in this block, goes on with an outer one: so it was meant if it stands
+        no deeper."""
         line, column = self.tokens.source.position(self.tokens.starts[at])
         first = self._open[-1][0]
         opened_line, _ = self.tokens.source.position(self.tokens.starts[first])

@@ -72,7 +72,8 @@ class Declarations:
 
 
 def topic_name(namespace: str, name: str, node: str | None = None) -> str:
-    """The full name of a topic: ``scan`` in ``robot1`` is ``/robot1/scan``; ``~/scan`` of a node is in the node's own name."""
+    """The full name of a topic: ``scan`` in ``robot1`` is ``/robot1/scan``; ``~/scan`` of a node is in the node's own
+    name."""
     if name.startswith("~"):
         return "/" + join(namespace, node or "") + name[1:]
     return "/" + join(namespace, name)
@@ -130,7 +131,7 @@ class _Collector:
             elif isinstance(item, TimingBlock):
                 for duration in item.durations:
                     self._add(
-                        found.timing, duration.kind.text, duration, duration.kind, "duration of", lambda d: d.kind.span
+                        found.timing, duration.kind.text, duration, duration.kind, "time for", lambda d: d.kind.span
                     )
             elif isinstance(item, NamespaceBlock):
                 self.items(item.items, join(namespace, item.name.text))

@@ -128,10 +128,11 @@ def _width(character: str) -> int:
 class Reporter:
     """Collects diagnostics: each once, at most :data:`MAX_DIAGNOSTICS` errors, in the order of the text at the end."""
 
-    __slots__ = ("_seen", "found")
+    __slots__ = ("_seen", "dropped", "found")
 
     def __init__(self) -> None:
         self.found: list[Diagnostic] = []
+        self.dropped = False
         self._seen: set[tuple[str, str, int]] = set()
 
     def report(
@@ -148,6 +149,9 @@ class Reporter:
         key = (code, span.source.name if span else file + message, span.start if span else 0)
         if key in self._seen:
             return
+        if self.is_full:
+            self.dropped = True
+            return
         self._seen.add(key)
         self.found.append(Diagnostic(code, message, span, help, tuple(notes), file))
 
@@ -155,6 +159,11 @@ class Reporter:
     def is_full(self) -> bool:
         """Whether so much is wrong already that looking further helps nobody."""
         return len(self.found) >= MAX_DIAGNOSTICS
+
+    def finish(self, file: str) -> None:
+        """Say so where there was more to report than is kept."""
+        if self.dropped or self.is_full:
+            self.found.append(Diagnostic("E199", "too much is wrong here to show it all", None, file=file))
 
     @property
     def has_errors(self) -> bool:
@@ -167,7 +176,7 @@ def in_order(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     rank: dict[str, int] = {}
     for diagnostic in listed:
         rank.setdefault(diagnostic.file_name, len(rank))
-    return tuple(sorted(listed, key=lambda d: (rank[d.file_name], d.position, d.code)))
+    return tuple(sorted(listed, key=lambda d: (d.code == "E199", rank[d.file_name], d.position, d.code)))
 
 
 def has_errors(diagnostics: Iterable[Diagnostic]) -> bool:

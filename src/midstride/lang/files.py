@@ -57,7 +57,8 @@ def read_text(path: Path) -> str:
 
 
 def decoded(data: bytes) -> str:
-    """``data`` as UTF-8, a byte order mark left out. Raises Unreadable with the place of the first byte that is none."""
+    """``data`` as UTF-8, a byte order mark left out. Raises Unreadable with the place of the first byte that is
+    none."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:

@@ -1,7 +1,7 @@
 """From text to tokens. Every text has tokens: what is none is reported once and left out.
 
-A token's kind is ``name`` (``scan``), ``path`` (``/scan``, ``sensor_msgs/msg/Image``, ``~/reset``), ``number``, ``string``,
-``end``, or, for a sign, the sign itself. Comments are kept beside the tokens, for the printer.
+A token's kind is ``name`` (``scan``), ``path`` (``/scan``, ``sensor_msgs/msg/Image``, ``~/reset``), ``number``,
+``string``, ``end``, or, for a sign, the sign itself. Comments are kept beside the tokens, for the printer.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import Final
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.source import Source, Span
 
-# The alternatives are tried in this order. A word may hold slashes, and letters that no name may have: it is judged whole.
+# The alternatives are tried in this order. A word may hold slashes, and letters that no name may have: it is judged
+# whole.
 _PATTERN: Final = re.compile(
     r"""
       (?P<blank>[ \t\n\f\v]+)
@@ -29,6 +30,8 @@ _PATTERN: Final = re.compile(
 )
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _PATH: Final = re.compile(r"(?:~|(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_0-9][A-Za-z0-9_]*)*)")
+_LONGEST_NAME: Final = 255  # what ROS 2 allows of a node's name
+_LONGEST_TEXT: Final = 8192
 _ESCAPES: Final = {"n": "\n", "t": "\t", '"': '"', "\\": "\\"}
 
 
@@ -61,12 +64,9 @@ def tokenize(source: Source, reporter: Reporter) -> Tokens:
             continue
         text, start = match.group(), match.start()
         if group == "word":
-            if is_name(text):
-                kind = "name"
-            else:
-                kind = "path"
-                if not _PATH.fullmatch(text):
-                    _bad_word(Span(source, start, match.end()), reporter)
+            kind = "name" if is_name(text) else "path"
+            if len(text) > _LONGEST_NAME or (kind == "path" and not _PATH.fullmatch(text)):
+                _bad_word(Span(source, start, match.end()), reporter)
         elif group == "sign":
             kind = text
         elif group == "comment":
@@ -96,6 +96,7 @@ def string_value(text: str) -> str:
     """What a string token stands for; faults in it have been reported by :func:`tokenize`."""
     quote = text[0]
     body = text[1:-1] if len(text) > 1 and text[-1] == quote else text[1:]
+    body = body[:_LONGEST_TEXT]
     if "\\" not in body:
         return body
     return re.sub(r"\\(.)", lambda match: _ESCAPES.get(match[1], match[0]), body)
@@ -103,13 +104,16 @@ def string_value(text: str) -> str:
 
 def is_topic_name(text: str) -> bool:
     """Whether ``text`` is a name or path as ROS has them."""
-    return _PATH.fullmatch(text) is not None
+    return len(text) <= _LONGEST_NAME and _PATH.fullmatch(text) is not None
 
 
 def _bad_word(span: Span, reporter: Reporter) -> None:
     text = span.text
     odd = next((at for at, character in enumerate(text) if character == "-" or not character.isascii()), None)
-    if odd is not None:
+    if len(text) > _LONGEST_NAME:
+        help = f"a name has at most {_LONGEST_NAME} characters"
+        reporter.report("E111", span, f"`{_short(text)}` is too long for a name", help=help)
+    elif odd is not None:
         place = Span(span.source, span.start + odd, span.start + odd + 1)
         shown = f"`{text[odd]}`" if text[odd].isprintable() else f"the character U+{ord(text[odd]):04X}"
         help = "a name has the letters a to z and A to Z, digits and `_`, as in ROS"
@@ -123,6 +127,9 @@ def _bad_word(span: Span, reporter: Reporter) -> None:
 
 def _check_string(span: Span, reporter: Reporter) -> None:
     text = span.text
+    if len(text) > _LONGEST_TEXT:
+        reporter.report("E113", span, "this text is too long", help=f"a text has at most {_LONGEST_TEXT} characters")
+        return
     if text[0] == "'":
         reporter.report(
             "E112", span, "a text stands in double quotes", help=f'write "{_short(text[1:].rstrip(chr(39)))}"'

@@ -28,7 +28,8 @@ _LARGEST: Final = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class Message:
-    """The fields of a message type. The type of a field: ``number``, ``text``, ``boolean``, ``list``, or a message type."""
+    """The fields of a message type. The type of a field: ``number``, ``text``, ``boolean``, ``list``, or a message
+    type."""
 
     name: str
     fields: Mapping[str, str] = field(default_factory=dict)
@@ -189,6 +190,6 @@ def share_folders(environment: Mapping[str, str]) -> list[Path]:
     return list(dict.fromkeys(folders))
 
 
-def installed() -> Messages:
-    """The message types installed here."""
-    return Installed(share_folders(os.environ), _rosbags)
+def installed(environment: Mapping[str, str] | None = None) -> Messages:
+    """The message types installed here; ``environment`` stands for that of the process."""
+    return Installed(share_folders(os.environ if environment is None else environment), _rosbags)

@@ -41,7 +41,8 @@ class Nodes:
         self._files: dict[str, list[Section] | None] = {}
 
     def build(self) -> dict[str, Node]:
-        """Every node declared whose component could be read. Components take up the parameters that files alone give."""
+        """Every node declared whose component could be read. Components take up the parameters that files alone
+        give."""
         from_files = {role: self._from_files(entry) for role, entry in self.declarations.nodes.items()}
         self._declare(from_files)
         entries = self.declarations.nodes.items()
@@ -156,7 +157,10 @@ class Nodes:
                         continue
                     lacking = next((other for other in roles if parameter not in from_files[other]), None)
                     if lacking is not None:
-                        message = f"parameter `{parameter}` is given for {role}, but not for {lacking}, and {name} declares no value for it"
+                        message = (
+                            f"parameter `{parameter}` is given for {role}, but not for {lacking},"
+                            f" and {name} declares no value for it"
+                        )
                         self.reporter.report("E151", span, message, help=f"declare it in component {name}")
                     added[parameter] = Parameter(value)
             if added:

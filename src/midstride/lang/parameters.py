@@ -138,7 +138,7 @@ class _Builder:
         self.anchors: dict[str, tuple[_Tree, int]] = {}
 
     def build(self) -> _Tree | None:
-        import yaml
+        import yaml  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
 
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         try:

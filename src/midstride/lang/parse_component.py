@@ -42,15 +42,15 @@ class ComponentParser(ContractParser):
         outputs: list[Name] = []
         allows: list[Allowed] = []
         functionalities: list[FunctionalityDeclaration] = []
-        parameters_sound = True
+        lost_parameters: frozenset[str] = frozenset()
 
         def read_parameters() -> None:
-            nonlocal parameters_sound
-            parameters_sound &= self.parameters(parameters, files)
+            nonlocal lost_parameters
+            lost_parameters |= self.parameters(parameters, files)
 
-        sound = True
+        lost: frozenset[str] = frozenset()
         if like is None or self.kinds[self.i] == "{":
-            sound = self.block(
+            lost = self.block(
                 f"component `{name.text}`",
                 first,
                 {
@@ -63,7 +63,8 @@ class ComponentParser(ContractParser):
                     "functionality": lambda: functionalities.append(self._functionality()),
                 },
             )
-        broken = not (sound and parameters_sound) or any(functionality.broken for functionality in functionalities)
+        if lost_parameters:
+            lost |= {"parameters"}
         return ComponentDeclaration(
             self.since(first),
             name,
@@ -76,7 +77,7 @@ class ComponentParser(ContractParser):
             tuple(outputs),
             tuple(allows),
             tuple(functionalities),
-            broken,
+            lost,
         )
 
     def _run(self) -> Run:
@@ -97,9 +98,6 @@ class ComponentParser(ContractParser):
             amount: Number | None = None
             if self.kinds[self.i] == "number":
                 amount = self.number("an amount")
-                if amount.value < 0:
-                    self.reporter.report("E126", amount.span, "nobody holds less than nothing")
-                    amount = Number(0.0, amount.span)
             found.append(Held(resource, amount))
             at = self.i + (self.kinds[self.i] == ",")
             if self.kinds[at] not in {"name", "path", "string"} or (
@@ -161,9 +159,6 @@ class ComponentParser(ContractParser):
         weight: Number | None = None
         if self.accept_word("weight"):
             weight = self.number("a weight")
-            if weight.value < 0:
-                self.reporter.report("E126", weight.span, "a weight is not negative")
-                weight = Number(1.0, weight.span)
         uses: list[Name] = []
         produces: list[Name] = []
         modes: list[ModeDeclaration] = []
@@ -172,7 +167,7 @@ class ComponentParser(ContractParser):
             self.i += 1
             found.extend(self.names(what))
 
-        sound = self.block(
+        lost = self.block(
             f"functionality `{name.text}`",
             first,
             {
@@ -181,7 +176,7 @@ class ComponentParser(ContractParser):
                 "mode": lambda: modes.append(self._mode()),
             },
         )
-        broken = not sound or any(mode.broken for mode in modes)
+        broken = bool(lost) or any(mode.broken for mode in modes)
         return FunctionalityDeclaration(
             self.since(first), name, weight, tuple(uses), tuple(produces), tuple(modes), broken
         )
@@ -193,7 +188,7 @@ class ComponentParser(ContractParser):
         self.layout.marks[self.i] = "mode {"
         assumptions: list[Assumed] = []
         guarantees: list[Guarantee] = []
-        sound = self.block(
+        lost = self.block(
             f"mode `{name.text}`",
             first,
             {
@@ -201,7 +196,7 @@ class ComponentParser(ContractParser):
                 "guarantee": lambda: guarantees.append(self._guarantee()),
             },
         )
-        return ModeDeclaration(self.since(first), name, tuple(assumptions), tuple(guarantees), not sound)
+        return ModeDeclaration(self.since(first), name, tuple(assumptions), tuple(guarantees), bool(lost))
 
     def _assumption(self) -> Assumed:
         self.i += 1

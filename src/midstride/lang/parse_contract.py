@@ -106,11 +106,7 @@ class ContractParser(Cursor):
         return number
 
     def seconds(self, what: str) -> Number:
-        number = self.quantity(what, SECONDS)
-        if number.value < 0:
-            self.reporter.report("E126", number.span, f"{what} is not negative")
-            return Number(0.0, number.span)
-        return number
+        return self.quantity(what, SECONDS)
 
     def _qos(self) -> tuple[Policy, ...]:
         self.expect("(", "after `qos`")
@@ -125,7 +121,11 @@ class ContractParser(Cursor):
             self.expect("=", f"after `{name.text}`", ("name", "number"))
             value = self.scalar(f"a value for `{name.text}`")
             unit = None
-            if (self.kinds[self.i] == "name" and self.kinds[self.i + 1] not in {"=", "name", "number", "string"}) or self.at_word("s") or self.at_word("ms"):
+            if (
+                (self.kinds[self.i] == "name" and self.kinds[self.i + 1] not in {"=", "name", "number", "string"})
+                or self.at_word("s")
+                or self.at_word("ms")
+            ):
                 unit = Name(self.texts[self.i], self.span())
                 self.i += 1
             policies.append(Policy(name, value, unit))
@@ -264,13 +264,13 @@ class ContractParser(Cursor):
         result: ParameterValue = values  # type: ignore[assignment]  # of one kind, which has just been seen to
         return Value(result, self.since(start))
 
-    def parameters(self, entries: list[ParameterEntry], files: list[Name]) -> bool:
+    def parameters(self, entries: list[ParameterEntry], files: list[Name]) -> frozenset[str]:
         """``parameters { name = value … }`` or ``parameters "file.yaml"``."""
         first = self.i
         self.i += 1
         if self.kinds[self.i] == "string":
             files.append(self.text("the name of a ROS parameter file"))
-            return True
+            return frozenset()
 
         def entry() -> bool:
             if self.kinds[self.i] != "name":

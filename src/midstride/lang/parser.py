@@ -137,9 +137,9 @@ class Parser(ComponentParser):
         self.i += 1
         self.expect("<=", "after `publishers`", ("number",))
         number = self.number("a number of publishers")
-        if number.value < 0 or number.value != int(number.value):
-            self.reporter.report("E126", number.span, "a number of publishers is 0, 1, 2, …")
-            number = Number(0.0, number.span)
+        if number.value != int(number.value):
+            self.reporter.report("E126", number.span, "a number of publishers is whole: 0, 1, 2, …")
+            number = Number(float(int(number.value)), number.span)
         cap.append(number)
         return True
 
@@ -151,9 +151,6 @@ class Parser(ComponentParser):
         self.layout.marks[self.i] = "resource ="
         if self.accept("="):
             capacity = self.number("a capacity")
-            if capacity.value < 0:
-                self.reporter.report("E126", capacity.span, "a capacity is not negative")
-                capacity = Number(0.0, capacity.span)
         return ResourceDeclaration(self.since(start), name, capacity)
 
     def _environment(self) -> EnvironmentBlock:
@@ -182,26 +179,25 @@ class Parser(ComponentParser):
         attachments: list[Attachment] = []
         parameters: list[ParameterEntry] = []
         files: list[Name] = []
-        parameters_sound = True
+        lost: frozenset[str] = frozenset()
 
         def read_parameters() -> None:
-            nonlocal parameters_sound
-            parameters_sound &= self.parameters(parameters, files)
+            nonlocal lost
+            lost |= self.parameters(parameters, files)
 
         self.layout.marks[self.i] = "node :"
-        sound = True
         try:
             self.expect(":", f"after node `{name.text}`", ("name",))
             component = self.name("the name of a component", ("{",))
             if self.kinds[self.i] == "{":
                 self.layout.marks[self.i] = "node {"
-                sound = self.block(
+                lost |= self.block(
                     f"node `{name.text}`", first, {"parameters": read_parameters}, lambda: self._attachment(attachments)
                 )
         except Panic:
             self._skip(first)
-            sound = False
-        broken = not (sound and parameters_sound)
+            lost |= {"node"}
+        broken = bool(lost)
         return NodeDeclaration(
             self.since(first), name, component, tuple(attachments), tuple(parameters), tuple(files), broken
         )
@@ -300,10 +296,6 @@ class Parser(ComponentParser):
             self.i += 1
             if self.kinds[self.i] != "number":
                 raise self.fail(f"a time after `{kind.text}`", f"write `{kind.text} 0.5 s`")
-            if any(kind.text == other.kind.text for other in durations):
-                self.reporter.report(
-                    "E128", kind.span, f"how long `{kind.text}` takes is stated already", help="keep one of the two"
-                )
             durations.append(Duration(kind, self.seconds("a time")))
             return True
 

@@ -1,8 +1,8 @@
 """Canonical text: `midstride fmt`.
 
-Line breaks, order and comments are the author's; blanks, commas and indentation are not. Statements that share a line are
-three blanks apart; adjacent lines of one kind are aligned; a comment behind code keeps its column where the code leaves
-room. Formatting the result changes nothing.
+Line breaks, order and comments are the author's; blanks, commas and indentation are not. Statements that share a line
+are three blanks apart; adjacent lines of one kind are aligned; a comment behind code keeps its column where the code
+leaves room. Formatting the result changes nothing.
 """
 
 from __future__ import annotations
@@ -130,6 +130,8 @@ class _Printer:
                 depth -= 1
             statement = index in self.layout.statements
             if previous is None or self._breaks(previous, index, fresh, statement, opened in self.multi):
+                if index in self.layout.items:  # the comma stays where the line ends
+                    next(line for line in reversed(self.lines) if line.text).text += ","
                 continued = not statement and opened is None
                 line = _Line(INDENT * (depth + 2 * continued), texts[index])
                 line.blank_before = not continued and self._blank_before(index, previous)

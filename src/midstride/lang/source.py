@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 
 class Source:
-    """A text with a name to show. Line ends are ``\\n`` alone: ``\\r\\n`` and ``\\r`` are read as that, a BOM is dropped."""
+    """A text with a name to show. Line ends are ``\\n`` alone: ``\\r\\n`` and ``\\r`` are read as that, a BOM is
+    dropped."""
 
     __slots__ = ("_starts", "name", "path", "text")
 

@@ -1,7 +1,7 @@
 """The syntax of a ``.stride`` file as frozen values, each with its place.
 
 Names are not resolved here and nothing is judged: this is what the file says. A part that could
-not be read is left out, and the declaration it belongs to is marked ``broken``, so that nothing
+not be read is left out, and the declaration it belongs to says so (``broken``, ``lost``), so that nothing
 is concluded from what is missing.
 """
 
@@ -44,7 +44,8 @@ class ScalarValue(NamedTuple):
 
 
 class FieldConstraint(NamedTuple):
-    """``path operator values``: one of ``= < <= > >=`` with one value, ``in {}`` with any, ``in []`` with two numbers."""
+    """``path operator values``: one of ``= < <= > >=`` with one value, ``in {}`` with any, ``in []`` with two
+    numbers."""
 
     path: Name
     operator: str
@@ -153,7 +154,7 @@ class ComponentDeclaration(NamedTuple):
     outputs: tuple[Name, ...]
     allows: tuple[Allowed, ...]
     functionalities: tuple[FunctionalityDeclaration, ...]
-    broken: bool
+    lost: frozenset[str]  # the first words of the statements that could not be read
 
 
 # -- the rest of a file ---------------------------------------------------------------------------------
@@ -276,9 +277,9 @@ Item: TypeAlias = (
 class Layout:
     """What the printer must know of the tokens beside their text, by index.
 
-    ``statements``: the first token of each statement, with what separates it from one before it on its line. ``items``: the
-    tokens that a comma stands before. ``blocks``: the opening brace of each block with its closing one (braces of value sets
-    are none). ``marks``: tokens that stand under each other on adjacent lines, by the kind of line.
+    ``statements``: the first token of each statement, with what separates it from one before it on its line.
+    ``items``: the tokens that a comma stands before. ``blocks``: the opening brace of each block with its closing one
+    (braces of value sets are none). ``marks``: tokens that stand under each other on adjacent lines, by kind of line.
     """
 
     statements: dict[int, str] = field(default_factory=dict)

@@ -1,0 +1,261 @@
+"""Errors: every independent one, once, exactly placed, and nothing else; whatever the text holds, an answer in
+bounds."""
+
+from __future__ import annotations
+
+import os
+import time
+from pathlib import Path
+
+import pytest
+
+from midstride.lang import load, load_text, render
+from midstride.lang.files import MAX_FILES
+
+from .known import Known
+
+SEEDS = Path(__file__).parent / "seeds"
+
+
+def places(text: str) -> list[tuple[str, int, int]]:
+    found = load_text(text, "t.stride", messages=Known()).diagnostics
+    return [(diagnostic.code, *diagnostic.position) for diagnostic in found]
+
+
+def marked(text: str) -> tuple[str, list[tuple[str, int, int]]]:
+    """A text without its marks `‹E012›`, and where they stood."""
+    expected, plain = [], []
+    for number, line in enumerate(text.split("\n"), 1):
+        while "‹" in line:
+            at = line.index("‹")
+            end = line.index("›")
+            expected.append((line[at + 1 : end], number, at + 1))
+            line = line[:at] + line[end + 1 :]
+        plain.append(line)
+    return "\n".join(plain), sorted(expected, key=lambda place: (place[1], place[2], place[0]))
+
+
+# Marks stand where the diagnostic must: a syntax error, a unit, a name, M2, an attachment, and so on.
+FIVE = """system five
+
+topic /scan : sensor_msgs/msg/LaserScan @ 10 ‹E127›hz
+topic /out : std_msgs/msg/String @ 10 Hz
+
+component Sensor {
+  output out
+  functionality sense {
+    produces out
+    mode normal { guarantee ‹E011›out : sensor_msgs/msg/LaserScan @ 10 Hz }
+    mode slow { guarantee out : sensor_msgs/msg/LaserScan @ 20 Hz }
+    mode off { }
+  }
+}
+
+component Filter {
+  input scan : sensor_msgs/msg/LaserScan @ 5 Hz
+  output out
+  functionality filter {
+    uses scan
+    produces out
+    mode normal { assume scan   guarantee out : std_msgs/msg/String @ 5 Hz }
+    mode off { ‹E120›42 }
+  }
+}
+
+node sensor : Sensor { out -> /scan }
+node filter : Filter { scan <- ‹E008›/scann   out -> ‹E020›/out }
+"""
+
+OTHERS = [
+    # a forgotten brace is one error, and does not hide others
+    """system s
+component A {
+  functionality f {
+    mode normal {‹E123›
+    mode ‹E010›degraded { assume std_msgs/msg/String }
+  }
+}
+""",
+    # what is declared in a statement that cannot be read is not undefined
+    """system s
+topic /a ‹E120›= std_msgs/msg/String
+contract K = ‹E120›{ }
+component C { run ‹E120›5   output out   functionality f { produces out   mode a { guarantee out : K }   mode b { } } }
+node n : C { out -> /a }
+topic /b : K
+keep n.f at a
+""",
+    # a misspelt keyword is told once, and what follows it is read
+    """system s
+‹E121›topc /a : std_msgs/msg/String { publishers <= 1 }
+‹E121›componnent C { output out   ‹E121›functionalty f { produces out   ‹E121›mod a { guarantee out : std_msgs/String }
+mode b { } } } node n : C { out -> /a }
+node m : C { out -> ‹E008›/c }
+""",
+    # an unknown type is told at each place, and nothing is concluded from it
+    """system s
+topic /a : sensor_msgs/msg/‹›Imag @ 5 Hz
+component C { input in : sensor_msgs/msg/Image   functionality f { uses in   mode a { assume in }   mode b { } } }
+node n : C { in <- /a }
+""".replace("sensor_msgs/msg/‹›Imag", "‹E130›sensor_msgs/msg/Imag"),
+    # a missing part at the end of a line is told behind it
+    """system s
+topic /a :‹E120›
+topic /b : std_msgs/msg/String @‹E120›
+topic /c : std_msgs/msg/String @ ‹E127›5
+contract K =‹E120›
+include‹E120›
+""",
+    # commas, arrows and colons forgotten or wrong
+    """system s
+topic /a ‹E120›std_msgs/msg/String
+component C { input in : std_msgs/String   functionality f { uses in   mode a { assume in }   mode b { } } }
+node n ‹E120›C { ‹E144›in -> /a }
+node m : C { in ‹E120›/a }
+""",
+    # inheritance from nobody: what may be inherited is not undefined
+    """system s
+topic /a : std_msgs/msg/String
+component C like ‹E008›B { functionality f { uses in   mode a { assume in }   mode b { } } }
+node n : C { in <- /a   out -> /a }
+keep n.g at normal
+""",
+]
+
+
+@pytest.mark.parametrize("text", [FIVE, *OTHERS])
+def test_every_independent_error_once_and_exactly_placed(text: str) -> None:
+    plain, expected = marked(text)
+    found = [place for place in places(plain) if place[0].startswith("E")]
+    assert found == expected, render(load_text(plain, messages=Known()).diagnostics)
+
+
+def test_five_independent_errors_are_all_that_is_said() -> None:
+    plain, expected = marked(FIVE)
+    assert places(plain) == expected
+    assert len({code for code, _, _ in expected}) == 5
+
+
+def test_each_line_of_the_sample_damaged_is_few_errors_near_that_line() -> None:
+    """No cascade: a line cut in half, anywhere in the sample, leads to few errors, the first of them there or
+    behind."""
+    lines = (SEEDS / "patrol.stride").read_text(encoding="utf-8").split("\n")
+    sensors = (SEEDS / "sensors.stride").read_text(encoding="utf-8")
+    for number, line in enumerate(lines):
+        code = line.partition("#")[0].rstrip()
+        if not code.strip() or code.strip() in {"}", "{"}:
+            continue
+        damaged = [
+            *lines[:number],
+            code[: len(code) - len(code.lstrip()) + len(code.lstrip()) // 2],
+            *lines[number + 1 :],
+        ]
+        loaded = load_text("\n".join(damaged), "t.stride", read=lambda path: sensors)
+        errors = [d for d in loaded.diagnostics if d.severity == "error"]
+        assert len(errors) <= 4, (line, render(errors))
+
+
+def test_a_near_miss_is_suggested() -> None:
+    (fault,) = load_text("system s\ncontract Scan = std_msgs/msg/String\ntopic /a : Scam\n").diagnostics[:1]
+    assert fault.help == "did you mean `Scan`?"
+
+
+def test_carets_stand_under_wide_and_combining_characters() -> None:
+    text = 'system s\n# x\ncomponent C { run "日本\u0301" bad }\n'
+    (fault,) = load_text(text).diagnostics
+    shown = fault.render().split("\n")
+    assert shown[4].index("^") - shown[3].index("component") == len('component C { run "') + 4 + len('" ')
+
+
+def test_a_fault_in_an_included_file_is_told_there() -> None:
+    def read(path: Path) -> str:
+        return "topic /a : Nope\n"
+
+    (fault,) = [
+        d
+        for d in load_text('system s\ninclude "x/a.stride"\n', "d/t.stride", read=read).diagnostics
+        if d.code == "E008"
+    ]
+    assert (fault.file_name, *fault.position) == (os.path.join("d", "x", "a.stride"), 1, 12)
+
+
+def test_the_json_form_of_a_diagnostic() -> None:
+    (fault,) = load_text("system s\nsystem t\n", "t.stride").diagnostics
+    assert fault.to_json() == {
+        "code": "E128",
+        "severity": "error",
+        "file": "t.stride",
+        "line": 2,
+        "column": 8,
+        "end_line": 2,
+        "end_column": 9,
+        "message": "a file names its system once",
+        "help": None,
+        "notes": [{"message": "the first one is here", "file": "t.stride", "line": 1, "column": 8}],
+    }
+
+
+HOSTILE = {
+    "deep namespaces": "system s\n" + "namespace a { " * 50_000,
+    "deep braces": "system s\ncomponent C " + "{ " * 100_000,
+    "deep closing": "}" * 100_000,
+    "brackets": "system s\ncomponent C { parameters { a = " + "[" * 100_000,
+    "a long name": "system s\ntopic /" + "a" * 1_000_000 + " : std_msgs/msg/String\n",
+    "a long number": "system s\nresource r = " + "9" * 1_000_000 + "\n",
+    "a long text": 'system s\ncomponent C { run "' + "x" * 1_000_000,
+    "one long line": "system s " + "topic /a : std_msgs/msg/String " * 30_000,
+    "only signs": "<-->>==@@::,,.." * 20_000,
+    "not a word of it": "\u2603" * 300_000,
+    "quotes": '"' * 200_000,
+    "backslashes": 'system s\ninclude "' + "\\" * 200_000,
+    "like upon like": "system s\n" + "".join(f"component C{n} like C{n + 1}\n" for n in range(20_000)),
+    "contract upon contract": "system s\n" + "".join(f"contract C{n} = C{n + 1}\n" for n in range(20_000)),
+    "dots": "system s\nkeep " + "a." * 100_000,
+    "many constraints": "system s\ncontract C = std_msgs/msg/String where " + "a = 1, " * 30_000 + "a = 2",
+    "NUL": "system s\n" + "\0" * 100_000,
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+@pytest.mark.timeout(60)
+def test_hostile_texts_are_answered_in_bounds(name: str) -> None:
+    start = time.process_time()
+    loaded = load_text(HOSTILE[name], "t.stride")
+    text = render(loaded.diagnostics)
+    assert loaded.specification is None
+    assert loaded.diagnostics
+    assert len(text) < 1_000_000 + 200 * len(HOSTILE[name]) // 1_000
+    assert time.process_time() - start < 10
+
+
+def test_an_include_bomb_is_bounded(tmp_path: Path) -> None:
+    for level in range(12):
+        inside = "".join(f'namespace n{n} {{ include "f{level + 1}.stride" }}\n' for n in range(10))
+        (tmp_path / f"f{level}.stride").write_text(inside if level < 11 else "contract K = std_msgs/msg/String\n")
+    (tmp_path / "bomb.stride").write_text('system s\ninclude "f0.stride"\n')
+    loaded = load(tmp_path / "bomb.stride")
+    assert {d.code for d in loaded.diagnostics} == {"E104"}
+    assert len(loaded.files) < MAX_FILES
+
+
+def test_a_cycle_of_includes_through_a_link_ends(tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to(tmp_path)
+    (tmp_path / "a.stride").write_text('include "loop/a.stride"\n')
+    (tmp_path / "s.stride").write_text('system s\ninclude "a.stride"\n')
+    assert {d.code for d in load(tmp_path / "s.stride").diagnostics} == {"E104"}
+
+
+def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.stride")
+    for path in (tmp_path / "pipe.stride", tmp_path, tmp_path / "missing.stride", Path("/dev/zero")):
+        (fault,) = load(path).diagnostics
+        assert fault.code == "E100"
+        assert str(path) in str(fault)
+
+
+def test_a_yaml_bomb_is_bounded() -> None:
+    bomb = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
+        f"{chr(98 + n)}: &{chr(98 + n)} [{','.join(['*' + chr(97 + n)] * 10)}]\n" for n in range(9)
+    )
+    loaded = load_text('system s\ncomponent C { }\nnode n : C { parameters "p.yaml" }\n', read=lambda path: bomb)
+    assert [d.code for d in loaded.diagnostics if d.severity == "error"] == ["E150"]

@@ -1,0 +1,303 @@
+"""What the language says: the sample of its definition, and each construct's meaning in the model."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from immutables import Map
+
+from midstride.lang import Loaded, load, load_text, render
+from midstride.model.component import Endpoint, NamedInputs, Parameter
+from midstride.model.contract import Interval, OneOf, Predicate, QoS
+from midstride.model.document import specification_from_document, specification_to_document
+from midstride.model.specification import Keep, Limit, Order, Specification, initial
+
+from .known import Known
+
+SEEDS = Path(__file__).parent / "seeds"
+
+
+def meant(text: str, files: dict[str, str] | None = None) -> Specification:
+    loaded = loading(text, files)
+    assert loaded.specification is not None, render(loaded.diagnostics)
+    return loaded.specification
+
+
+def loading(text: str, files: dict[str, str] | None = None) -> Loaded:
+    def read(path: Path) -> str:
+        if files is None or str(path) not in files:
+            raise FileNotFoundError(2, "No such file or directory")
+        return files[str(path)]
+
+    return load_text(text, "t.stride", read=read, messages=Known())
+
+
+def test_the_sample_means_what_it_says() -> None:
+    loaded = load(SEEDS / "patrol.stride")
+    assert loaded.diagnostics == ()
+    patrol = loaded.specification
+    assert patrol is not None
+    assert [source.path for source in loaded.files] == [SEEDS / "patrol.stride", SEEDS / "sensors.stride"]
+    assert patrol.name == "patrol"
+    scan = Predicate("sensor_msgs/msg/LaserScan", 10, QoS(reliability="best_effort", depth=5))
+    camera = Predicate(
+        "sensor_msgs/msg/Image", 15, fields=(("width", Interval(640)), ("encoding", OneOf.of(["rgb8", "bgr8"])))
+    )
+    assert patrol.connectors["/scan"].guarantee == scan
+    assert patrol.connectors["/cmd_vel"].cap == 1
+    assert {name: resource.capacity for name, resource in patrol.resources.items()} == {
+        "gpu_memory": 8192,
+        "/dev/video0": 1,
+    }
+    assert [(offer.name, offer.topic) for offer in patrol.environment] == [
+        ("camera_device", None),
+        ("localization", "/odom"),
+    ]
+    detector = patrol.components["ObstacleDetector"]
+    assert detector.run == "python3 -m patrol.detector"
+    assert detector.holds == Map({"/dev/video0": 1.0, "gpu_memory": 2048.0})
+    assert detector.parameters == Map({"threshold": Parameter(0.4, True), "model": Parameter("small.onnx")})
+    detect = detector.functionalities["detect"]
+    assert detect.weight == 3
+    assert [mode.name for mode in detect.modes] == ["normal", "lidar_only", "degraded"]
+    assert detect.modes[0].assumptions == (NamedInputs(("scan",)), camera)
+    assert detect.modes[0].guarantees == Map({"out": Predicate("sensor_msgs/msg/Range", 10)})
+    stereo = patrol.components["StereoDetector"]
+    assert stereo.run == "python3 -m patrol.stereo"
+    assert (stereo.inputs, stereo.functionalities, stereo.holds) == (
+        detector.inputs,
+        detector.functionalities,
+        detector.holds,
+    )
+    assert patrol.components["MotorController"].allows == (Endpoint("service", "~/reset"),)
+    assert patrol.nodes["controller"].attachments == Map({"obstacles": ("/obstacles",), "cmd": ("/cmd_vel",)})
+    assert [str(constraint) for constraint in patrol.constraints] == [
+        "keep controller.control at normal",
+        "limit detector.detect below baseline 2 s",
+        "order detector before controller",
+    ]
+    assert patrol.timing["attach"] == 0.05
+    assert set(initial(patrol).modes.values()) == {0}
+
+
+def test_the_sample_in_json_is_the_same_system() -> None:
+    patrol = load(SEEDS / "patrol.stride").require()
+    again = specification_from_document(specification_to_document(patrol))
+    assert again == patrol
+
+
+BODY = """
+component Talker {
+  run "python3 -m talker" takes 1500 ms
+  output out
+  functionality talk { produces out   mode normal { guarantee out : std_msgs/String @ 10 Hz }   mode silent { } }
+}
+component Listener {
+  input in : std_msgs/msg/String @ 5 Hz
+  functionality listen { uses in   mode normal { assume in }   mode deaf { } }
+}
+"""
+
+
+def test_namespaces_resolve_as_in_ros() -> None:
+    found = meant(
+        "system s\n"
+        + BODY
+        + """
+        topic /shared : std_msgs/msg/String
+        namespace robot1 {
+          topic chatter : std_msgs/msg/String @ 5 Hz
+          namespace arm/left { topic talker/own : std_msgs/msg/String  node talker : Talker { out -> ~/own } }
+          node talker : Talker { out -> chatter, /shared }
+          node listener : Listener { in <- chatter }
+          keep listener.listen at normal
+          limit /robot1/arm/left/talker.talk below baseline 2 s
+          order talker before arm/left/talker
+        }
+        """
+    )
+    assert set(found.connectors) == {"/shared", "/robot1/chatter", "/robot1/arm/left/talker/own"}
+    assert found.nodes["robot1/talker"].attachments["out"] == ("/robot1/chatter", "/shared")
+    assert found.nodes["robot1/arm/left/talker"].attachments["out"] == ("/robot1/arm/left/talker/own",)
+    assert found.nodes["robot1/talker"].namespace == "robot1"
+    assert [str(constraint) for constraint in found.constraints] == [
+        "keep robot1/listener.listen at normal",
+        "limit robot1/arm/left/talker.talk below baseline 2 s",
+        "order robot1/talker before robot1/arm/left/talker",
+    ]
+    assert isinstance(found.constraints[0], Keep)
+    assert isinstance(found.constraints[1], Limit)
+    assert isinstance(found.constraints[2], Order)
+
+
+def test_a_fragment_included_in_two_namespaces_is_there_twice() -> None:
+    robot = BODY + "topic chatter : std_msgs/msg/String @ 5 Hz\nnode talker : Talker { out -> chatter }\n"
+    text = 'system s\nnamespace a { include "robot.stride" }\nnamespace b { include "robot.stride" }\n'
+    found = meant(text, {"robot.stride": robot})
+    assert set(found.nodes) == {"a/talker", "b/talker"}
+    assert set(found.connectors) == {"/a/chatter", "/b/chatter"}
+    assert set(found.components) == {"Talker", "Listener"}
+
+
+def test_includes_are_relative_to_the_file_and_taken_once() -> None:
+    files = {
+        "parts/a.stride": 'include "b.stride"\ninclude "../parts/b.stride"\n',
+        "parts/b.stride": "contract Text = std_msgs/msg/String\n",
+    }
+    found = meant('system s\ninclude "parts/a.stride"\ninclude "parts/b.stride"\ntopic /t : Text\n', files)
+    assert found.connectors["/t"].guarantee == Predicate("std_msgs/msg/String")
+
+
+def test_like_takes_over_and_overrides_part_by_part() -> None:
+    found = meant(
+        """system s
+        resource memory = 10
+        component Base {
+          run "base" takes 3 s
+          holds memory 4
+          parameters { a = 1, changeable b = "x" }
+          allows service ~/reset
+          input in : std_msgs/msg/String
+          output out
+          functionality f { uses in  produces out  mode on { guarantee out : std_msgs/msg/String }  mode off { } }
+          functionality g { mode on { }  mode off { } }
+        }
+        component Child like Base {
+          run "child"
+          holds nothing
+          parameters { a = 2, c = true }
+          input more : std_msgs/msg/String
+          allows topic /tf
+          functionality g weight 2 { uses more  mode on { assume more }  mode half { }  mode off { } }
+        }
+        component Same like Base
+        component Grandchild like Child { run "grandchild" }
+        """
+    )
+    base, child = found.components["Base"], found.components["Child"]
+    assert (child.run, child.takes, child.holds) == ("child", None, Map())
+    assert child.parameters == Map({"a": Parameter(2), "b": Parameter("x", True), "c": Parameter(True)})
+    assert child.input_order == ("in", "more")
+    assert child.functionality_order == ("f", "g")
+    assert child.functionalities["f"] == base.functionalities["f"]
+    assert [mode.name for mode in child.functionalities["g"].modes] == ["on", "half", "off"]
+    assert child.allows == (Endpoint("service", "~/reset"), Endpoint("topic", "/tf"))
+    assert found.components["Same"].same_body(base)
+    assert found.components["Grandchild"].functionalities == child.functionalities
+
+
+def test_contracts_refine_contracts() -> None:
+    found = meant(
+        """system s
+        contract Any = sensor_msgs/Image where width >= 100, width < 1000, encoding in {rgb8, "bgr8"}
+        contract Fast = Any @ 0.1 kHz qos(reliability = best_effort, deadline = 100 ms) where width in [50, 640]
+        contract Slow = Fast @ 5 Hz qos(reliability = reliable, liveliness_lease_duration = 1 s)
+        topic /fast : Fast
+        topic /slow : Slow where header.frame_id = "base_link", is_bigendian = 0
+        """
+    )
+    fast, slow = found.connectors["/fast"].guarantee, found.connectors["/slow"].guarantee
+    assert (fast.type, fast.rate) == ("sensor_msgs/msg/Image", 100)
+    assert fast.constraint("width") == Interval(100, 640)
+    assert fast.qos == QoS(reliability="best_effort", deadline=0.1)
+    assert slow.qos == QoS(reliability="reliable", deadline=0.1, lease=1.0)
+    assert slow.rate == 5
+    assert slow.constraint("header.frame_id") == OneOf.of(["base_link"])
+    assert slow.constraint("encoding") == OneOf.of(["rgb8", "bgr8"])
+
+
+def test_assumptions_by_name_alternatives_and_predicates() -> None:
+    found = meant(
+        """system s
+        contract Near = sensor_msgs/msg/Range @ 5 Hz
+        component C {
+          input left : Near, input right : Near
+          functionality f {
+            uses left, right
+            mode a { assume left  assume left or right  assume Near  assume Near @ 2 Hz  assume sensor_msgs/Range }
+            mode b { }
+          }
+        }
+        """
+    )
+    near = Predicate("sensor_msgs/msg/Range", 5)
+    assert found.components["C"].functionalities["f"].modes[0].assumptions == (
+        NamedInputs(("left",)),
+        NamedInputs(("left", "right")),
+        near,
+        Predicate("sensor_msgs/msg/Range", 2),
+        Predicate("sensor_msgs/msg/Range"),
+    )
+
+
+def test_words_of_the_language_may_be_fields_and_parameters() -> None:
+    found = meant(
+        """system s
+        component C { parameters { mode = "fast", node.input = 1, changeable = false, at = [1, 2.5] }
+          input in : std_msgs/String
+          functionality or { uses in   mode where { assume in }   mode qos { } } }
+        """
+    )
+    assert {name: p.value for name, p in found.components["C"].parameters.items()} == {
+        "mode": "fast",
+        "node.input": 1,
+        "changeable": False,
+        "at": [1.0, 2.5],
+    }
+    assert found.components["C"].functionalities["or"].modes[0].assumptions == (NamedInputs(("in",)),)
+
+
+@pytest.mark.parametrize("end", ["\r\n", "\r", "\n"])
+def test_line_ends_and_byte_order_mark_change_nothing(end: str) -> None:
+    text = "system s\n# a comment\n" + BODY
+    assert meant("\ufeff" + text.replace("\n", end)) == meant(text)
+
+
+NAV2 = """
+/**:
+  ros__parameters: {use_sim_time: true}
+talker:
+  ros__parameters:
+    volume: 3
+    names: [a, 'b']
+    plugin: {name: "x", gains: [1, 2.5]}
+robot1:
+  talker:
+    ros__parameters: {volume: 4}
+"""
+
+
+def test_parameter_files_are_matched_by_role() -> None:
+    text = (
+        "system s\n"
+        + BODY.replace("  output out\n", "  parameters { volume = 1, use_sim_time = false }\n  output out\n")
+        + """topic /t : std_msgs/msg/String
+        parameters "nav2.yaml"
+        node talker : Talker { out -> /t   parameters { volume = 5 } }
+        component Singer like Talker
+        namespace robot1 { node talker : Singer { out -> /t } }
+        """
+    )
+    found = meant(text, {"nav2.yaml": NAV2})
+    assert found.parameters_of("talker") == Map(
+        {"volume": 5, "use_sim_time": True, "names": ["a", "b"], "plugin.name": "x", "plugin.gains": [1.0, 2.5]}
+    )
+    assert found.parameters_of("robot1/talker")["volume"] == 4
+    # What the file alone gives is declared with the component, and with those that are like it.
+    assert found.components["Singer"].parameters["plugin.name"] == Parameter("x")
+    assert specification_from_document(specification_to_document(found)) == found
+
+
+def test_json_is_taken_where_the_name_says_so(tmp_path: Path) -> None:
+    import json
+
+    document = specification_to_document(load(SEEDS / "patrol.stride").require())
+    path = tmp_path / "patrol.json"
+    path.write_text(json.dumps(document, indent=2))
+    assert load(path).require() == load(SEEDS / "patrol.stride").require()
+    document["topics"]["/scan"]["rate"] = "fast"
+    path.write_text(json.dumps(document, indent=2))
+    (fault,) = load(path).diagnostics
+    line = path.read_text().splitlines()[fault.position[0] - 1]
+    assert (fault.code, line.strip()) == ("E001", '"rate": "fast",')
