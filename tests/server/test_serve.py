@@ -6,7 +6,8 @@ import asyncio
 import json
 import socket
 import stat
-from collections.abc import AsyncIterator, Callable, Coroutine
+import tempfile
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,10 @@ from tests.server.scripted import ScriptedManager
 
 
 @pytest.fixture
-def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return Workspace.of("talker")
+def workspace(monkeypatch: pytest.MonkeyPatch) -> Iterator[Workspace]:
+    with tempfile.TemporaryDirectory(prefix="ms") as folder:  # sockets have short paths, pytest's folders long ones
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield Workspace.of("talker")
 
 
 def over_socket(workspace: Workspace) -> httpx.AsyncClient:
@@ -119,8 +121,8 @@ def test_a_stream_taken_up_again_misses_nothing(workspace: Workspace) -> None:
         manager = ScriptedManager()
         async with serving(manager, workspace) as (client, _):
             await client.get("/up")
-            for number in range(4):
-                manager.events.add("note", f"{number}")
+            for words in "0123":
+                manager.events.add("note", words)
             async with client.stream("GET", "/events?since=1", headers={"Last-Event-ID": "3"}) as response:
                 heard = []
                 async for number, event in events(response):

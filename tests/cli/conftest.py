@@ -1,0 +1,110 @@
+"""The command as its users start it: a process, with a runtime folder of its own."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.runtime.guardian import look
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a command printed, and its exit status."""
+
+    status: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> Any:
+        return json.loads(self.out)
+
+
+@dataclass
+class Midstride:
+    """Runs ``midstride`` with a runtime folder of its own."""
+
+    runtime: Path
+    environment: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        inherited = {name: value for name, value in os.environ.items() if name != "MIDSTRIDE_DEMO"}
+        self.environment = {**inherited, "XDG_RUNTIME_DIR": str(self.runtime), **self.environment}
+
+    def command(self, *words: str) -> list[str]:
+        return [sys.executable, "-m", "midstride", *words]
+
+    def __call__(self, *words: str, timeout: float = 60, **environment: str) -> Done:
+        done = subprocess.run(
+            self.command(*words),
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+            check=False,
+            cwd=ROOT,
+            env={**self.environment, **environment},
+        )
+        return Done(done.returncode, done.stdout, done.stderr)
+
+    def start(self, *words: str) -> subprocess.Popen[str]:
+        """A command that goes on; its standard error comes with its standard output."""
+        return subprocess.Popen(
+            self.command(*words),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            cwd=ROOT,
+            env=self.environment,
+        )
+
+    def manager(self, system: str) -> int:
+        """The process of a running manager."""
+        return int((self.runtime / "midstride" / system / "lock").read_text())
+
+    def components(self, system: str) -> list[int]:
+        """The processes of a running system's components, by what its manager has written."""
+        state = json.loads((self.runtime / "midstride" / system / "state.json").read_text())
+        return [entry["handle"]["pid"] for entry in state["instances"]]
+
+    def down(self) -> None:
+        """End whatever runs here."""
+        for state in self.runtime.glob("midstride/*/state.json"):
+            done = self("down", "--system", state.parent.name)
+            assert done.status == 0, done.err
+
+
+@pytest.fixture
+def midstride() -> Iterator[Midstride]:
+    yield from running()
+
+
+def running() -> Iterator[Midstride]:
+    # Sockets have short paths, and pytest's own temporary folders long ones.
+    folder = Path(tempfile.mkdtemp(prefix="ms"))
+    command = Midstride(folder)
+    try:
+        yield command
+        command.down()
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def alive(pid: int) -> bool:
+    seen = look(pid)
+    return seen is not None and seen.alive

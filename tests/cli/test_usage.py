@@ -1,0 +1,301 @@
+"""What needs no running system: help, wrong usage, specifications in files, plans."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import midstride as package
+from midstride.cli import main
+from midstride.cli.app import COMMANDS
+from tests.cli.conftest import EXAMPLES, Midstride
+
+TALKER = str(EXAMPLES / "talker" / "talker.json")
+
+
+@pytest.fixture(autouse=True)
+def nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with open("/dev/null") as nobody:
+        monkeypatch.setattr("sys.stdin", nobody)
+        yield
+
+
+def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
+    status = main(words)
+    told = capsys.readouterr()
+    return status, told.out, told.err
+
+
+# -- starting fast, and the public names ----------------------------------------------------------------
+
+
+def test_help_imports_nothing_slow() -> None:
+    done = subprocess.run(
+        [sys.executable, "-X", "importtime", "-m", "midstride", "--help"], capture_output=True, text=True, check=True
+    )
+    imported = {line.rpartition("|")[2].strip() for line in done.stderr.splitlines()}
+    slow = {"rich", "asyncio", "fastapi", "uvicorn", "httpx", "pydantic", "rclpy", "immutables", "http.client"}
+    assert not imported & slow
+    assert not [
+        name for name in imported if name.startswith(("midstride.model", "midstride.node", "midstride.runtime"))
+    ]
+    assert all(f"\n  {name} " in done.stdout for name in COMMANDS)
+
+
+def test_the_public_names_are_there() -> None:
+    for name in package.__all__:
+        assert getattr(package, name) is not None
+    assert set(package.__all__) - {"__version__"} == set(package._HOMES)
+    assert set(package.__all__) <= set(dir(package))
+    with pytest.raises(AttributeError, match="no attribute 'Componet'"):
+        package.__getattr__("Componet")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, name, "--help")
+    assert status == 0
+    assert out.startswith(f"Usage: midstride {name}")
+    assert "--json" in out
+
+
+def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, "--version") == (0, f"midstride {package.__version__}\n", "")
+
+
+# -- wrong usage: status 2, one clear line -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["replce"], "midstride: there is no command `replce`; did you mean `replace`?"),
+        (["replace"], "midstride replace: missing argument 'NODE'"),
+        (["status", "--systm", "x"], "midstride status: no such option '--systm'. Did you mean '--system'?"),
+        (["replace", "talker", "NewTalker"], "nobody can be asked here (no terminal): say --yes to go ahead"),
+        (["plan", TALKER], "midstride plan: say what is to change: --to NEW, --replace, --add or --remove"),
+        (["plan", TALKER, "--replace", "talker"], "`talker` is not of the form NODE=COMPONENT"),
+        (["plan", TALKER, "--add", "second"], "`second` is not of the form 'NODE COMPONENT PORT=TOPIC…'"),
+        (["plan", TALKER, "--to", TALKER, "--remove", "talker"], "--to names a whole specification"),
+        (
+            ["plan", TALKER, "--remove", "talker", "--strategy", "fast"],
+            "'fast' is not one of 'minimal', 'paper', 'quiesce'",
+        ),
+        (["up", TALKER, "--backend", "ros3"], "'ros3' is not one of 'ros2', 'sim'"),
+        (["up", TALKER, "--http-host", "0.0.0.0"], "--http-host needs --http PORT"),
+        (["demo", "talkr"], "there is no example `talkr`; did you mean `talker`?"),
+        (["add", "second", "Listener", "in", "--yes"], "`in` is not of the form PORT=TOPIC, such as out=/chatter"),
+    ],
+)
+def test_wrong_usage(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, *words)
+    assert (status, out) == (2, "")
+    assert told in err.splitlines()[0]
+    assert "--help`" in err.splitlines()[-1]
+    status, out, _ = run(capsys, *words, "--json")
+    document = json.loads(out)
+    assert (status, document["error"]["kind"]) == (2, "UsageError")
+
+
+def test_no_command_at_all(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys)
+    assert (status, out) == (2, "")
+    assert err.startswith("Usage: midstride")
+
+
+@pytest.mark.parametrize("words", [["status"], ["watch"], ["log"], ["down"], ["why", "a.b"], ["remove", "a", "--yes"]])
+def test_without_a_manager_it_is_said_how_to_start_one(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    told = "no system is running; start one with `midstride up FILE`"
+    assert run(capsys, *words) == (1, "", f"midstride {words[0]}: {told}\n")
+    status, out, _ = run(capsys, "--json", *words)
+    document = json.loads(out)
+    assert (status, document["error"]) == (1, {"kind": "NoManager", "message": told})
+
+
+def test_a_system_that_does_not_run(capsys: pytest.CaptureFixture[str]) -> None:
+    status, _, err = run(capsys, "status", "--system", "patrol")
+    assert (status, err.split("; ")[0]) == (1, "midstride status: no system patrol is running")
+
+
+# -- specifications in files ---------------------------------------------------------------------------------
+
+
+def test_what_is_well_formed(capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(file) for file in sorted(EXAMPLES.glob("*/*.json")) if file.name != "demo.json"]
+    status, out, err = run(capsys, "check", *files)
+    assert (status, err) == (0, "")
+    assert "nothing to complain of" in out
+    status, out, _ = run(capsys, "check", *files, "--json", "--strict")
+    assert (status, json.loads(out)) == (0, {"ok": True, "diagnostics": []})
+
+
+def broken(folder: Path, **changes: Any) -> str:
+    document = json.loads(Path(TALKER).read_text())
+    document.update(changes)
+    file = folder / "broken.json"
+    file.write_text(json.dumps(document))
+    return str(file)
+
+
+def test_every_fault_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nodes = {"talker": {"component": "Talkr", "attachments": {"out": ["/chatter"]}}}
+    file = broken(tmp_path, topcs={}, nodes=nodes)
+    status, out, _ = run(capsys, "check", file)
+    assert status == 1
+    assert f"{file}: error: /topcs: a specification has no key `topcs`" in out
+    assert "Talkr" in out
+    assert "did you mean `Talker`?" in out
+    status, out, _ = run(capsys, "--json", "check", file)
+    told = json.loads(out)
+    assert (status, told["ok"]) == (1, False)
+    first = told["diagnostics"][0]
+    assert {"code", "severity", "file", "line", "column", "message", "help"} <= set(first)
+    assert {fault["code"] for fault in told["diagnostics"]} >= {"E002", "E008"}
+
+
+def test_a_warning_counts_where_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nodes = {"listener": {"component": "Listener", "attachments": {"in": ["/chatter"]}}}
+    file = broken(tmp_path, nodes=nodes)
+    status, out, _ = run(capsys, "check", file)
+    assert (status, "warning" in out) == (0, True)
+    assert run(capsys, "check", file, "--strict")[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("talkr.json", "did you mean `talker.json`?"),
+        ("", "is a folder; give a file in it: "),
+    ],
+)
+def test_a_file_that_is_none(name: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    file = EXAMPLES / "talker" / name
+    for words in (["up", str(file), "-d"], ["plan", str(file), "--remove", "x"], ["export", str(file)]):
+        status, out, err = run(capsys, *words)
+        assert (status, out) == (1, "")
+        assert err.startswith(f"midstride {words[0]}: ")
+        assert err.count("\n") == 1
+        assert told in err
+
+
+def test_not_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "half.json"
+    file.write_text('{"system": ')
+    status, _, err = run(capsys, "up", str(file))
+    assert (status, err.startswith(f"midstride up: {file}: /: not JSON: ")) == (1, True)
+    assert "line 1, column 12" in err
+
+
+def test_what_is_exported_is_the_same_specification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "export", TALKER, "--json")
+    assert status == 0
+    assert json.loads(out) == json.loads(Path(TALKER).read_text())
+    again = tmp_path / "again.json"
+    again.write_text(out)
+    assert run(capsys, "export", str(again))[1] == out
+
+
+# -- plans ------------------------------------------------------------------------------------------------------
+
+
+def test_the_paper_s_seven_steps(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker", "--strategy", "paper")
+    assert status == 0
+    steps = [line.split(maxsplit=1)[1].rsplit("  ", 1)[0].strip() for line in out.splitlines() if line[:1].isdigit()]
+    assert steps == [
+        "degrade listener.listen: normal → degraded",
+        "detach talker.out from /chatter",
+        "remove talker",
+        "create talker_2 (NewTalker, as talker)",
+        "upgrade talker_2.talk: degraded → normal",
+        "attach talker_2.out to /chatter",
+        "upgrade listener.listen: degraded → normal",
+    ]
+    assert "Falls: listener.listen to degraded for about" in out
+
+
+def test_a_plan_in_which_nothing_falls(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker")
+    assert status == 0
+    assert "Nothing falls" in out
+    assert "proved minimal" in out
+    status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker", "--json")
+    document = json.loads(out)
+    assert (document["strategy"], document["proved_minimal"], document["fallen"]) == ("minimal", True, [])
+    assert [step["action"] for step in document["steps"]] == ["create", "upgrade", "handover", "remove"]
+    assert document["target"]["nodes"]["talker"]["component"] == "NewTalker"
+
+
+def test_what_stays_lower_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+    file = str(EXAMPLES / "obstacle" / "obstacle.json")
+    _, out, _ = run(capsys, "plan", file, "--remove", "detector")
+    assert "Stays lower: controller.control, from normal to degraded" in out
+    assert "Nothing falls" not in out
+
+
+def test_a_node_is_added_to_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "plan", TALKER, "--add", "second Listener in=/chatter", "--json")
+    document = json.loads(out)
+    assert status == 0
+    assert document["target"]["nodes"]["second"] == {"component": "Listener", "attachments": {"in": ["/chatter"]}}
+
+
+def test_to_another_specification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    nodes = {"listener": {"component": "Listener", "attachments": {"in": ["/chatter"]}}}
+    status, out, _ = run(capsys, "plan", TALKER, "--to", broken(tmp_path, nodes=nodes), "--json")
+    assert status == 0
+    assert [step["action"] for step in json.loads(out)["steps"]] == ["degrade", "detach", "remove"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--replace", "talkr=NewTalker"], "there is no node talkr; did you mean talker?"),
+        (["--replace", "talker=NewTalkr"], "there is no component NewTalkr; did you mean NewTalker?"),
+        (["--remove", "nobody"], "there is no node nobody; there are listener, talker"),
+        (["--add", "second Listener in=/chater"], "there is no topic /chater; did you mean /chatter?"),
+        (["--replace", "talker=Listener"], "Listener cannot play talker: it has no port out"),
+    ],
+)
+def test_a_plan_that_is_refused(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, err = run(capsys, "plan", TALKER, *words)
+    assert (status, out) == (1, "")
+    assert told in err
+    status, out, _ = run(capsys, "plan", TALKER, *words, "--json")
+    document = json.loads(out)
+    assert (status, document["outcome"]) == (1, "refused")
+    assert told in document["because"]
+    assert "steps" not in document
+
+
+# -- pipes and encodings -------------------------------------------------------------------------------------------
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(midstride: Midstride) -> None:
+    command = " ".join(midstride.command("export", TALKER))
+    done = subprocess.run(
+        ["sh", "-c", f"{command} | head -c 1; sleep 0.1"],
+        capture_output=True,
+        text=True,
+        check=True,
+        env=midstride.environment,
+    )
+    assert (done.stdout, done.stderr) == ("{", "")
+
+
+def test_what_the_terminal_cannot_show_stops_nothing(midstride: Midstride) -> None:
+    done = midstride("plan", TALKER, "--replace", "talker=NewTalker", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
+    assert (done.status, done.err) == (0, "")
+    assert "upgrade talker_2.talk: degraded ? normal" in done.out
+
+
+def test_piped_tables_are_not_folded(midstride: Midstride) -> None:
+    done = midstride("plan", TALKER, "--replace", "talker=NewTalker", "--strategy", "paper", COLUMNS="40")
+    assert "nobody satisfies /chatter (it has no publisher), after step 2" in done.out
