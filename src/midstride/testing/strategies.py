@@ -66,13 +66,14 @@ from midstride.model.specification import Constraint, Keep, Limit, Node, Order, 
 TYPES: Final = ("demo_msgs/msg/A", "demo_msgs/msg/B")
 RATES: Final = (None, 1.0, 5.0, 10.0)
 RESOURCES: Final = ("gpu", "/dev/video0")
-TOPICS: Final = ("/t0", "/t1", "/t2", "/t3")
+TOPICS: Final = ("/t0", "/t1", "/t2", "/t3", "/t4")
 
 _A, _B = TYPES
 _LOSSY: Final = QoS(reliability="best_effort")
 _WIDE: Final = (("width", Interval(low=1)),)
 # What ports and topics of drawn systems speak of: few enough to meet, different in every clause.
 NEEDS: Final = (Predicate(_A, 5.0), Predicate(_A, 1.0), Predicate(_A), Predicate(_A, 1.0, _LOSSY), Predicate(_B, 1.0))
+_USUAL: Final = (*NEEDS[:2] * 3, *NEEDS)
 OFFERS: Final = (
     Predicate(_A, 10.0),
     Predicate(_A, 5.0, fields=_WIDE),
@@ -161,12 +162,17 @@ def _chains(length: int) -> list[tuple[Contract, ...]]:
 
 
 _CHAINS: Final = {length: _chains(length) for length in (2, 3)}
-_LOSING: Final = {length: [c for c in chains if c[-1] is NOTHING] for length, chains in _CHAINS.items()}
+# Mostly a strong guarantee that the last mode loses, so that one functionality's fall is felt by another.
+_LOSING: Final = {
+    length: [chain for chain in chains if chain[0] == OFFERS[0] and chain[-1] is NOTHING]
+    for length, chains in _CHAINS.items()
+}
 
 
 def guarantee_chains(length: int) -> st.SearchStrategy[tuple[Contract, ...]]:
     """What one output guarantees in each mode, best first; mostly nothing in the last."""
-    return st.sampled_from(_LOSING[length] * 2 + _CHAINS[length])
+    often = _LOSING[length] * (2 * len(_CHAINS[length]) // len(_LOSING[length]))
+    return st.sampled_from(often + _CHAINS[length])
 
 
 # -- components --------------------------------------------------------------------------------------
@@ -174,10 +180,10 @@ def guarantee_chains(length: int) -> st.SearchStrategy[tuple[Contract, ...]]:
 
 @st.composite
 def components(draw: st.DrawFn, name: str = "C") -> Component:
-    """Well-formed components of up to three inputs, two outputs and two functionalities."""
-    needs = draw(st.lists(st.sampled_from((*NEEDS[:2], *NEEDS)), max_size=3))
-    inputs = {f"in{number}": predicate for number, predicate in enumerate(needs)}
-    owners = draw(st.sampled_from(((0,), (0, 0), (0, 1), (1,), ())))  # which functionality owns each output
+    """Well-formed components of up to three inputs, two outputs and two functionalities; filters for the most part."""
+    count = draw(st.sampled_from((1, 1, 2, 0, 3)))
+    inputs = {f"in{number}": draw(st.sampled_from(_USUAL)) for number in range(count)}
+    owners = draw(st.sampled_from(((0,), (0,), (0, 0), (0, 1), (1,), ())))  # which functionality owns each output
     owned: dict[int, list[str]] = {0: [], 1: []}
     for number, owner in enumerate(owners):
         owned[owner].append(f"out{number}")
@@ -216,7 +222,7 @@ def _functionalities(
 def _assumptions(inputs: dict[str, Predicate], used: tuple[str, ...]) -> st.SearchStrategy[tuple[Assumption, ...]]:
     """None, one or several: of one input, of alternatives, or by a predicate."""
     if not used:
-        return st.sampled_from(((), (), (NEEDS[1],)))
+        return st.sampled_from(((), (), (), (NEEDS[1],)))
     each: list[tuple[Assumption, ...]] = [(NamedInputs((port,)),) for port in used]
     predicate: list[tuple[Assumption, ...]] = [(inputs[port],) for port in used[:1]]
     several: list[tuple[Assumption, ...]] = [
@@ -225,7 +231,7 @@ def _assumptions(inputs: dict[str, Predicate], used: tuple[str, ...]) -> st.Sear
         tuple(NamedInputs((p,)) for p in used),
         (NEEDS[2],),
     ]
-    return st.sampled_from([*each, *predicate, *several])
+    return st.sampled_from([*each * 3, *predicate * 2, *several])
 
 
 # -- systems -----------------------------------------------------------------------------------------
@@ -241,26 +247,15 @@ class Scene:
 
 @st.composite
 def specifications(draw: st.DrawFn, *, most: int = 5) -> Specification:
-    """Well-formed specifications of up to ``most`` nodes, whose attachments fit and whose caps and capacities hold."""
-    types = [draw(components(f"C{number}")) for number in range(draw(st.integers(1, 3)))]
-    names = TOPICS[: draw(st.integers(1, len(TOPICS)))]
-    guarantees = {name: draw(st.sampled_from((*NEEDS[:2], *NEEDS))) for name in names}
-    environment = tuple(
-        EnvironmentGuarantee(f"e{number}", draw(st.sampled_from(OFFERS)), draw(st.sampled_from((None, *names))))
-        for number in range(draw(st.sampled_from((0, 0, 1, 2))))
-    )
-    nodes = {}
-    for number in range(draw(st.integers(1, most))):
-        component = draw(st.sampled_from(types))
-        attachments = {port: draw(_fitting(component, port, guarantees)) for port in component.ports()}
-        attachments = {port: topics for port, topics in attachments.items() if topics}
-        own = Map({"gain": 0.75}) if "gain" in component.parameters and number % 2 else Map()
-        nodes[f"n{number}"] = Node(f"n{number}", component.name, Map(attachments), own)
-    components_ = Map({component.name: component for component in types})
-    bare = Specification("drawn", components=components_, nodes=Map(nodes), environment=environment)
-    connectors = {name: Connector(name, guarantee) for name, guarantee in guarantees.items()}
-    s = structure(replace(bare, connectors=Map(connectors)))
-    capped = draw(st.sampled_from((None, *names)))
+    """Well-formed specifications of up to ``most`` nodes, whose attachments fit and whose caps and capacities hold.
+
+    Some are motley, made of components that know nothing of each other; in the others, networks, what
+    befalls one functionality is felt by the next, round in circles as often as not.
+    """
+    bare = draw(st.one_of(_networks(most), _motley(most)))
+    s = structure(bare)
+    connectors = dict(bare.connectors)
+    capped = draw(st.sampled_from((None, *sorted(connectors))))
     if capped is not None:
         count = len(s.publishers_on(capped)) + len(s.world.publishers_out_of_scope(connectors[capped]))
         connectors[capped] = replace(connectors[capped], cap=count + draw(st.integers(0, 1)))
@@ -271,15 +266,109 @@ def specifications(draw: st.DrawFn, *, most: int = 5) -> Specification:
     return replace(whole, constraints=draw(_constraints(whole)), timing=Map(timing))
 
 
-def _fitting(component: Component, port: str, topics: dict[str, Predicate]) -> st.SearchStrategy[tuple[str, ...]]:
-    """Some of the topics that the port may be attached to; one for the most part."""
-    if component.has_output(port):
-        fit = [name for name in topics if satisfies(normal_guarantee(component, port), topics[name])]
-    else:
-        fit = [name for name in topics if satisfies(topics[name], component.inputs[port])]
+def _specification(
+    cast: dict[str, Component],
+    wiring: dict[str, dict[str, tuple[str, ...]]],
+    topics: dict[str, Predicate],
+    environment: tuple[EnvironmentGuarantee, ...],
+) -> Specification:
+    nodes = {}
+    for role, component in cast.items():
+        own = Map({"gain": 0.75}) if "gain" in component.parameters and role[-1] in "13" else Map()
+        nodes[role] = Node(role, component.name, Map(wiring[role]), own)
+    return Specification(
+        "drawn",
+        connectors=Map({name: Connector(name, guarantee) for name, guarantee in topics.items()}),
+        components=Map({component.name: component for component in cast.values()}),
+        nodes=Map(nodes),
+        environment=environment,
+    )
+
+
+@st.composite
+def _motley(draw: st.DrawFn, most: int) -> Specification:
+    types = [draw(components(f"C{number}")) for number in range(draw(st.sampled_from((3, 2, 1))))]
+    names = TOPICS[: draw(st.sampled_from((4, 3, 2, 1)))]
+    topics = {name: draw(st.sampled_from(_USUAL)) for name in names}
+    environment = draw(_environments(names))
+    count = draw(st.sampled_from((*range(most, 1, -1), 1)))
+    cast = {f"n{number}": draw(st.sampled_from(types)) for number in range(count)}
+    return _specification(cast, draw(_wiring(cast, topics)), topics, environment)
+
+
+@st.composite
+def _environments(draw: st.DrawFn, topics: tuple[str, ...]) -> tuple[EnvironmentGuarantee, ...]:
+    return tuple(
+        EnvironmentGuarantee(f"e{number}", draw(st.sampled_from(OFFERS)), draw(st.sampled_from((None, *topics))))
+        for number in range(draw(st.sampled_from((0, 0, 1, 2))))
+    )
+
+
+@st.composite
+def _networks(draw: st.DrawFn, most: int) -> Specification:
+    """Each node publishes a topic of its own, now and then another's as well, and reads up to two of the others'."""
+    count = draw(st.sampled_from((*range(most, 1, -1), 1)))
+    names = tuple(f"/t{number}" for number in range(count))
+    topics = {name: draw(st.sampled_from(NEEDS[:3])) for name in names}
+    cast, wiring = {}, {}
+    for number, own in enumerate(names):
+        read = draw(st.lists(st.sampled_from(names), max_size=2))
+        inputs = {f"in{index}": topics[name] for index, name in enumerate(read)}
+        cast[f"n{number}"] = Component.of(
+            f"C{number}",
+            inputs=inputs,
+            outputs=("out0",),
+            functionalities=(draw(_links(inputs)),),
+        )
+        also = draw(st.sampled_from((own, own, own, *names)))
+        wiring[f"n{number}"] = {"out0": tuple(dict.fromkeys((own, also)))}
+        wiring[f"n{number}"] |= {f"in{index}": (name,) for index, name in enumerate(read)}
+    return _specification(cast, wiring, topics, draw(_environments(names)))
+
+
+@st.composite
+def _links(draw: st.DrawFn, inputs: dict[str, Predicate]) -> Functionality:
+    """One that passes on what it is given; a source either stands or lacks what it needs."""
+    used = tuple(inputs)
+    forms: list[tuple[Assumption, ...]] = [(), (NEEDS[4],)]
+    if used:
+        forms = [tuple(NamedInputs((port,)) for port in used), (NamedInputs(used),), (inputs[used[0]],)]
+    normal = draw(st.sampled_from(forms))
+    middle: list[tuple[tuple[Assumption, ...], Map[str, Predicate]]] = []
+    if draw(st.booleans()):
+        less = draw(st.sampled_from((normal[:1], normal[1:])))
+        middle.append((less, Map({"out0": draw(st.sampled_from(OFFERS[:3:2]))})))
+    chain = [(normal, Map({"out0": OFFERS[0]})), *middle, ((), Map())]
+    modes = tuple(Mode(f"m{index}", assumed, stated) for index, (assumed, stated) in enumerate(chain))
+    return Functionality("f0", modes, used, ("out0",))
+
+
+@st.composite
+def _wiring(
+    draw: st.DrawFn, cast: dict[str, Component], topics: dict[str, Predicate]
+) -> dict[str, dict[str, tuple[str, ...]]]:
+    """The topics of each port of each node: one for the most part. A topic mostly has one publisher, an input some."""
+    wiring: dict[str, dict[str, tuple[str, ...]]] = {role: {} for role in cast}
+    published: list[str] = []
+    for role, component in cast.items():
+        for port in component.outputs:
+            fit = [name for name in topics if satisfies(normal_guarantee(component, port), topics[name])]
+            better = [name for name in fit if name not in published]
+            if chosen := draw(_some(fit, better)):
+                wiring[role][port] = chosen
+                published += chosen
+    for role, component in cast.items():
+        for port in component.input_order:
+            fit = [name for name in topics if satisfies(topics[name], component.inputs[port])]
+            if chosen := draw(_some(fit, [name for name in fit if name in published])):
+                wiring[role][port] = chosen
+    return wiring
+
+
+def _some(fit: list[str], better: list[str]) -> st.SearchStrategy[tuple[str, ...]]:
     if not fit:
         return st.just(())
-    return st.sampled_from([*((name,) for name in fit * 2), tuple(fit[:2]), ()])
+    return st.sampled_from([*((name,) for name in better * 5 + fit), tuple(fit[:2]), ()])
 
 
 @st.composite

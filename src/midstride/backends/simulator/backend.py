@@ -152,6 +152,7 @@ class Simulator:
         process = self.processes.get(instance)
         if process is None:
             return
+        process.awaited = True
         process.terminate()
         deadline = self.time.steady() + grace
         while not process.dead and self.time.steady() < deadline:
@@ -161,9 +162,9 @@ class Simulator:
     async def endpoints(self) -> Endpoints:
         topics = self.network.topics.items()
         return Endpoints(
-            nodes=frozenset(name for name, process in self.processes.items() if process.host is not None),
-            publishers=tuple((w.owner.instance, name) for name, topic in topics for w in topic.writers),
-            subscribers=tuple((r.owner.instance, name) for name, topic in topics for r in topic.readers),
+            nodes=frozenset(process.node for process in self.processes.values() if process.host is not None),
+            publishers=tuple((w.owner.node, name) for name, topic in topics for w in topic.writers),
+            subscribers=tuple((r.owner.node, name) for name, topic in topics for r in topic.readers),
         )
 
     # -- for processes -----------------------------------------------------------------------------
@@ -180,8 +181,9 @@ class Simulator:
     def _exited(self, process: Process) -> None:
         if self.processes.get(process.instance) is process:
             del self.processes[process.instance]
-        told = Exited(process.instance, process.status, process.log.tail(20))
-        self.time.loop.call_later(EXIT_SEEN, self._tell, told)
+        if not process.awaited:
+            told = Exited(process.instance, process.status, process.log.tail(20))
+            self.time.loop.call_later(EXIT_SEEN, self._tell, told)
 
     def _tell(self, event: Announcement | Exited) -> None:
         if self._on_event is not None:

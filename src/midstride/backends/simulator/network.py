@@ -21,7 +21,9 @@ class Party(Protocol):
     """The process an endpoint lives in."""
 
     @property
-    def instance(self) -> str: ...
+    def node(self) -> str:
+        """The full name of its node."""
+        ...
 
     def awake_at(self) -> float:
         """When it runs again (steady s); in the past where it is not frozen."""

@@ -73,6 +73,8 @@ class Process:
         self.host: SimulatedHost | None = None
         self.dead = False
         self.terminating = False
+        # Whoever ends it waits for it, so its exit is no news.
+        self.awaited = False
         self.status: int | None = None
         self.gone = asyncio.Event()
         self._on_exit = on_exit
@@ -86,6 +88,13 @@ class Process:
     @property
     def instance(self) -> str:
         return self.launch.instance
+
+    @property
+    def node(self) -> str:
+        """Its full name in the graph: ``front/camera`` is node ``camera`` in ``/front``, whatever the namespace."""
+        own, _, name = self.instance.strip("/").rpartition("/")
+        inside = (own or self.launch.namespace).strip("/")
+        return f"/{inside}/{name}" if inside else f"/{name}"
 
     def _surroundings(self) -> surroundings.Surroundings:
         def factory(name: str, namespace: str) -> Host:

@@ -62,7 +62,7 @@ async def hands_over_on_the_grid(backend: Backend, workspace: Path) -> None:
         at, epoch, period = await _slot(lab, "old")
         await lab.change("sink", "record", inputs=["in"], on=True)
         publishers = (await lab.backend.endpoints()).publishers
-        assert {("old", "/chatter"), ("new", "/chatter")} <= set(publishers), publishers
+        assert {("/old", "/chatter"), ("/new", "/chatter")} <= set(publishers), publishers
         await _cut(lab, at, epoch, resume_after=1.0)
         old, new = await _outcomes(lab)
         assert old["outcome"] == "done" and new["outcome"] == "done", (old, new)

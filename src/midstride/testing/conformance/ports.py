@@ -24,7 +24,7 @@ async def attaches_and_detaches(backend: Backend, workspace: Path) -> None:
         await lab.attach("talker", "out", "/chatter", peers=1)
         await lab.eventually("messages pass", lambda: _count(lab, 10))
         graph = await lab.backend.endpoints()
-        assert ("talker", "/chatter") in graph.publishers and ("sink", "/chatter") in graph.subscribers, graph
+        assert ("/talker", "/chatter") in graph.publishers and ("/sink", "/chatter") in graph.subscribers, graph
         detached = await lab.change("talker", "detach", port="out", topic="/chatter", timeout=5.0)
         assert detached["acknowledged"] is not False, detached
         assert (await lab.read("talker", "observe"))["ports"] == {"out": {}}
@@ -36,7 +36,7 @@ async def attaches_and_detaches(backend: Backend, workspace: Path) -> None:
         await lab.sleep(0.3)
         assert await lab.received("sink") == words, "something came after the detach was acknowledged"
         graph = await lab.backend.endpoints()
-        assert ("talker", "/chatter") not in graph.publishers, graph
+        assert ("/talker", "/chatter") not in graph.publishers, graph
         # The puppet numbers its calls: without a hole, whatever the middleware tells.
         spoken = [int(word.rsplit(" ", 1)[1]) for word in words]
         assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), spoken
@@ -63,7 +63,9 @@ async def counts_behind_a_closed_gate(backend: Backend, workspace: Path) -> None
         link = await lab.port("talker", "out", "/chatter")
         assert link["gate"] == "closed" and link["count"] == 0 and link["gated"] >= 10, link
         assert await lab.received("sink") == []
-        assert ("talker", "/chatter") in (await lab.backend.endpoints()).publishers, "a gated publisher is in the graph"
+        assert ("/talker", "/chatter") in (await lab.backend.endpoints()).publishers, (
+            "a gated publisher is in the graph"
+        )
         await lab.change("talker", "gate", port="out", topic="/chatter", gate="open")
         await lab.eventually("messages pass", lambda: _count(lab, 5))
         link = await lab.port("talker", "out", "/chatter")
@@ -97,7 +99,7 @@ async def refuses_attachments_that_cannot_be(backend: Backend, workspace: Path) 
         assert "put" in await lab.refusal("talker", "attach", port="put", topic="/chatter")
         words = await lab.refusal("talker", "attach", port="out", topic="/chatter", peers=1, timeout=0.5)
         assert "0 of 1" in words, words
-        assert not [node for node, _ in (await lab.backend.endpoints()).publishers if node == "talker"]
+        assert not [node for node, _ in (await lab.backend.endpoints()).publishers if node == "/talker"]
         assert "attached" in await lab.refusal("talker", "detach", port="out", topic="/chatter")
         assert "attached" in await lab.refusal("talker", "gate", port="out", topic="/chatter", gate="open")
         await lab.attach("talker", "out", "/chatter")
