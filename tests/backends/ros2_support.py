@@ -127,7 +127,9 @@ class Rig:
         """Start a component and welcome it."""
         handle = await self.launch(instance, source, *arguments, **options)
         await until(lambda: instance in self.announced or self.exits)
-        assert instance in self.announced, f"{instance} ended before it registered:\n{Path(handle.log or '').read_text()}"
+        assert instance in self.announced, (
+            f"{instance} ended before it registered:\n{Path(handle.log or '').read_text()}"
+        )
         await self.link.change(instance, "welcome", manager="a test")
         return self.announced[instance]
 
@@ -190,7 +192,9 @@ class Bare:
         self.context = Context()
         with tuning.in_force(tuning.of_this_process()):
             rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
-            self.node: Any = Node(name, context=self.context, use_global_arguments=False, start_parameter_services=False)
+            self.node: Any = Node(
+                name, context=self.context, use_global_arguments=False, start_parameter_services=False
+            )
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
 

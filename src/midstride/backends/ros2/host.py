@@ -72,13 +72,14 @@ class Ros2Host:
         )
         self._full_name = names.full(node_name, inside)
         self._must_be_alone(time.monotonic() + (0.0 if managed else _LOOK), others=0)
+        given = _given_parameters()
         pinned = ["--ros-args", "-r", f"__node:={node_name}", "-r", f"__ns:={inside}"] if managed else None
         self._data_node = Node(
             node_name,
             namespace=inside,
             cli_args=pinned,
             start_parameter_services=False,
-            parameter_overrides=_overrides(),
+            parameter_overrides=[Parameter(name, value=value) for name, value in given.items()],
         )
         self._full_name = self._data_node.get_fully_qualified_name()
         self._data = Spinner("midstride-data", self._context, self._tell)
@@ -89,7 +90,7 @@ class Ros2Host:
         self._control_group = ReentrantCallbackGroup()
         self._events = events.publisher(self._control_node)
         self._caller = Caller(self._control_node, self._control.executor, self._control_group)
-        self._parameters = own.OwnParameters(self._data_node)
+        self._parameters = own.OwnParameters(self._data_node, given)
         self._ports: set[int] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._door: Door | None = None
@@ -320,10 +321,10 @@ class Ros2Host:
             self._context.try_shutdown()
 
 
-def _overrides() -> list[Any]:
-    """The parameter values that the manager gave, for those that ROS itself declares (``use_sim_time``) as well."""
+def _given_parameters() -> dict[str, Any]:
+    """What the manager gave. The node is told of all of it, for ROS has parameters of its own (``use_sim_time``)."""
     text = os.environ.get(ENV_PARAMETERS)
-    return [Parameter(name, value=value) for name, value in (json.loads(text) if text else {}).items()]
+    return dict(json.loads(text)) if text else {}
 
 
 def _shown(state: dict[str, Any]) -> dict[str, Any]:

@@ -23,8 +23,10 @@ _SERVICES_OF_ROS: Final = ("/get_type_description",)
 class OwnParameters:
     """Parameters of the data node, declared and set on the data side."""
 
-    def __init__(self, node: Any) -> None:
+    def __init__(self, node: Any, given: Collection[str]) -> None:
+        """``given``: the names that the manager gives values for; such a value comes as the default here."""
         self._node = node
+        self._given = given
         self._on_change: dict[str, Callable[[Any], None]] = {}
 
     def declare(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
@@ -33,7 +35,7 @@ class OwnParameters:
             if self._node.has_parameter(name):  # by the author's set-up, or by ROS itself
                 value = self._node.get_parameter(name).value
             else:
-                value = self._node.declare_parameter(name, default).value
+                value = self._node.declare_parameter(name, default, ignore_override=name in self._given).value
         except (
             InvalidParameterTypeException,
             InvalidParameterValueException,

@@ -85,14 +85,16 @@ class GridTimer:
         return now + int(remaining or 0)
 
     def _fire(self) -> None:
-        if self._cancelled or self._now() == 0:
+        now, epoch = self._now(), self._epoch
+        if self._cancelled or now == 0:
             return
-        if self._waiting:  # no longer: the clock has just started
-            now, epoch = self._now(), self._epoch
+        if self._waiting or epoch is None:  # no longer: the clock has just started
             self.regrid(now if epoch is None else epoch)
             if epoch is None:
                 self._callback(now)
             return
+        if self._due - now > TOLERANCE:  # the clock has jumped back
+            self._due = epoch + (now - epoch) // self._period * self._period
         self._callback(self._due)
         self._follow()
 

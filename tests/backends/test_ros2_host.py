@@ -1,0 +1,605 @@
+"""The component's side on real ROS 2: its parameters, its clock, its endpoints, its end."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.backends.ros2 import tuning
+from midstride.wire.messages import ENV_TOKEN, Command
+from tests.backends.ros2_support import LISTENER, TALKER, Bare, Rig, alive, rig, run, until
+
+pytestmark = pytest.mark.ros2
+
+TUNED = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("tuned")
+out = comp.create_output("out", String)
+work = comp.create_functionality("work", outputs=[out])
+
+def gain_changed(value):
+    if value < 0:
+        raise ValueError("a gain below zero turns the robot over")
+
+gain = comp.parameter("gain", 1.5, on_change=gain_changed)
+label = comp.parameter("label", "plain", on_change=lambda value: None)
+work.set_normal_mode(lambda: out.write(String(data=f"{gain.value} {label.value}")), rate=20, outputs=[out])
+work.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+class Tools:
+    """What ROS's own tools do with a node's parameters."""
+
+    def __init__(self, bare: Bare, node: str) -> None:
+        from rcl_interfaces import srv
+
+        self._bare = bare
+        self._srv = srv
+        names = ("describe", "get", "list", "set", "set_atomically", "get_types")
+        services = dict(
+            zip(names, ("describe_parameters", "get_parameters", "list_parameters", "set_parameters"), strict=False)
+        )
+        services |= {"set_atomically": "set_parameters_atomically", "get_types": "get_parameter_types"}
+        types = {
+            "describe": srv.DescribeParameters,
+            "get": srv.GetParameters,
+            "list": srv.ListParameters,
+            "set": srv.SetParameters,
+            "set_atomically": srv.SetParametersAtomically,
+            "get_types": srv.GetParameterTypes,
+        }
+        self._clients = {
+            name: bare.node.create_client(types[name], f"{node}/{service}") for name, service in services.items()
+        }
+        self._types = types
+
+    async def _ask(self, what: str, **fields: Any) -> Any:
+        return await self._bare.ask(self._clients[what], self._types[what].Request(**fields))
+
+    async def get(self, *names: str) -> list[Any]:
+        from rclpy.parameter import parameter_value_to_python
+
+        values = (await self._ask("get", names=list(names))).values
+        return [parameter_value_to_python(value) for value in values]
+
+    async def set(self, atomically: bool = False, **values: Any) -> list[tuple[bool, str]]:
+        from rclpy.parameter import Parameter
+
+        parameters = [
+            Parameter(name.replace("__", "."), value=value).to_parameter_msg() for name, value in values.items()
+        ]
+        if atomically:
+            result = (await self._ask("set_atomically", parameters=parameters)).result
+            return [(result.successful, result.reason)]
+        results = (await self._ask("set", parameters=parameters)).results
+        return [(result.successful, result.reason) for result in results]
+
+    async def names(self, *prefixes: str, depth: int = 0) -> list[str]:
+        return sorted((await self._ask("list", prefixes=list(prefixes), depth=depth)).result.names)
+
+    async def describe(self, *names: str) -> list[Any]:
+        return list((await self._ask("describe", names=list(names))).descriptors)
+
+    async def types(self, *names: str) -> list[int]:
+        return list((await self._ask("get_types", names=list(names))).types)
+
+
+def test_every_ros_tool_reads_the_state_and_none_can_set_it(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("tuned", TUNED)
+            await r.attach("tuned", "out", "/told", gate="closed")
+            with Bare() as bare:
+                tools = Tools(bare, "/tuned")
+                assert await tools.get("midstride.mode.work", "midstride.gate.out") == ["degraded", "/told: closed"]
+                await r.modes("tuned", work="normal")
+                assert await tools.get("midstride.mode.work", "gain") == ["normal", 1.5]
+                (text,) = await tools.get("midstride.state")
+                assert json.loads(text)["revision"] == (await r.link.observe("tuned"))["revision"]
+                assert await tools.get("midstride.mode.work", "no_such") == []
+
+                for atomically in (False, True):
+                    ((done, reason),) = await tools.set(atomically, midstride__mode__work="degraded")
+                    assert not done
+                    assert "midstride.mode.work" in reason
+                    assert "cannot be set" in reason
+                ((done, reason),) = await tools.set(True, midstride__command="{}", gain=2.0)
+                assert (done, reason) == (False, "midstride.command must be set alone")
+                ((done, reason),) = await tools.set(True, midstride__command="turn left")
+                assert not done
+                assert "not a Midstride command" in reason
+                forged = Command("modes", {"modes": {"work": "degraded"}}, "forged", "guessed", 2).to_json()
+                ((done, reason),) = await tools.set(True, midstride__command=forged)
+                assert not done
+                assert "token" in json.loads(reason)["refused"]
+                assert await tools.get("midstride.mode.work") == ["normal"]
+
+                names = await tools.names()
+                assert {"gain", "label", "use_sim_time", "midstride.state", "midstride.mode.work"} <= set(names)
+                assert await tools.names("midstride.mode") == ["midstride.mode.work"]
+                assert "midstride.mode.work" not in await tools.names(depth=1)
+                state, own = await tools.describe("midstride.state", "gain")
+                assert (state.read_only, own.read_only) == (True, False)
+                assert await tools.types("midstride.state", "gain") == [4, 3]
+
+    run(scenario())
+
+
+def test_own_parameters_are_set_by_tools_and_by_the_manager_alike(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("tuned", TUNED, parameters={"gain": 3, "label": "given"})
+            with Bare() as bare:
+                tools = Tools(bare, "/tuned")
+                assert await tools.get("gain", "label") == [3.0, "given"]
+                assert await tools.set(gain=4.0) == [(True, "")]
+                assert (await r.link.observe("tuned"))["parameters"] == {"gain": 4.0, "label": "given"}
+                ((done, reason),) = await tools.set(gain=-1.0)
+                assert (done, reason) == (False, "gain: a gain below zero turns the robot over")
+                ((done, reason),) = await tools.set(True, label="other", gain=-1.0)
+                assert not done
+                ((done, _),) = await tools.set(no_such=1)
+                assert not done
+                assert await tools.get("gain", "label") == [4.0, "given"]
+                assert (await r.link.observe("tuned"))["parameters"] == {"gain": 4.0, "label": "given"}
+
+                assert await r.link.change("tuned", "set", parameters={"gain": 5}) == {"from": {"gain": 4.0}}
+                assert await tools.get("gain") == [5.0]
+                with pytest.raises(Exception, match="turns the robot over"):
+                    await r.link.change("tuned", "set", parameters={"label": "x", "gain": -2.0})
+                assert await tools.get("gain", "label") == [5.0, "given"]
+
+    run(scenario())
+
+
+def test_changes_are_told_on_parameter_events(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        from rcl_interfaces.msg import ParameterEvent
+
+        async with rig(tmp_path) as r:
+            with Bare() as bare:
+                told: dict[str, list[Any]] = {}
+
+                def heard(event: Any) -> None:
+                    for parameter in event.changed_parameters:
+                        told.setdefault(f"{event.node} {parameter.name}", []).append(parameter.value.string_value)
+
+                bare.node.create_subscription(ParameterEvent, "/parameter_events", heard, 100)
+                starting = asyncio.ensure_future(r.start("tuned", TUNED))
+                await bare.until(starting.done)
+                await r.modes("tuned", work="normal")
+                await bare.until(lambda: "normal" in told.get("/tuned midstride.mode.work", []))
+                announced = json.loads(told["/tuned midstride.announcement"][0])
+                assert (announced["instance"], announced["start_token"]) == ("tuned", r.token)
+
+    run(scenario())
+
+
+STOPPING = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("talker")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+talk.set_normal_mode(lambda: out.write(String(data="going")), rate=50, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+comp.on_stop(lambda: out.write(String(data="stopped")))
+comp.start()
+print("after start")
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_in_order_and_the_last_words_are_heard(tmp_path: Path, number: signal.Signals) -> None:
+    async def scenario() -> None:
+        from std_msgs.msg import String
+
+        async with rig(tmp_path) as r:
+            with Bare() as bare:
+                heard: list[str] = []
+                bare.node.create_subscription(String, "/said", lambda message: heard.append(message.data), 10)
+                starting = asyncio.ensure_future(r.start("talker", STOPPING))
+                await bare.until(starting.done)
+                await r.attach("talker", "out", "/said", peers=1)
+                await r.modes("talker", talk="normal")
+                await bare.until(lambda: len(heard) > 5)
+                r.kill("talker", number)
+                await bare.until(lambda: heard[-1] == "stopped" and r.exits)
+                assert r.exits[0].status == 0
+                assert "after start" in r.log("talker")
+
+    run(scenario())
+
+
+STUCK = TALKER.replace(
+    "    global count\n", "    print('stuck', flush=True)\n    while True: __import__('time').sleep(60)\n"
+)
+
+
+def test_user_code_that_never_returns_does_not_keep_the_process(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", STUCK)
+            await r.attach("talker", "out", "/chatter")
+            await r.modes("talker", talk="normal")
+            await until(lambda: "stuck" in r.log("talker"))
+            begun = time.monotonic()
+            r.kill("talker", signal.SIGTERM)
+            await until(lambda: r.exits, 30.0)
+            assert time.monotonic() - begun < 15.0
+            assert "has not returned" in r.log("talker")
+            assert r.exits[0].status == 0
+
+    run(scenario())
+
+
+def test_the_second_signal_ends_it_at_once(tmp_path: Path) -> None:
+    source = STOPPING.replace(
+        'comp.on_stop(lambda: out.write(String(data="stopped")))',
+        "comp.on_stop(lambda: (print('stopping', flush=True), __import__('time').sleep(60)), timeout=50)",
+    )
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", source)
+            r.kill("talker", signal.SIGINT)
+            await until(lambda: "stopping" in r.log("talker"))
+            begun = time.monotonic()
+            r.kill("talker", signal.SIGINT)
+            await until(lambda: r.exits)
+            assert time.monotonic() - begun < 2.0
+            assert r.exits[0].status == -signal.SIGINT
+
+    run(scenario())
+
+
+def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", TALKER)
+            environment = tuning.tuned_environment(os.environ)
+            for token in ({}, {ENV_TOKEN: r.token}):  # by hand, and as a manager would that knows no better
+                second = await asyncio.to_thread(
+                    subprocess.run,
+                    [sys.executable, "talker.py"],
+                    cwd=tmp_path,
+                    env={**environment, **token},
+                    capture_output=True,
+                    text=True,
+                    timeout=30,
+                    check=False,
+                )
+                assert second.returncode == 1
+                assert "a node /talker is running already" in second.stderr
+            assert alive(r.pid("talker"))
+            assert (await r.link.observe("talker"))["pid"] == r.pid("talker")
+
+    run(scenario())
+
+
+def test_the_clock_of_a_simulation_drives_the_modes(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        from rosgraph_msgs.msg import Clock
+
+        async with rig(tmp_path) as r:
+            with Bare() as bare:
+                clock = bare.node.create_publisher(Clock, "/clock", 10)
+                starting = asyncio.ensure_future(r.start("talker", TALKER, parameters={"use_sim_time": True}))
+                await bare.until(starting.done)
+                await r.attach("talker", "out", "/chatter", gate="closed")
+                await r.modes("talker", talk="normal")
+                await bare.until(lambda: clock.get_subscription_count() > 0)
+
+                async def state() -> Any:
+                    return await r.link.observe("talker")
+
+                async def gated() -> int:
+                    return int((await state())["ports"]["out"]["/chatter"]["gated"])
+
+                assert "/clock" in (await state())["waiting"]
+                assert await gated() == 0
+
+                def at(seconds: float) -> None:
+                    message = Clock()
+                    message.clock.sec, message.clock.nanosec = int(seconds), round(seconds % 1 * 1e9)
+                    clock.publish(message)
+
+                at(100.0)
+                while await gated() < 1:
+                    await asyncio.sleep(0.01)
+                assert (await state())["waiting"] is None
+                grid = await r.link.read("talker", "grid", port="out")
+                assert (grid["epoch"], grid["period"], grid["now"]) == (100_000_000_000, 0.02, 100_000_000_000)
+                await asyncio.sleep(0.2)
+                assert await gated() == 1  # time stands still
+                for step in range(1, 6):
+                    at(100.0 + 0.02 * step + 0.001)
+                    while await gated() < 1 + step:
+                        await asyncio.sleep(0.005)
+                at(50.0)  # the recording starts again
+                while (await r.link.read("talker", "grid", port="out"))["now"] != 50_000_000_000:
+                    await asyncio.sleep(0.005)
+                at(50.021)
+                while await gated() < 7:
+                    await asyncio.sleep(0.005)
+
+    run(scenario())
+
+
+OWN_ENDS = """
+from midstride import Component
+from std_msgs.msg import String
+from rcl_interfaces.srv import ListParameters
+
+comp = Component("talker")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+talk.set_normal_mode(lambda: out.write(String(data="x")), rate=50, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+
+def broken(message):
+    raise RuntimeError("a callback of the author's own")
+
+@comp.on_setup
+def setup(node):
+    comp.publisher = node.create_publisher(String, "~/status", 10)
+    node.create_subscription(String, "/poke", broken, 10)
+    node.create_service(ListParameters, "own/list", lambda request, response: response)
+    comp.client = node.create_client(ListParameters, "/elsewhere/list")
+
+comp.start()
+"""
+
+
+def test_endpoints_that_are_no_ports_are_listed(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            announced = await r.start("talker", OWN_ENDS)
+            assert [(endpoint["kind"], endpoint["name"]) for endpoint in announced.endpoints] == [
+                ("service", "/elsewhere/list"),
+                ("service", "/own/list"),
+                ("topic", "/poke"),
+                ("topic", "/talker/status"),
+            ]
+
+    run(scenario())
+
+
+def test_what_the_authors_own_callbacks_raise_does_not_take_the_component_down(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        from std_msgs.msg import String
+
+        async with rig(tmp_path) as r:
+            await r.start("talker", OWN_ENDS)
+            await r.attach("talker", "out", "/chatter", gate="closed")
+            await r.modes("talker", talk="normal")
+            with Bare() as bare:
+                poke = bare.node.create_publisher(String, "/poke", 10)
+                await bare.until(lambda: poke.get_subscription_count() > 0)
+                while "a callback of the author's own" not in r.log("talker"):
+                    poke.publish(String(data="now"))
+                    await asyncio.sleep(0.05)
+            before = (await r.link.observe("talker"))["ports"]["out"]["/chatter"]["gated"]
+            await asyncio.sleep(0.2)
+            assert (await r.link.observe("talker"))["ports"]["out"]["/chatter"]["gated"] > before
+
+    run(scenario())
+
+
+def test_an_input_records_what_the_middleware_tells(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", TALKER)
+            await r.start("listener", LISTENER)
+            await r.attach("listener", "in", "/chatter")
+            await r.attach("talker", "out", "/chatter", peers=1)
+            await r.link.change("listener", "record", inputs=["in"], on=True)
+            await r.modes("talker", talk="normal")
+            begun = time.time_ns()
+
+            async def rows() -> Any:
+                return await r.link.read("listener", "records", input="in")
+
+            while len((await rows())["rows"]) < 20:
+                await asyncio.sleep(0.02)
+            records = await rows()
+            from rclpy import subscription  # kilted tells the publisher's identity, jazzy does not
+
+            told = getattr(subscription, "MessageInfo", None)
+            identity = told is not None and "publisher_gid" in told.__annotations__
+            assert records["publisher_identity"] is identity
+            numbers = [row[2] for row in records["rows"]]
+            assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+            assert numbers[0] == 1
+            sources = [row[1] for row in records["rows"]]
+            assert sources == sorted(sources)
+            assert abs(sources[0] - begun) < 5_000_000_000
+            publishers = {row[3] for row in records["rows"]}
+            assert len(publishers) == 1
+            assert (None in publishers) is not identity
+
+    run(scenario())
+
+
+ASYNCHRONOUS = """
+from midstride import Component
+from std_msgs.msg import String
+from rcl_interfaces.srv import ListParameters
+
+comp = Component("talker")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+
+@comp.on_setup
+def setup(node):
+    comp.client = node.create_client(ListParameters, "/other/list_parameters")
+
+async def normal():
+    await comp.clock.sleep(0.05)
+    answer = await comp.client.call_async(ListParameters.Request())
+    out.write(String(data=str(len(answer.result.names))))
+
+talk.set_normal_mode(normal, rate=5, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+def test_an_async_mode_awaits_a_service(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", ASYNCHRONOUS)
+            await r.start("other", TALKER)
+            await r.attach("talker", "out", "/counted", gate="closed")
+            await r.modes("talker", talk="normal")
+            reply = await r.link.read("talker", "await_write", 10.0, port="out", topic="/counted")
+            assert reply["gated"] >= 1
+            await r.modes("talker", talk="degraded")
+
+    run(scenario())
+
+
+QOS = """
+from midstride import Component
+from midstride.model.contract import QoS
+from std_msgs.msg import String
+
+comp = Component("talker")
+first = comp.create_output("first", String, qos=QoS(
+    reliability="best_effort", durability="transient_local", deadline=0.5, liveliness="manual_by_topic", lease=2.0,
+    depth=3))
+second = comp.create_output("second", String)
+talk = comp.create_functionality("talk", outputs=[first, second])
+talk.set_normal_mode(lambda: None, rate=1, outputs=[first, second])
+talk.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+def test_endpoints_get_the_qos_that_is_declared(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        from rclpy.duration import Duration
+        from rclpy.qos import DurabilityPolicy, LivelinessPolicy, ReliabilityPolicy
+
+        async with rig(tmp_path) as r:
+            await r.start("talker", QOS)
+            await r.attach("talker", "first", "/first")
+            await r.attach("talker", "second", "/second")
+            with Bare() as bare:
+                await bare.until(lambda: all(bare.node.get_publishers_info_by_topic(t) for t in ("/first", "/second")))
+                (first,) = bare.node.get_publishers_info_by_topic("/first")
+                (second,) = bare.node.get_publishers_info_by_topic("/second")
+                assert first.qos_profile.reliability == ReliabilityPolicy.BEST_EFFORT
+                assert first.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL
+                assert first.qos_profile.deadline == Duration(nanoseconds=500_000_000)
+                assert first.qos_profile.liveliness == LivelinessPolicy.MANUAL_BY_TOPIC
+                assert first.qos_profile.liveliness_lease_duration == Duration(seconds=2)
+                assert second.qos_profile.reliability == ReliabilityPolicy.RELIABLE
+                assert second.qos_profile.durability == DurabilityPolicy.VOLATILE
+
+    run(scenario())
+
+
+def test_attaching_waits_for_compatible_peers_alone(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from std_msgs.msg import String
+
+        async with rig(tmp_path) as r:
+            await r.start("talker", TALKER)
+            with Bare() as bare:
+                demanding = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+                bare.node.create_subscription(String, "/chatter", lambda message: None, demanding)
+
+                async def attach() -> None:
+                    await r.link.change(
+                        "talker", "attach", timeout=1.0, port="out", topic="/chatter", gate="open", peers=1
+                    )
+
+                with pytest.raises(Exception, match="0 of 1"):
+                    await attach()
+                bare.node.create_subscription(String, "/chatter", lambda message: None, 10)
+                await attach()
+
+    run(scenario())
+
+
+def test_acknowledgement_is_unknown_where_a_reader_has_frozen(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", TALKER)
+            await r.start("listener", LISTENER)
+            await r.attach("listener", "in", "/chatter")
+            await r.attach("talker", "out", "/chatter", peers=1)
+            await r.modes("talker", talk="normal")
+            await asyncio.sleep(0.2)
+            r.kill("listener", signal.SIGSTOP)
+            await asyncio.sleep(0.1)
+            detaching = asyncio.ensure_future(
+                r.link.change("talker", "detach", timeout=0.5, port="out", topic="/chatter")
+            )
+            begun = time.monotonic()
+            await r.link.peek("talker")  # nothing stands still meanwhile
+            assert time.monotonic() - begun < 0.25
+            assert await detaching == {"acknowledged": None}
+            r.kill("listener", signal.SIGCONT)
+
+    run(scenario())
+
+
+def test_standalone(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        from std_msgs.msg import String
+
+        (tmp_path / "talker.py").write_text(TALKER)
+        command = [sys.executable, "talker.py", "--standalone", "out:=/alone", "--ros-args", "-r", "__node:=soloist"]
+        environment = tuning.tuned_environment({k: v for k, v in os.environ.items() if not k.startswith("MIDSTRIDE_")})
+        with (
+            Bare() as bare,
+            subprocess.Popen(
+                command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+            ) as process,
+        ):
+            heard: list[str] = []
+            bare.node.create_subscription(String, "/alone", lambda message: heard.append(message.data), 10)
+            try:
+                await bare.until(lambda: len(heard) > 5)
+                assert "soloist" in bare.node.get_node_names()
+            finally:
+                process.terminate()
+            _, told = process.communicate(timeout=20)
+            assert "runs alone, managed by nobody" in told
+            assert process.returncode == 0
+
+    run(scenario())
+
+
+def test_peers_call_each_other(tmp_path: Path) -> None:
+    async def scenario(r: Rig) -> None:
+        await r.start("talker", TALKER)
+        await r.start("listener", LISTENER)
+        begun = time.monotonic()
+        await r.link.change("talker", "meet", timeout=5.0, peer="listener")
+        assert time.monotonic() - begun < 3.0
+        with pytest.raises(Exception, match="nobody"):
+            await r.link.change("talker", "meet", timeout=0.5, peer="nobody")
+
+    async def rigged() -> None:
+        async with rig(tmp_path) as r:
+            await scenario(r)
+
+    run(rigged())

@@ -1,0 +1,115 @@
+"""What a component's process is started with."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+from midstride.backends.ros2 import launching, names
+from midstride.backends.ros2.tuning import PROFILES, RANGE, TRANSPORTS, Tuning, choose
+from midstride.errors import StartFailed
+from midstride.runtime.backend import Launch
+
+HERE = Path.cwd()
+UNTUNED = Tuning("rmw_fastrtps_cpp")
+TUNED = choose({RANGE: "LOCALHOST"}, "rmw_fastrtps_cpp", 3)
+
+
+def launch(**fields: object) -> Launch:
+    return Launch("front/camera", "front", ("python3", "camera.py"), "the-token", HERE, **fields)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("program", ["python", "python3"])
+def test_python_is_the_one_that_the_manager_runs_in(program: str) -> None:
+    assert launching.command([program, "-m", "camera", "--fast"], HERE, {"PATH": "/nowhere"}) == (
+        sys.executable,
+        "-m",
+        "camera",
+        "--fast",
+    )
+
+
+def test_another_program_is_found_on_the_path_or_in_the_folder(tmp_path: Path) -> None:
+    program = tmp_path / "bin" / "camera"
+    program.parent.mkdir()
+    program.write_text("#!/bin/sh\n")
+    with pytest.raises(StartFailed, match=r"cannot start `camera -v`: there is no program camera"):
+        launching.command(["camera", "-v"], tmp_path, {"PATH": str(program.parent)})
+    program.chmod(0o755)
+    assert launching.command(["camera", "-v"], tmp_path, {"PATH": str(program.parent)}) == (str(program), "-v")
+    assert launching.command(["./bin/camera"], tmp_path, {"PATH": ""}) == (f"{tmp_path}/./bin/camera",)
+    assert launching.command([str(program)], HERE, {"PATH": ""}) == (str(program),)
+    with pytest.raises(StartFailed, match="no program"):
+        launching.command(["./camera"], tmp_path, {"PATH": str(program.parent)})
+
+
+def test_a_component_is_told_who_it_is() -> None:
+    told = launching.environment(launch(parameters={"gain": 2.0}), sys.executable, UNTUNED, {"HOME": "/home/me"})
+    assert told == {
+        "HOME": "/home/me",
+        "MIDSTRIDE_BACKEND": "ros2",
+        "MIDSTRIDE_INSTANCE": "front/camera",
+        "MIDSTRIDE_NAMESPACE": "front",
+        "MIDSTRIDE_TOKEN": "the-token",
+        "MIDSTRIDE_PARAMETERS": json.dumps({"gain": 2.0}),
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+def test_the_same_interpreter_keeps_its_libraries_and_another_one_finds_its_own() -> None:
+    own = os.path.join(sys.prefix, "lib")
+    base = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "LD_LIBRARY_PATH": f"{own}:/opt/ros/lib"}
+    same = launching.environment(launch(), sys.executable, UNTUNED, base)
+    assert (same["_ROS_WHEELS_BOOTSTRAP_COMPLETE"], same["LD_LIBRARY_PATH"]) == ("1", f"{own}:/opt/ros/lib")
+    other = launching.environment(launch(), "/usr/bin/python3", UNTUNED, base)
+    assert "_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in other
+    assert other["LD_LIBRARY_PATH"] == "/opt/ros/lib"
+    alone = launching.environment(launch(), "/usr/bin/python3", UNTUNED, {**base, "LD_LIBRARY_PATH": own})
+    assert "LD_LIBRARY_PATH" not in alone
+    sourced = launching.environment(launch(), "/usr/bin/python3", UNTUNED, {"LD_LIBRARY_PATH": own})
+    assert sourced["LD_LIBRARY_PATH"] == own  # not of the wheels: a distribution's own setting
+
+
+def test_ros_1_is_taken_off_the_path(tmp_path: Path) -> None:
+    (tmp_path / "noetic" / "rospy").mkdir(parents=True)
+    base = {"PYTHONPATH": f"{tmp_path}/noetic{os.pathsep}{tmp_path}/humble"}
+    assert launching.environment(launch(), sys.executable, UNTUNED, base)["PYTHONPATH"] == f"{tmp_path}/humble"
+
+
+def test_the_tuning_goes_along_and_suits_the_interpreter(tmp_path: Path) -> None:
+    base = {RANGE: "LOCALHOST"}
+    same = launching.environment(launch(), sys.executable, TUNED, base)
+    assert same["FASTDDS_DEFAULT_PROFILES_FILE"] == str(PROFILES / "fastdds3_localhost.xml")
+    assert same[RANGE] == "SYSTEM_DEFAULT"
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "libfastrtps.so").touch()
+    other = launching.environment(launch(), str(tmp_path / "bin" / "python3"), TUNED, base)
+    assert other["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(PROFILES / "fastdds2_localhost.xml")
+    assert "FASTDDS_DEFAULT_PROFILES_FILE" not in other
+    untuned = launching.environment(launch(), str(tmp_path / "bin" / "python3"), UNTUNED, base)
+    assert untuned[RANGE] == "LOCALHOST"
+    assert TRANSPORTS not in untuned
+
+
+@pytest.mark.parametrize(
+    ("instance", "namespace", "full"),
+    [
+        ("camera", "", "/camera"),
+        ("camera", "/", "/camera"),
+        ("camera", "front", "/front/camera"),
+        ("camera", "/front", "/front/camera"),
+        ("front/camera", "front", "/front/camera"),
+        ("front/camera", "", "/front/camera"),
+        ("/a/b/camera_2", "ignored", "/a/b/camera_2"),
+    ],
+)
+def test_names(instance: str, namespace: str, full: str) -> None:
+    assert names.full(instance, namespace) == full
+    name, inside = names.split(instance, namespace)
+    assert names.full(name, inside) == full
+    assert names.is_hidden(names.full(names.control(name), inside))
+    assert not names.is_hidden(full)

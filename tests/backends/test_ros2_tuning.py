@@ -1,0 +1,150 @@
+"""What Midstride sets for the middleware, and that it knows whether it took effect."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from midstride.backends.ros2 import tuning
+from midstride.backends.ros2.tuning import PROFILE_VARIABLES, PROFILES, RANGE, TRANSPORTS, choose
+
+FAST_DDS = "rmw_fastrtps_cpp"
+LOCAL = {RANGE: "LOCALHOST"}
+
+
+@pytest.mark.parametrize(
+    ("major", "variable"), [(3, "FASTDDS_DEFAULT_PROFILES_FILE"), (2, "FASTRTPS_DEFAULT_PROFILES_FILE")]
+)
+def test_each_fast_dds_is_told_by_its_own_variable(major: int, variable: str) -> None:
+    assert choose({}, FAST_DDS, major).variables == {
+        variable: str(PROFILES / f"fastdds{major}_subnet.xml"),
+        TRANSPORTS: "UDPv4?sockets_size=4MB",
+    }
+    assert choose(LOCAL, FAST_DDS, major).variables == {
+        variable: str(PROFILES / f"fastdds{major}_localhost.xml"),
+        RANGE: "SYSTEM_DEFAULT",
+    }
+
+
+@pytest.mark.parametrize(
+    ("environment", "left", "told"),
+    [
+        ({"FASTDDS_DEFAULT_PROFILES_FILE": "/my.xml"}, set(), "your own profile"),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/my.xml", **LOCAL}, set(), "your own profile"),
+        ({TRANSPORTS: "LARGE_DATA"}, {"FASTDDS_DEFAULT_PROFILES_FILE"}, "LARGE_DATA"),
+        ({TRANSPORTS: "LARGE_DATA", **LOCAL}, {"FASTDDS_DEFAULT_PROFILES_FILE"}, "LARGE_DATA"),
+    ],
+)
+def test_what_the_user_has_set_counts(environment: dict[str, str], left: set[str], told: str) -> None:
+    chosen = choose(environment, FAST_DDS, 3)
+    assert set(chosen.variables) == left
+    assert told in " ".join(chosen.untuned)
+
+
+@pytest.mark.parametrize("own", [{"ROS_STATIC_PEERS": "10.0.0.2"}, {"ROS_LOCALHOST_ONLY": "1"}])
+def test_what_rmw_alone_understands_is_left_to_it(own: dict[str, str]) -> None:
+    assert RANGE not in choose({**LOCAL, **own}, FAST_DDS, 3).variables
+
+
+def test_other_middlewares_are_left_as_they_come_and_that_is_said() -> None:
+    chosen = choose({}, "rmw_cyclonedds_cpp", None)
+    assert chosen.variables == {}
+    assert "rmw_cyclonedds_cpp" in chosen.untuned[0]
+    assert choose({}, FAST_DDS, None).untuned
+
+
+@pytest.mark.parametrize("environment", [{}, LOCAL])
+def test_what_is_tuned_stays_as_it_is(environment: dict[str, str]) -> None:
+    first = choose(environment, FAST_DDS, 3)
+    again = choose({**environment, **first.variables}, FAST_DDS, 3)
+    assert (again.variables, again.untuned) == ({}, ())
+
+
+@pytest.mark.parametrize("kind", ["subnet", "localhost"])
+def test_the_profiles_of_both_versions_say_the_same(kind: str) -> None:
+    """Fast DDS 3 has renamed some elements; an unknown one makes it drop the whole file."""
+
+    def said(major: int) -> list[tuple[str, str]]:
+        root = ElementTree.parse(PROFILES / f"fastdds{major}_{kind}.xml").getroot()
+        plain = {"heartbeatPeriod": "heartbeat_period"}
+        found = []
+        for element in root.iter():
+            name = element.tag.partition("}")[2]
+            assert major == 2 or name not in plain
+            assert major == 3 or name not in plain.values()
+            found.append((plain.get(name, name), (element.text or "").strip()))
+        return found
+
+    assert said(2) == said(3)
+    assert ("sec", "2") in said(3)
+    assert ("nanosec", "50000000") in said(3)
+
+
+def test_the_environment_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(RANGE, "LOCALHOST")
+    monkeypatch.delenv(TRANSPORTS, raising=False)
+    chosen = tuning.Tuning(FAST_DDS, {RANGE: "SYSTEM_DEFAULT", TRANSPORTS: "UDPv4"})
+    with tuning.in_force(chosen):
+        assert (os.environ[RANGE], os.environ[TRANSPORTS]) == ("SYSTEM_DEFAULT", "UDPv4")
+    assert os.environ[RANGE] == "LOCALHOST"
+    assert TRANSPORTS not in os.environ
+
+
+def test_which_fast_dds_another_interpreter_has(tmp_path: Path) -> None:
+    (tmp_path / "lib").mkdir()
+    assert tuning.installed_major(tmp_path) is None
+    (tmp_path / "lib" / "libfastrtps.so.2.14").touch()
+    assert tuning.installed_major(tmp_path) == 2
+
+
+CHECKING = """
+import sys
+import rclpy
+from midstride.backends.ros2 import tuning
+
+if "before" in sys.argv:
+    rclpy.init()
+    rclpy.create_node("before").destroy_node()
+    rclpy.shutdown()
+chosen = tuning.of_this_process()
+with tuning.in_force(chosen) as check:
+    rclpy.init()
+    node = rclpy.create_node("checked")
+print(sorted(chosen.variables), "|", *check.tuning.untuned)
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+def checked(*arguments: str, **environment: str) -> str:
+    kept = {name: value for name, value in os.environ.items() if name not in (*PROFILE_VARIABLES.values(), TRANSPORTS)}
+    return subprocess.run(
+        [sys.executable, "-c", CHECKING, *arguments],
+        env={**kept, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout
+
+
+@pytest.mark.ros2
+def test_that_it_took_effect_is_seen() -> None:
+    assert checked(**LOCAL).rstrip().endswith("|")
+    assert RANGE in checked(**LOCAL)
+
+
+@pytest.mark.ros2
+def test_that_it_came_too_late_is_seen() -> None:
+    told = checked("before", **LOCAL)
+    assert "this process has used ROS 2 before" in told
+
+
+@pytest.mark.ros2
+def test_that_shared_memory_is_in_use_is_seen() -> None:
+    assert "shared memory is in use" in checked(**LOCAL, ROS_STATIC_PEERS="127.0.0.1")
