@@ -75,7 +75,9 @@ class Executor:
                 if isinstance(error, asyncio.CancelledError):
                     raise
                 outcome = "rolled_back" if problem is None else "failed"
-                because = str(error) if problem is None else f"{error}; and the roll-back failed: {problem}"
+                because = f"{self.describe(action)}: {error}"
+                if problem is not None:
+                    because += f"; and the roll-back failed: {problem}"
                 raise StepFailed(because, outcome) from error
             done.append((action, before))
             self.tell("step_done", f"{index + 1}/{len(actions)} done", position)
@@ -200,7 +202,16 @@ class Executor:
 
     async def _detach(self, action: Detach) -> None:
         port, topic = action.port, self.configuration.world.connectors[action.connector].topic
-        reply = await self.link.change(port.component, "detach", timeout=DETACH_TIMEOUT, port=port.port, topic=topic)
+        gate = {"gate": "open"} if self.configuration.is_output(port) else {}
+        reply = await self._or_undone(
+            self.link.change(port.component, "detach", timeout=DETACH_TIMEOUT, port=port.port, topic=topic),
+            port.component,
+            "attach",
+            port=port.port,
+            topic=topic,
+            peers=0,
+            **gate,
+        )
         if reply.get("acknowledged") is None and self.configuration.is_output(port):
             self.tell("note", f"{port}: nobody can tell whether its last messages on {topic} arrived", {})
 

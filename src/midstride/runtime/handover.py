@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import CallTimeout, MidstrideError, StepFailed, Unreachable
+from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Handover, Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
@@ -90,7 +90,7 @@ async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
         await _take_back(link, s, cuts, begun)
         if isinstance(error, asyncio.CancelledError):
             raise
-        raise StepFailed(f"{action.describe()}: {error}") from error
+        raise StepFailed(str(error)) from error
     warnings = [warning for swap in swaps if (warning := await _retire(link, s, swap))]
     return Handed(last, tuple(warnings))
 
@@ -216,11 +216,11 @@ async def _take_back(link: Link, s: Configuration, cuts: list[Cut], begun: list[
 
 
 async def _retire(link: Link, s: Configuration, swap: Swap) -> str | None:
-    """Take the old endpoint off the topic. The swap has happened: an old side that is gone by now is only told."""
+    """Take the old endpoint off the topic. The swap has happened: an old side that will not let go is only told."""
     topic = _topic(s, swap.connector)
     try:
         await link.change(swap.old.component, "detach", timeout=DETACH_TIMEOUT, port=swap.old.port, topic=topic)
-    except (Unreachable, CallTimeout) as error:
+    except MidstrideError as error:
         return f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
     return None
 

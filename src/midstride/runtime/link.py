@@ -57,15 +57,24 @@ class Link:
             arguments = {**arguments, "timeout": timeout}
         command = Command(op, arguments, f"{self._prefix}-{self._count}", self._token, revision)
         try:
-            reply: Reply = await self._backend.call(instance, command, timeout + ANSWER_TIMEOUT)
+            reply = await self._call(instance, command, timeout + ANSWER_TIMEOUT)
         except CallTimeout:
             self.forget(instance)  # it may or may not have carried the command out
-            raise CallTimeout(f"{instance} did not answer `{op}` within {timeout + ANSWER_TIMEOUT:g} s") from None
+            waited = timeout + 2 * ANSWER_TIMEOUT
+            raise CallTimeout(f"{instance} did not answer `{op}` within {waited:g} s, asked twice") from None
         except Unreachable as error:
             self.forget(instance)
             raise Unreachable(f"{instance} cannot be reached for `{op}`: {error}") from None
         if revision is not None:
             self._revisions[instance] = reply.revision
         if reply.refused is not None:
+            self.forget(instance)  # it is elsewhere than was thought: the next change looks first
             raise CommandRefused(f"{instance} refused `{op}`: {reply.refused}")
         return dict(reply.result)
+
+    async def _call(self, instance: str, command: Command, timeout: float) -> Reply:
+        """A lost command or answer costs one repetition: the component knows the command by its id."""
+        try:
+            return await self._backend.call(instance, command, timeout)
+        except CallTimeout:
+            return await self._backend.call(instance, command, ANSWER_TIMEOUT)

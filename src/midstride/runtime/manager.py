@@ -59,7 +59,8 @@ class Manager:
         self._directory = directory
         self._turn = asyncio.Lock()
         self._running: Running | None = None
-        self._gone: dict[str, Exited] = {}
+        self._gone: dict[str, Exited] = {}  # ended by themselves, and still in the model
+        self._crashed: dict[str, Exited] = {}  # settled, and not come back
         self._unwritten: str | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._equip(secrets.token_hex(16))
@@ -147,13 +148,19 @@ class Manager:
         if self._running is not None:
             seconds = self._backend.clock.steady() - self._running.since
             running = {"command": self._running.words, "since": round(seconds, 3)}
-        document = await status.status(self.configuration, self._link, self._backend.clock, self._gone)
+        document = await status.status(
+            self.configuration, self._link, self._backend.clock, {**self._crashed, **self._gone}
+        )
         document["system"] = self.specification.name
         document["backend"] = self._backend.name
         document["revision"] = self.revision
         document["running"] = running
         document["unwritten"] = self._unwritten
         return document
+
+    async def peek(self, instance: str) -> dict[str, Any]:
+        """The state of one component by its own word (wire/commands.py). Raises CallTimeout or Unreachable."""
+        return await self._link.peek(instance)
 
     async def why(self, functionality: str) -> dict[str, Any]:
         """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
@@ -255,8 +262,14 @@ class Manager:
             moved=moved,
             tell=lambda kind, words, details: self._note(kind, words, **details),
             is_gone=lambda name: name in self._gone,
-            starting=lambda instances: self._save(instances),
+            starting=self._starting,
         )
+
+    def _starting(self, instances: Sequence[Instance]) -> None:
+        for instance in instances:
+            self._gone.pop(instance.name, None)
+            self._crashed.pop(instance.name, None)
+        self._save(instances)
 
     def _note(self, kind: str, words: str, **details: Any) -> None:
         self.events.add(kind, words, **details)
@@ -272,6 +285,7 @@ class Manager:
             try:
                 await self._settle()
                 yield
+                await self._settle()  # what has ended by itself meanwhile
             finally:
                 self._running = None
 
@@ -299,7 +313,11 @@ class Manager:
         lowered. Raising again is a plan's affair.
         """
         s, seeds = self.configuration, set[FunctionalityRef]()
-        for name in [name for name in self._gone if name in s.instances]:
+        gone, self._gone = self._gone, {}
+        for name in gone:
+            if name not in s.instances:
+                continue
+            self._crashed[name] = gone[name]
             for port, connector in s.attached_ports(name):
                 if s.is_output(port):
                     seeds.update(s.consumers(connector))

@@ -1,0 +1,220 @@
+"""The manager on the simulator: changes carried out, measured, queued, refused."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace as changed
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.backends.simulator import Simulator
+from midstride.errors import ManagerError, StepFailed
+from midstride.model.rules import violations
+from midstride.model.specification import Node
+from midstride.plan.request import Request
+from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
+from tests.runtime.systems import EXAMPLES, example, managed, replace
+
+CHANGES = [("talker", "talker", "NewTalker"), ("obstacle", "detector", "StereoDetector")]
+CHANGES += [("filter", "filter", "MedianFilter")]
+
+
+@pytest.mark.parametrize(("name", "role", "component"), CHANGES)
+def test_a_replacement_nobody_notices(name: str, role: str, component: str, tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+        outcome = await manager.change(replace(role, component))
+        assert violations(manager.configuration) == []
+        assert sorted(simulator.processes) == sorted(manager.configuration.instances)
+        assert manager.specification.nodes[role].component == component
+        return outcome
+
+    outcome = managed(name, tmp_path, body)
+    assert (outcome["outcome"], outcome["because"], outcome["fallen"]) == ("done", None, {})
+    assert outcome["swaps"]
+    for swap in outcome["swaps"]:
+        assert (swap["missed"], swap["lost"], swap["duplicates"]) == (0, 0, 0)
+        assert swap["gap_periods"] == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("name", "role", "component"), CHANGES)
+@pytest.mark.parametrize("strategy", ["paper", "quiesce"])
+def test_the_other_strategies_end_in_the_same_place_and_say_what_they_cost(
+    name: str, role: str, component: str, strategy: str, tmp_path: Path
+) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+        outcome = await manager.change(replace(role, component, strategy))
+        assert violations(manager.configuration) == []
+        return outcome
+
+    outcome = managed(name, tmp_path, body, Simulator(starting=0.5))
+    assert outcome["outcome"] == "done"
+    assert set(outcome["fallen"]) == set(outcome["plan"]["fallen"]) and outcome["fallen"]
+    assert all(seconds > 0 for seconds in outcome["fallen"].values())
+    assert all(swap["missed"] > 0 for swap in outcome["swaps"])
+
+
+def test_taking_the_detector_away_stops_the_motor_and_another_one_starts_it_again(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        assert (await manager.change(Request(remove=("detector",))))["outcome"] == "done"
+        why = await manager.why("controller.control")
+        assert why["mode"] == "degraded"
+        assert any("/obstacles" in line and "no publisher" in line for line in why["chain"])
+        node = Node("detector", "StereoDetector", example("obstacle").nodes["detector"].attachments)
+        assert (await manager.change(Request(add=(node,))))["outcome"] == "done"
+        assert (await manager.why("controller.control"))["mode"] == "normal"
+
+    managed("obstacle", tmp_path, body)
+
+
+def test_two_commands_at_once_run_one_after_the_other_and_the_second_is_told(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        first = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
+        await asyncio.sleep(0.01)
+        second = asyncio.ensure_future(manager.change(replace("talker", "Talker")))
+        outcomes = [await first, await second]
+        assert [outcome["outcome"] for outcome in outcomes] == ["done", "done"]
+        assert sorted(manager.configuration.instances) == ["listener", "talker_3"]
+        waiting = [event["words"] for event in manager.log() if event["kind"] == "waiting"]
+        assert waiting == ["`replace talker by Talker` waits for `replace talker by NewTalker`"]
+
+    managed("talker", tmp_path, body)
+
+
+def test_a_change_seen_at_an_older_revision_is_refused(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+        seen = manager.revision
+        await manager.change(replace("talker", "NewTalker"))
+        return await manager.change(replace("talker", "Talker"), expected=seen)
+
+    outcome = managed("talker", tmp_path, body)
+    assert outcome["outcome"] == "refused" and "has changed since the plan was shown" in outcome["because"]
+
+
+@pytest.mark.parametrize(
+    ("request_", "because"),
+    [
+        (replace("talker", "NewTalke"), "did you mean NewTalker?"),
+        (replace("talkr", "NewTalker"), "did you mean talker?"),
+        (replace("talker", "Listener"), "no port out"),
+        (Request(), "nothing is asked for"),
+        (replace("talker", "NewTalker", "fastest"), "fastest"),
+    ],
+)
+def test_what_cannot_be_planned_is_refused_and_nothing_is_begun(
+    request_: Request, because: str, tmp_path: Path
+) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+        revision = manager.revision
+        outcome = await manager.change(request_)
+        assert manager.revision == revision and sorted(simulator.processes) == ["listener", "talker"]
+        return outcome
+
+    outcome = managed("talker", tmp_path, body)
+    assert outcome["outcome"] == "refused" and because in outcome["because"]
+
+
+def test_a_crash_lowers_whom_it_must_and_the_next_plan_restores(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        simulator.faults.kill("detector")
+        await asyncio.sleep(1)
+        status = await manager.status()
+        assert [entry["name"] for entry in status["crashed"]] == ["detector"]
+        control = status["components"][0]["functionalities"][0]
+        assert (control["name"], control["mode"]) == ("controller.control", "degraded")
+        assert (await manager.change(Request(to=manager.specification)))["outcome"] == "done"
+        assert (await manager.why("controller.control"))["mode"] == "normal"
+        assert (await manager.status())["crashed"] == []
+
+    managed("obstacle", tmp_path, body)
+
+
+def test_the_next_manager_finds_everything_again(tmp_path: Path) -> None:
+    simulator = Simulator()
+
+    async def main() -> None:
+        first = Manager(example("talker"), simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        await first.up()
+        await first.change(replace("talker", "NewTalker"))
+        changed = first.specification
+        await first.close()
+        pids = {name: process.pid for name, process in simulator.processes.items()}
+        second = Manager(changed, simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        await second.up()
+        assert {name: process.pid for name, process in simulator.processes.items()} == pids
+        assert second.configuration == first.configuration
+        assert (await second.change(replace("talker", "Talker")))["outcome"] == "done"
+        await second.down()
+        assert not simulator.processes and Workspace(tmp_path).load() is None
+        await second.close()
+
+    simulator.run(main())
+
+
+def test_another_specification_does_not_take_over_a_running_system(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        await manager.close()
+        other = example("talker").with_replaced("talker", "NewTalker")
+        with pytest.raises(ManagerError, match="midstride apply"):
+            await Manager(other, simulator, Workspace(tmp_path), EXAMPLES / "talker").up()
+
+    managed("talker", tmp_path, body)
+
+
+@pytest.mark.parametrize(
+    ("program", "because"),
+    [
+        ("raise RuntimeError('no camera')", "no camera"),
+        ("import nowhere", "No module named 'nowhere'"),
+        ("pass", "exited with status 0 before it registered"),
+        ("import sys; sys.exit(3)", "exited with status 3 before it registered"),
+        ("import time\nwhile True: time.sleep(1)", "did not register within 30 s"),
+        (
+            "from midstride import Component\nfrom std_msgs.msg import String\nc = Component('x')\n"
+            "o = c.create_output('other', String)\nf = c.create_functionality('talk', outputs=[o])\n"
+            "f.set_normal_mode(lambda: None, rate=10, outputs=[o])\nf.set_degraded_mode(lambda: None)\nc.start()",
+            "output out is declared, but the node does not have it",
+        ),
+    ],
+)
+def test_a_component_that_does_not_come_is_named_and_the_rest_goes_on(
+    program: str, because: str, tmp_path: Path
+) -> None:
+    script = tmp_path / "broken.py"
+    script.write_text(program)
+    specification = example("talker")
+    broken = changed(specification.components["NewTalker"], run=f"python3 {script}")
+    specification = changed(specification, components=specification.components.set("NewTalker", broken))
+
+    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+        outcome = await manager.change(replace("talker", "NewTalker"))
+        assert sorted(simulator.processes) == ["listener", "talker"]
+        assert violations(manager.configuration) == []
+        return outcome
+
+    folder = tmp_path / "workspace"
+    folder.mkdir()
+    outcome = managed("talker", folder, body, specification=specification)
+    assert outcome["outcome"] == "rolled_back"
+    assert "talker_2" in outcome["because"] and because in outcome["because"]
+
+
+def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -> None:
+    script = tmp_path / "broken.py"
+    script.write_text("raise RuntimeError('no camera')")
+    specification = example("talker")
+    broken = changed(specification.components["Talker"], run=f"python3 {script}")
+    specification = changed(specification, components=specification.components.set("Talker", broken))
+    simulator = Simulator()
+
+    async def main() -> None:
+        manager = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        with pytest.raises(StepFailed, match="no camera"):
+            await manager.up()
+        assert not simulator.processes
+        assert Workspace(tmp_path).load() is None
+        await manager.close()
+
+    simulator.run(main())

@@ -1,0 +1,156 @@
+"""Whatever call of a change fails, and in whichever way: the change is carried through or taken back whole.
+
+Every call that the manager makes during a change is counted in a run without faults; then, for
+each of them, a run in which just that one fails.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.backends.simulator import Simulator
+from midstride.model.rules import violations
+from midstride.plan.request import Request
+from midstride.runtime.manager import Manager
+from midstride.wire.messages import Command, Reply
+from tests.runtime.systems import managed, replace, snapshot
+
+# Reads that only watch: a change may go on without them.
+WATCHING = {"observe", "grid", "record", "records", "export_state"}
+BETWEEN_PEERS = {"ping", "taken"}
+
+
+class Failing(Simulator):
+    """Fails the call number ``at`` once it is armed, in the way ``how`` (see ``Faults.fail_next``)."""
+
+    def __init__(self, at: int | None = None, how: Any = "lost_request", times: int = 1) -> None:
+        super().__init__()
+        self.at, self.how, self.times = at, how, times
+        self.calls: list[tuple[str, str]] = []
+        self.armed = False
+
+    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+        if self.armed:
+            if len(self.calls) == self.at:
+                self.faults.fail_next(instance, command.op, self.how, self.times)
+            self.calls.append((instance, command.op))
+        return await super().call(instance, command, timeout)
+
+
+def change(simulator: Failing, name: str, request: Request, folder: Path) -> dict[str, Any]:
+    async def body(manager: Manager, _: Simulator) -> dict[str, Any]:
+        before = await snapshot(manager, simulator)
+        simulator.armed = True
+        outcome = await manager.change(request)
+        simulator.armed = False
+        after = await snapshot(manager, simulator)
+        if outcome["outcome"] == "rolled_back":
+            assert after == before
+        else:
+            assert outcome["outcome"] == "done", outcome["because"]
+            assert after["configuration"] != before["configuration"]
+        assert violations(manager.configuration) == []
+        assert sorted(simulator.processes) == sorted(manager.configuration.instances)
+        assert await differing(manager) == []
+        return outcome
+
+    folder.mkdir()
+    return managed(name, folder, body, simulator)
+
+
+async def differing(manager: Manager) -> list[str]:
+    """Where a component's own state is not what the model says."""
+    status = await manager.status()
+    return [row["name"] for row in status["components"] if not (row["reachable"] and row["as_modelled"])]
+
+
+CASES = [
+    ("talker", replace("talker", "NewTalker")),
+    ("talker", replace("talker", "NewTalker", "paper")),
+    ("filter", replace("filter", "MedianFilter")),
+    ("obstacle", replace("detector", "StereoDetector", "quiesce")),
+    ("obstacle", Request(remove=("detector",))),
+]
+
+
+@pytest.mark.parametrize(("name", "request_"), CASES, ids=lambda value: getattr(value, "strategy", value))
+@pytest.mark.parametrize(("how", "times"), [("lost_request", 1), ("lost_reply", 1)])
+def test_one_lost_message_is_made_good(name: str, request_: Request, how: str, times: int, tmp_path: Path) -> None:
+    whole = Failing()
+    change(whole, name, request_, tmp_path / "whole")
+    for at, (_, op) in enumerate(whole.calls):
+        outcome = change(Failing(at, how, times), name, request_, tmp_path / str(at))
+        # A cut is agreed for a moment, which a repetition may miss.
+        assert outcome["outcome"] == "done" or op in {"cut_out", "cut_in", "taken"}, op
+
+
+@pytest.mark.parametrize(("name", "request_"), CASES, ids=lambda value: getattr(value, "strategy", value))
+@pytest.mark.parametrize(("how", "times"), [("lost_request", 2), ("lost_reply", 2), ("refused", 1)])
+def test_a_change_in_which_any_one_call_fails_is_done_or_taken_back_whole(
+    name: str, request_: Request, how: str, times: int, tmp_path: Path
+) -> None:
+    whole = Failing()
+    assert change(whole, name, request_, tmp_path / "whole")["outcome"] == "done"
+    outcomes: dict[str, int] = {"done": 0, "rolled_back": 0}
+    for at, (instance, op) in enumerate(whole.calls):
+        outcome = change(Failing(at, how, times), name, request_, tmp_path / str(at))
+        outcomes[outcome["outcome"]] += 1
+        if op in BETWEEN_PEERS:
+            continue  # repeated by the one that calls, or answered by the other's taking up again
+        if outcome["outcome"] == "rolled_back":
+            assert instance in outcome["because"] and op in outcome["because"]
+        else:
+            assert op in WATCHING or (instance, op) in after_the_cut(whole.calls), (instance, op)
+    assert outcomes["rolled_back"] > 0
+
+
+def after_the_cut(calls: list[tuple[str, str]]) -> Iterator[tuple[str, str]]:
+    """What is called once a hand-over has happened: it is not taken back for an old side that no longer answers."""
+    cut = max((index for index, (_, op) in enumerate(calls) if op == "await_cut"), default=len(calls))
+    yield from calls[cut + 1 :]
+
+
+@pytest.mark.parametrize(("name", "request_"), CASES[:4], ids=lambda value: getattr(value, "strategy", value))
+def test_a_component_that_dies_at_any_call_leaves_no_half_done_change(
+    name: str, request_: Request, tmp_path: Path
+) -> None:
+    whole = Failing()
+    change(whole, name, request_, tmp_path / "whole")
+    for at, (instance, op) in enumerate(whole.calls):
+        simulator = Dying(at)
+
+        async def body(manager: Manager, _: Simulator, simulator: Dying = simulator) -> dict[str, Any]:
+            simulator.armed = True
+            outcome = await manager.change(request_)
+            simulator.armed = False
+            await simulator.clock.sleep(1)
+            assert violations(manager.configuration) == []
+            assert sorted(simulator.processes) == sorted(manager.configuration.instances)
+            assert await differing(manager) == []
+            restored = await manager.change(Request(to=manager.specification))
+            assert restored["outcome"] == "done", (instance, op, restored["because"])
+            roles = sorted(instance.role for instance in manager.configuration.instances.values())
+            assert roles == sorted(manager.specification.nodes)
+            return outcome
+
+        folder = tmp_path / str(at)
+        folder.mkdir()
+        outcome = managed(name, folder, body, simulator)
+        assert outcome["outcome"] in ("done", "rolled_back", "failed"), (instance, op)
+        if outcome["outcome"] != "done":
+            assert outcome["because"]
+
+
+class Dying(Failing):
+    """Kills the component that the call number ``at`` is for, just before it."""
+
+    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+        if self.armed:
+            if len(self.calls) == self.at and instance in self.processes:
+                self.faults.kill(instance)
+            self.calls.append((instance, command.op))
+        return await Simulator.call(self, instance, command, timeout)
