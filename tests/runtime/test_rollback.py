@@ -132,7 +132,7 @@ def test_a_component_that_dies_at_any_call_leaves_no_half_done_change(
             assert sorted(simulator.processes) == sorted(manager.configuration.instances)
             assert await differing(manager) == []
             restored = await manager.change(Request(to=manager.specification))
-            assert restored["outcome"] == "done", (instance, op, restored["because"])
+            assert restored["outcome"] == "done", restored["because"]
             roles = sorted(instance.role for instance in manager.configuration.instances.values())
             assert roles == sorted(manager.specification.nodes)
             return outcome
