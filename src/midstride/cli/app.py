@@ -12,7 +12,9 @@ from midstride import __version__
 
 # name -> (module of midstride.cli.commands, what it does)
 COMMANDS: Final[dict[str, tuple[str, str]]] = {
-    "check": ("files", "check specifications at design time"),
+    "check": ("check", "check specifications at design time"),
+    "fmt": ("check", "bring specifications into canonical form"),
+    "explain": ("check", "say what a diagnostic means"),
     "plan": ("plan", "show the plan for a change, what it disrupts and why"),
     "export": ("files", "print a specification as JSON"),
     "up": ("up", "start a system and its manager, and watch it"),

@@ -1,4 +1,4 @@
-"""Reading specifications from files; whatever is wrong with one names the file."""
+"""Reading specifications from files, in the Stride language or in JSON; whatever is wrong with one names the file."""
 
 from __future__ import annotations
 
@@ -14,15 +14,12 @@ from midstride.model.specification import Specification
 def read(path: Path) -> Specification:
     """The specification in a file. Raises SpecificationError with every fault of form and of names."""
     text = _text(path)
+    if _is_stride(path):
+        return _stride(path)
     try:
         return _parsed(text)
     except SpecificationError as error:
         raise _named(path, error.problems) from None
-
-
-def parse(path: Path) -> Specification:
-    """As :func:`read`, but the faults are bare :class:`Problem` values, for those who name the file themselves."""
-    return _parsed(_text(path))
 
 
 def load(path: Path) -> Specification:
@@ -30,9 +27,27 @@ def load(path: Path) -> Specification:
     from midstride.model.wellformed import check, errors
 
     specification = read(path)
+    if _is_stride(path):
+        return specification  # the language tells every error at its place
     if found := errors(check(specification)):
         raise _named(path, found)
     return specification
+
+
+def _is_stride(path: Path) -> bool:
+    return path.suffix != ".json"
+
+
+def _stride(path: Path) -> Specification:
+    from midstride.lang import load as load_stride
+    from midstride.lang.messages import installed
+
+    return load_stride(path, messages=installed()).require()
+
+
+def must_exist(path: Path) -> None:
+    """Raises SpecificationError, with a near miss where there is one, where there is no such file."""
+    _text(path)
 
 
 def _parsed(text: str) -> Specification:
@@ -44,14 +59,22 @@ def _text(path: Path) -> str:
         return path.read_text(encoding="utf-8")
     except FileNotFoundError:
         folder = path.parent
-        files = [entry.name for entry in folder.glob("*.json")] if folder.is_dir() else []
+        files = [entry.name for entry in _candidates(folder)] if folder.is_dir() else []
         hint = suggestion(path.name, files)
         raise SpecificationError(f"there is no file {path}" + (f"; {hint}" if hint else "")) from None
     except IsADirectoryError:
-        inside = ", ".join(sorted(str(path / entry.name) for entry in path.glob("*.json")))
+        inside = ", ".join(sorted(str(path / entry.name) for entry in _candidates(path)))
         raise SpecificationError(f"{path} is a folder" + (f"; give a file in it: {inside}" if inside else "")) from None
-    except (OSError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        if _is_stride(path):
+            return ""  # the language says where
         raise SpecificationError(f"{path} cannot be read: {error}") from None
+    except OSError as error:
+        raise SpecificationError(f"{path} cannot be read: {error}") from None
+
+
+def _candidates(folder: Path) -> list[Path]:
+    return sorted([*folder.glob("*.stride"), *folder.glob("*.json")])
 
 
 def _named(path: Path, problems: Iterable[object]) -> SpecificationError:

@@ -377,8 +377,8 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
     ),
     "E199": (
         "too many errors",
-        """So much is wrong that the rest is not shown: one of the first errors may explain it, or the text is in another
-        language.""",
+        """So much is wrong that the rest is not shown: one of the first errors may explain it, or the text is in
+        another language.""",
         (("system s\n" + "wibble\n;\n" * 120,),),
     ),
     "W160": (

@@ -1,0 +1,119 @@
+"""``check``, ``fmt`` and ``explain``: the language at design time."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from midstride.cli.app import json_option
+from midstride.cli.output import print_json, wants_json
+
+if TYPE_CHECKING:
+    from midstride.lang.diagnostics import Diagnostic
+
+
+@click.command("check")
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.option("--strict", is_flag=True, help="Warnings count as errors.")
+@click.option("--no-types", is_flag=True, help="Do not look message types and fields up in what is installed here.")
+@json_option
+def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
+    """Check specifications: form, names, contracts, and whether every functionality can work.
+
+    Every independent error is told once, at its place; `midstride explain CODE` says more about it.
+    """
+    from midstride.cli.files import must_exist
+    from midstride.lang import load, render
+    from midstride.lang.messages import installed
+
+    messages = None if no_types else installed()
+    found: list[Diagnostic] = []
+    for file in files:
+        must_exist(file)
+        found += load(file, messages=messages).diagnostics
+    found = list(dict.fromkeys(found))  # of a file that several of them include
+    bad = any(strict or diagnostic.severity == "error" for diagnostic in found)
+    if wants_json():
+        print_json({"ok": not bad, "diagnostics": [diagnostic.to_json() for diagnostic in found]})
+    elif found:
+        click.echo(render(found))
+    else:
+        click.echo(f"{', '.join(map(str, files))}: nothing to complain of.")
+    return int(bad)
+
+
+@click.command("fmt")
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
+@click.option("--check", is_flag=True, help="Change nothing; exit status 1 if something would be.")
+@json_option
+def fmt_command(files: tuple[Path, ...], check: bool) -> int:
+    """Bring Stride files into canonical form, in place. Comments and order survive."""
+    from midstride.cli.files import must_exist
+    from midstride.lang import format_text, render
+    from midstride.lang.diagnostics import Diagnostic
+    from midstride.lang.files import Unreadable, read_text
+
+    changed: list[Path] = []
+    found: list[Diagnostic] = []
+    for file in files:
+        must_exist(file)
+        try:
+            text = read_text(file)
+        except Unreadable as error:
+            message = f"`{file}` cannot be read: {error}"
+            found.append(Diagnostic(error.code, message, help=error.help, file=str(file)))
+            continue
+        formatted = format_text(text, str(file))
+        found += formatted.diagnostics
+        if formatted.text is not None and formatted.text.encode() != file.read_bytes():
+            changed.append(file)
+            if not check:
+                _replace(file, formatted.text)
+    bad = bool(found) or (check and bool(changed))
+    if wants_json():
+        diagnostics = [diagnostic.to_json() for diagnostic in found]
+        print_json({"ok": not bad, "changed": [str(file) for file in changed], "diagnostics": diagnostics})
+        return int(bad)
+    if found:
+        click.echo(render(found))
+    for file in changed:
+        click.echo(f"{file}: {'not in canonical form' if check else 'formatted'}")
+    return int(bad)
+
+
+def _replace(file: Path, text: str) -> None:
+    """Write the whole file or nothing, whatever happens meanwhile; its mode stays, and so does a link to it."""
+    file = file.resolve()
+    descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
+    try:
+        with os.fdopen(descriptor, "w", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
+        os.chmod(name, file.stat().st_mode)
+        os.replace(name, file)
+    except BaseException:
+        os.unlink(name)
+        raise
+
+
+@click.command("explain")
+@click.argument("code")
+@json_option
+def explain_command(code: str) -> int:
+    """Say what a diagnostic's CODE means, with an example: `midstride explain E012`."""
+    from midstride.lang.catalogue import CATALOGUE, explain
+
+    try:
+        text = explain(code)
+    except KeyError as error:
+        raise click.UsageError(str(error.args[0])) from None
+    if wants_json():
+        entry = CATALOGUE[code.upper()]
+        told = " ".join(entry.explanation.split())
+        print_json({"code": entry.code, "severity": entry.severity, "title": entry.title, "explanation": told})
+    else:
+        click.echo(text)
+    return 0
