@@ -1,0 +1,478 @@
+"""What a component's code sees while it runs, script by script in the simulator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from .author import Bench, simulate
+
+HEAD = """
+from midstride import Component, any_of, approximate
+from std_msgs.msg import String
+from sensor_msgs.msg import Image
+
+comp = Component("node")
+"""
+
+TALKER = (
+    HEAD
+    + """
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+count = 0
+
+def normal():
+    global count
+    count += 1
+    out.write(String(data=str(count)))
+
+talk.set_normal_mode(normal, rate=10, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+comp.start()
+"""
+)
+
+
+def test_the_first_call_comes_on_entry_and_the_rest_on_the_grid(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: print("normal", comp.clock.now()), rate=4)
+f.set_mode("slower", lambda: print("slower", comp.clock.now()), rate=2)
+f.set_degraded_mode(lambda: print("degraded", f.mode))
+comp.start()
+print("ended")
+""",
+        )
+        assert bench.log("node") == ["degraded degraded"]
+        await bench.send("node", "modes", modes={"f": "normal"}, because="to see it run")
+        await bench.sleep(0.6)
+        await bench.mode("node", "f", "slower")
+        await bench.sleep(0.6)
+        await bench.mode("node", "f", "degraded")
+        await bench.sleep(2.0)
+        lines = [line.split() for line in bench.log("node")]
+        names = [line[0] for line in lines]
+        assert names == ["degraded", *["normal"] * 3, *["slower"] * 2, "degraded"]
+        normal = [int(line[1]) for line in lines if line[0] == "normal"]
+        assert [time - normal[0] for time in normal] == [0, 250_000_000, 500_000_000]
+        slower = [int(line[1]) for line in lines if line[0] == "slower"]
+        assert slower[1] - slower[0] == 500_000_000
+
+    simulate(tmp_path, main)
+
+
+def test_messages_call_what_is_mapped_to_their_input(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start("left", TALKER)
+        await bench.start("right", TALKER)
+        await bench.start(
+            "node",
+            HEAD
+            + """
+left, right = comp.create_input("left", String), comp.create_input("right", String)
+each = comp.create_functionality("each", inputs=[left, right])
+each.set_normal_mode(
+    {left: lambda m: print("left", m.data), right: lambda m: print("right", m.data)}, inputs=[left, right]
+)
+each.set_degraded_mode(lambda: None)
+both = comp.create_functionality("both", inputs=[left, right])
+both.set_normal_mode(lambda m: print("both", m.data, left.latest.data), inputs=[any_of(left, right)])
+both.set_degraded_mode(lambda: None)
+comp.start()
+""",
+        )
+        await bench.attach("node", "left", "/left")
+        await bench.attach("node", "right", "/right")
+        for side in ("left", "right"):
+            await bench.attach(side, "out", f"/{side}")
+        await bench.mode("node", "each", "normal")
+        await bench.mode("left", "talk", "normal")
+        await bench.sleep(0.01)
+        await bench.mode("right", "talk", "normal")
+        await bench.sleep(0.01)
+        assert bench.log("node") == ["left 1", "right 1"]
+        await bench.mode("node", "both", "normal")
+        await bench.sleep(0.1)
+        assert bench.log("node")[2:] == ["left 2", "both 2 2", "right 2", "both 2 2"]
+        await bench.mode("node", "each", "degraded")
+        await bench.sleep(0.1)
+        assert bench.log("node")[6:] == ["both 3 3", "both 3 3"]
+
+    simulate(tmp_path, main)
+
+
+STAMPED = (
+    HEAD
+    + """
+out = comp.create_output("out", Image)
+look = comp.create_functionality("look", outputs=[out])
+offset = comp.parameter("offset", 0)
+count = 0
+
+def normal():
+    global count
+    count += 1
+    image = Image(width=count)
+    stamp = count * 100_000_000 + offset.value * 1_000_000
+    image.header.stamp.sec, image.header.stamp.nanosec = divmod(stamp, 10**9)
+    out.write(image)
+
+look.set_normal_mode(normal, rate=10, outputs=[out])
+look.set_degraded_mode(lambda: None)
+comp.start()
+"""
+)
+
+
+def test_synchronised_messages_lie_within_the_slop(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start("left", STAMPED)
+        await bench.start("right", STAMPED, offset=30)
+        await bench.start("apart", STAMPED, offset=49)
+        await bench.start(
+            "node",
+            HEAD
+            + """
+left, right = comp.create_input("left", Image), comp.create_input("right", Image)
+stereo = comp.create_functionality("stereo", inputs=[left, right])
+stereo.set_normal_mode(
+    lambda left, right: print(left.width, right.width), inputs=[left, right], sync=approximate(0.04)
+)
+stereo.set_degraded_mode(lambda: None)
+comp.start()
+""",
+        )
+        for side, topic in (("left", "/left"), ("right", "/right"), ("apart", "/right")):
+            await bench.attach(side, "out", topic)
+        await bench.attach("node", "left", "/left")
+        await bench.attach("node", "right", "/right")
+        await bench.mode("node", "stereo", "normal")
+        await bench.mode("left", "look", "normal")
+        await bench.sleep(0.15)
+        await bench.mode("right", "look", "normal")
+        await bench.sleep(0.25)
+        # The left one began earlier: its second and third image wait for the right one's.
+        assert bench.log("node") == ["1 1", "2 2", "3 3"]
+        await bench.mode("right", "look", "degraded")
+        await bench.mode("apart", "look", "normal")
+        await bench.sleep(0.45)
+        # 49 ms later than the left one's of that number, and 51 ms from the next: never within 40.
+        assert bench.log("node") == ["1 1", "2 2", "3 3"]
+
+    simulate(tmp_path, main)
+
+
+def test_latest_and_age_are_of_the_time_since_the_attach(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start("talker", TALKER)
+        await bench.start(
+            "node",
+            HEAD
+            + """
+in_ = comp.create_input("in", String)
+f = comp.create_functionality("f", inputs=[in_])
+f.set_normal_mode(lambda: None, rate=1, inputs=[in_])
+f.set_degraded_mode(lambda: print(in_.attached, in_.latest and in_.latest.data, in_.age), rate=1)
+comp.start()
+""",
+        )
+        await bench.mode("talker", "talk", "normal")
+        await bench.attach("talker", "out", "/chatter")
+        await bench.attach("node", "in", "/chatter")
+        await bench.sleep(1.0)
+        await bench.mode("talker", "talk", "degraded")
+        await bench.sleep(1.0)
+        await bench.send("node", "detach", port="in", topic="/chatter")
+        await bench.sleep(1.0)
+        first, attached, silent, *detached = bench.log("node")
+        assert first == "False None None" and detached == ["False None None"]
+        ages = [float(line.split()[2]) for line in (attached, silent)]
+        assert attached.startswith("True ") and ages[0] < 0.1 and 0.8 < ages[1] < 1.0
+
+    simulate(tmp_path, main)
+
+
+def test_messages_that_come_during_an_async_call_wait_for_its_end(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start("talker", TALKER)
+        await bench.start(
+            "node",
+            HEAD
+            + """
+in_ = comp.create_input("in", String, qos=3)
+f = comp.create_functionality("f", inputs=[in_])
+
+async def on_message(message):
+    print("begin", message.data)
+    await comp.clock.sleep(0.25 if message.data == "1" else 0)
+    print("end", message.data)
+
+f.set_normal_mode(on_message, inputs=[in_])
+f.set_degraded_mode(lambda: None)
+comp.start()
+""",
+        )
+        await bench.attach("node", "in", "/chatter")
+        await bench.attach("talker", "out", "/chatter")
+        await bench.mode("node", "f", "normal")
+        await bench.mode("talker", "talk", "normal")
+        await bench.sleep(0.36)
+        assert bench.log("node") == [f"{what} {n}" for n in (1, 2, 3, 4) for what in ("begin", "end")]
+
+    simulate(tmp_path, main)
+
+
+def test_an_async_function_that_raises_degrades_when_it_raises(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+f = comp.create_functionality("f")
+
+async def normal():
+    await comp.clock.sleep(0.5)
+    raise LookupError("no map")
+
+f.set_normal_mode(normal, rate=10)
+f.set_degraded_mode(lambda: print("degraded"))
+comp.start()
+""",
+        )
+        await bench.mode("node", "f", "normal")
+        await bench.sleep(0.4)
+        assert bench.simulator.state("node")["functionalities"]["f"]["mode"] == "normal"
+        await bench.sleep(0.2)
+        state = bench.simulator.state("node")["functionalities"]["f"]
+        assert state["mode"] == "degraded" and "LookupError: no map" in state["because"]
+        assert "in normal" in state["because"], "the author's line is missing from the traceback"
+        assert "running.py" not in state["because"], "our own lines are in the traceback"
+        assert bench.log("node").count("degraded") == 2
+
+    simulate(tmp_path, main)
+
+
+def test_sys_exit_in_a_callback_is_an_error_of_the_callback(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+import sys
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: sys.exit(4), rate=10)
+f.set_degraded_mode(lambda: None)
+comp.start()
+""",
+        )
+        await bench.mode("node", "f", "normal")
+        await bench.sleep(0.3)
+        state = bench.simulator.state("node")["functionalities"]["f"]
+        assert state["mode"] == "degraded" and "SystemExit: 4" in state["because"] and not bench.exits()
+
+    simulate(tmp_path, main)
+
+
+def test_a_group_changes_at_one_moment_or_not_at_all(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+a = comp.create_functionality("a")
+
+async def slow():
+    await comp.clock.sleep(1.0)
+    print("slow is done")
+
+a.set_normal_mode(slow, rate=0.5)
+a.set_degraded_mode(lambda: print("a degraded"))
+b = comp.create_functionality("b")
+b.set_normal_mode(lambda: print("b"), rate=5)
+b.set_degraded_mode(lambda: print("b degraded"))
+comp.start()
+""",
+        )
+        await bench.send("node", "modes", modes={"a": "normal", "b": "normal"}, timeout=1.0)
+        await bench.sleep(0.3)
+        assert bench.log("node") == ["a degraded", "b degraded", "b", "b"]
+        await bench.send("node", "modes", modes={"a": "degraded", "b": "degraded"}, timeout=5.0)
+        await bench.sleep(3.0)
+        # While the change waits for the one, the other starts no further call.
+        assert bench.log("node")[4:] == ["slow is done", "a degraded", "b degraded"]
+
+    simulate(tmp_path, main)
+
+
+def test_set_up_comes_first_and_start_values_are_there(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+speed = comp.parameter("speed", 1.5, on_change=lambda value: print("speed", value))
+print("declared", speed.value)
+comp.on_setup(lambda node: print("set up", node, speed.value, comp.instance))
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: None, rate=1)
+f.set_degraded_mode(lambda: print("degraded"))
+comp.on_stop(lambda: print("last word"))
+comp.start()
+print("after start")
+""",
+            speed=2,
+        )
+        assert bench.log("node") == ["declared 2.0", "set up None 2.0 node", "degraded"]
+        await bench.send("node", "set", parameters={"speed": 3})
+        assert bench.simulator.state("node")["parameters"] == {"speed": 3.0}
+        await bench.send("node", "stop")
+        await bench.sleep(0.5)
+        (exited,) = bench.exits()
+        assert exited.status == 0
+        assert [line for line in exited.log_tail.splitlines() if line[0] != "["][-3:] == [
+            "speed 3.0",
+            "last word",
+            "after start",
+        ]
+
+    simulate(tmp_path, main)
+
+
+def test_a_set_up_that_raises_ends_the_process_with_its_traceback(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: None, rate=1)
+f.set_degraded_mode(lambda: None)
+
+@comp.on_setup
+def connect(node):
+    raise ConnectionError("no such device")
+
+comp.start()
+""",
+        )
+        (exited,) = bench.exits()
+        assert exited.status == 1 and "ConnectionError: no such device" in exited.log_tail
+
+    simulate(tmp_path, main)
+
+
+def test_declaring_after_start_and_starting_twice_are_refused(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: None, rate=1)
+
+def degraded():
+    for late in (
+        lambda: comp.create_input("late", String),
+        lambda: f.set_mode("late", degraded),
+        lambda: comp.parameter("late", 1),
+        comp.start,
+    ):
+        try:
+            late()
+        except Exception as error:
+            print(error)
+
+f.set_degraded_mode(degraded)
+comp.start()
+""",
+        )
+        lines = bench.log("node")
+        assert len(lines) == 4 and all("declare everything before start()" in line for line in lines), lines
+
+    simulate(tmp_path, main)
+
+
+def test_started_by_hand_it_belongs_to_whoever_welcomes_it_first(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start("node", TALKER, token="")
+        assert "waits for a manager" in bench.simulator.log("node")
+        await bench.send("node", "welcome", token="mine", manager="me")
+        await bench.send("node", "modes", token="mine", modes={"talk": "normal"})
+        assert "token" in await bench.refusal("node", "welcome", token="yours", manager="you")
+
+    simulate(tmp_path, main)
+
+
+def test_a_changing_command_needs_an_id(tmp_path: Path) -> None:
+    from midstride.wire.messages import Command
+
+    async def main(bench: Bench) -> None:
+        await bench.start("node", TALKER)
+        reply = await bench.simulator.call("node", Command("welcome", {"manager": "me"}, "", "a token", 0), 1.0)
+        assert reply.refused is not None and "must have an id" in reply.refused
+
+    simulate(tmp_path, main)
+
+
+def test_standalone_attaches_and_runs_the_best_modes(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start("talker", TALKER, "--verbose", "--standalone", "out:=/chatter", "more", token="")
+        await bench.start(
+            "node",
+            HEAD
+            + """
+import sys
+in_, other = comp.create_input("in", String), comp.create_input("other", String)
+f = comp.create_functionality("f", inputs=[in_, other])
+f.set_normal_mode({in_: lambda m: print("both", m.data)}, inputs=[in_, other])
+f.set_mode("one", lambda m: print("heard", m.data), inputs=[any_of(in_, other)])
+f.set_degraded_mode(lambda: print("arguments", sys.argv[1:]))
+comp.start()
+""",
+            "--standalone",
+            "in:=/chatter",
+            token="",
+        )
+        await bench.sleep(0.2)
+        assert bench.log("node")[0] == "arguments ['--standalone', 'in:=/chatter']"
+        assert bench.log("node")[1].startswith("heard ")
+        assert "managed by nobody: talk in mode normal" in bench.simulator.log("talker")
+        assert bench.events == [], "it announced itself all the same"
+        assert "managed by nobody" in await bench.refusal("talker", "modes", modes={"talk": "degraded"})
+
+    simulate(tmp_path, main)
+
+
+def test_standalone_with_a_port_that_is_not_there(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start("talker", TALKER, "--standalone", "put:=/chatter", token="")
+        (exited,) = bench.exits()
+        assert exited.status == 1 and "there is no port put; the ports of node are: out" in exited.log_tail
+
+    simulate(tmp_path, main)
+
+
+def test_the_clock_fills_stamps(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: None, rate=1)
+
+def degraded():
+    stamp = comp.clock.stamp(Image().header.stamp)
+    print(stamp.sec * 10**9 + stamp.nanosec == comp.clock.now(), comp.clock.seconds() == comp.clock.now() / 1e9)
+
+f.set_degraded_mode(degraded)
+comp.start()
+""",
+        )
+        assert bench.log("node") == ["True True"]
+
+    simulate(tmp_path, main)
