@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import heapq
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import count
 
 from midstride.model.best import best
@@ -18,7 +19,19 @@ from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
 from midstride.plan.change import Change
 
-Op = tuple[str, object]
+NO_PORT = PortRef("", "")
+
+
+@dataclass(frozen=True, order=True)
+class Op:
+    """One structural difference: an instance to create or remove, or an attachment to make or undo."""
+
+    kind: str
+    name: str
+    port: PortRef = NO_PORT
+    connector: str = ""
+
+
 State = frozenset[Op]
 
 
@@ -29,10 +42,10 @@ class TooLarge(Exception):
 class Exhaustive:
     def __init__(self, change: Change, most: int = 11) -> None:
         self.change = change
-        self.creates: list[Op] = [("create", instance.name) for instance in change.coming]
-        self.removes: list[Op] = [("remove", name) for name in change.leaving]
-        self.attaches: list[Op] = [("attach", pair) for pair in change.attached]
-        self.detaches: list[Op] = [("detach", pair) for pair in change.detached]
+        self.creates = [Op("create", instance.name) for instance in change.coming]
+        self.removes = [Op("remove", name) for name in change.leaving]
+        self.attaches = [Op("attach", port.component, port, connector) for port, connector in change.attached]
+        self.detaches = [Op("detach", port.component, port, connector) for port, connector in change.detached]
         self.all: State = frozenset([*self.creates, *self.removes, *self.attaches, *self.detaches])
         if len(self.all) > most:
             raise TooLarge
@@ -49,18 +62,14 @@ class Exhaustive:
         known = self._configurations.get(state)
         if known is None:
             s = self.change.start
-            for kind, what in sorted(state, key=str):
-                if kind == "create":
-                    s = s.with_instance(self.instances[str(what)])
-            for op in self.attaches:
-                if op in state:
-                    s = s.with_attachment(*op[1])  # type: ignore[misc]
-            for op in self.detaches:
-                if op in state:
-                    s = s.without_attachment(*op[1])  # type: ignore[misc]
-            for op in self.removes:
-                if op in state:
-                    s = s.without_instance(str(op[1]))
+            for op in (op for op in self.creates if op in state):
+                s = s.with_instance(self.instances[op.name])
+            for op in (op for op in self.attaches if op in state):
+                s = s.with_attachment(op.port, op.connector)
+            for op in (op for op in self.detaches if op in state):
+                s = s.without_attachment(op.port, op.connector)
+            for op in (op for op in self.removes if op in state):
+                s = s.without_instance(op.name)
             known = self._configurations[state] = best(s)
         return known
 
@@ -103,19 +112,18 @@ class Exhaustive:
     def steps(self, state: State) -> Iterator[State]:
         s = self.configuration(state)
         for op in self.creates:
-            holds = self.instances[str(op[1])].component.holds
+            holds = self.instances[op.name].component.holds
             if op not in state and all(s.held.get(r, 0.0) + a <= s.world.capacity(r) + 1e-9 for r, a in holds.items()):
                 yield state | {op}
         for op in self.removes:
-            if op not in state and not s.attached_ports(str(op[1])):
+            if op not in state and not s.attached_ports(op.name):
                 yield state | {op}
         for op in self.detaches:
             if op not in state:
                 yield state | {op}
-        ready = [op for op in self.attaches if op not in state and op[1][0].component in s.instances]  # type: ignore[index]
+        ready = [op for op in self.attaches if op not in state and op.name in s.instances]
         for op in ready:
-            port, connector = op[1]  # type: ignore[misc]
-            if not s.is_output(port) or self._slot(s, connector):
+            if not s.is_output(op.port) or self._slot(s, op.connector):
                 yield state | {op}
         yield from self._hand_overs(state, s, ready)
 
@@ -128,36 +136,34 @@ class Exhaustive:
     def _hand_overs(self, state: State, s: Configuration, ready: list[Op]) -> Iterator[State]:
         """One exchange on one topic, or all of a replaced role at once."""
         together: dict[str, set[Op]] = {}
-        for attach in ready:
-            port, connector = attach[1]  # type: ignore[misc]
-            if not s.is_output(port) or not satisfies(s.guarantee(port), s.world.connectors[connector].guarantee):
+        for new in ready:
+            if not s.is_output(new.port):
                 continue
-            for detach in self.detaches:
-                old, on = detach[1]  # type: ignore[misc]
-                if detach in state or on != connector or not s.is_output(old):
+            if not satisfies(s.guarantee(new.port), s.world.connectors[new.connector].guarantee):
+                continue
+            for old in self.detaches:
+                if old in state or old.connector != new.connector or not s.is_output(old.port):
                     continue
-                yield state | {attach, detach}
-                if self.change.replaced.get(old.component) == port.component:
-                    together.setdefault(port.component, set()).update((attach, detach))
+                yield state | {new, old}
+                if self.change.replaced.get(old.name) == new.name:
+                    together.setdefault(new.name, set()).update((new, old))
         for pairs in together.values():
-            attached = [op[1][1] for op in pairs if op[0] == "attach"]  # type: ignore[index]
-            detached = [op[1][1] for op in pairs if op[0] == "detach"]  # type: ignore[index]
-            if sorted(attached) == sorted(detached):
+            topics = [sorted(op.connector for op in pairs if op.kind == kind) for kind in ("attach", "detach")]
+            if topics[0] == topics[1]:
                 yield state | pairs
 
     def cost(self, before: State, after: State) -> float:
         """The disruption of one step; only creating and removing have any."""
-        (kind, what), *others = after - before
-        if others or kind not in ("create", "remove"):
+        op, *others = after - before
+        if others or op.kind not in ("create", "remove"):
             return 0.0
-        name = str(what)
-        component = self.change.component_of(name)
+        component = self.change.component_of(op.name)
         losses = self.losses(before), self.losses(after)
         refs = {*losses[0], *losses[1]}
-        return sum(max(loss.get(ref, 0.0) for loss in losses) for ref in refs) * self.change.seconds(kind, component)
+        return sum(max(loss.get(ref, 0.0) for loss in losses) for ref in refs) * self.change.seconds(op.kind, component)
 
     def optimum(self, spotless: bool = False) -> float | None:
-        """The least disruption of any plan; of those that let nothing fall, where ``spotless``. None if there is none."""
+        """The least disruption of any plan, or of those that let nothing fall (``spotless``); None if there is none."""
         tie = count()
         queue: list[tuple[float, int, State]] = [(0.0, next(tie), frozenset())]
         known: dict[State, float] = {frozenset(): 0.0}

@@ -40,7 +40,7 @@ def component(rng: Random, name: str, like: Component | None = None) -> Componen
         outputs = tuple(f"o{n}" for n in range(rng.choice((0, 1, 1, 2))))
         kinds = {output: rng.choice(TYPES) for output in outputs}
     else:
-        inputs, outputs = dict(like.inputs), like.outputs
+        inputs, outputs = {port: like.inputs[port] for port in like.input_order}, like.outputs
         kinds = {}
         for output in outputs:
             endpoint = like.output_endpoint(output)
@@ -57,7 +57,11 @@ def component(rng: Random, name: str, like: Component | None = None) -> Componen
         inputs=dict(sorted(inputs.items(), key=lambda _: rng.random())),
         outputs=outputs,
         functionalities=functionalities,
-        holds={"device": 1.0} if rng.random() < 0.25 else {"memory": float(rng.choice((1, 2)))} if rng.random() < 0.4 else {},
+        holds={"device": 1.0}
+        if rng.random() < 0.25
+        else {"memory": float(rng.choice((1, 2)))}
+        if rng.random() < 0.4
+        else {},
         parameters={"p": Parameter(1, changeable=rng.random() < 0.5)} if rng.random() < 0.4 else {},
         run=f"python3 {name}.py",
         takes=rng.choice((None, 0.5, 2.0)),
@@ -69,7 +73,9 @@ def functionality(
 ) -> Functionality:
     used = tuple(sorted(rng.sample(sorted(inputs), rng.randint(0, len(inputs)))))
     length = rng.choice((2, 2, 3))
-    rates = {output: sorted((rng.choice((0.0, 5.0, 10.0, 10.0)) for _ in range(length)), reverse=True) for output in outputs}
+    rates = {
+        output: sorted((rng.choice((0.0, 5.0, 10.0, 10.0)) for _ in range(length)), reverse=True) for output in outputs
+    }
     modes = []
     for place in range(length):
         guarantees = {}
@@ -135,7 +141,9 @@ def system(rng: Random, nodes: int = 5, topics: int = 4) -> Specification:
     )
 
 
-def change(rng: Random, start: Specification, edits: int = 2, world: bool = True) -> tuple[Specification, Specification]:
+def change(
+    rng: Random, start: Specification, edits: int = 2, world: bool = True
+) -> tuple[Specification, Specification]:
     """A start and a target: caps and capacities are drawn so that both ends meet them, often only just."""
     target = start
     for _ in range(rng.randint(1, edits)):
@@ -145,7 +153,9 @@ def change(rng: Random, start: Specification, edits: int = 2, world: bool = True
 
 def edit(rng: Random, target: Specification, world: bool) -> Specification:
     roles = sorted(target.nodes)
-    kind = rng.choice(("replace", "replace", "replace", "remove", "add", "rewire", "parameter", "contract", "environment"))
+    kind = rng.choice(
+        ("replace", "replace", "replace", "remove", "add", "rewire", "parameter", "contract", "environment")
+    )
     if kind == "add" or not roles:
         role = f"added{len(roles)}"
         of = target.components[rng.choice(sorted(target.components))]
@@ -158,14 +168,21 @@ def edit(rng: Random, target: Specification, world: bool) -> Specification:
         return target.with_node(node(rng, role, target.components[old.component], target.connectors))
     if kind == "parameter":
         declared = target.components[old.component].parameters
-        return target.with_node(replace(old, parameters=Map({name: rng.choice((1, 2, 3)) for name in declared})))
+        return target.with_node(
+            replace(old, parameters=Map({name: rng.choice((1, 2, 3)) for name in sorted(declared)}))
+        )
     if kind == "contract" and world:
         name = rng.choice(sorted(target.connectors))
         changed = replace(target.connectors[name], guarantee=predicate(rng, target.connectors[name].guarantee.type))
         return refitted(replace(target, connectors=target.connectors.set(name, changed)))
     if kind == "environment" and world:
-        return replace(target, environment=(*target.environment, EnvironmentGuarantee(f"more{len(target.environment)}", predicate(rng))))
-    alike = [c for c in sorted(target.components) if target.components[c].ports() and _same_ports(target, old.component, c)]
+        return replace(
+            target,
+            environment=(*target.environment, EnvironmentGuarantee(f"more{len(target.environment)}", predicate(rng))),
+        )
+    alike = [
+        c for c in sorted(target.components) if target.components[c].ports() and _same_ports(target, old.component, c)
+    ]
     name = rng.choice(alike or sorted(target.components))
     of = target.components[name]
     if rng.random() < 0.3:
@@ -194,7 +211,7 @@ def refitted(target: Specification, only: str | None = None) -> Specification:
 
 def bounded(rng: Random, start: Specification, target: Specification) -> tuple[Specification, Specification]:
     caps: dict[str, int] = {}
-    for name in target.connectors:
+    for name in sorted(target.connectors):
         ends = [publishers(spec, name) for spec in (start, target) if name in spec.connectors]
         if rng.random() < 0.5 and max(ends) > 0:
             caps[name] = max(ends)
@@ -215,6 +232,13 @@ def bounded(rng: Random, start: Specification, target: Specification) -> tuple[S
         return replace(spec, connectors=Map(connectors), resources=resources)
 
     return bound(start), bound(target)
+
+
+def unbounded(spec: Specification) -> Specification:
+    """The same without caps, and with room for everything."""
+    connectors = {name: replace(c, cap=None) for name, c in spec.connectors.items()}
+    resources = {name: Resource(name, 1000.0) for name in spec.resources}
+    return replace(spec, connectors=Map(connectors), resources=Map(resources))
 
 
 def publishers(spec: Specification, topic: str) -> int:

@@ -2,18 +2,17 @@
 
 Outside the core nothing needs deciding: what may be created, attached or handed over is, at
 once, and what may be detached or removed waits until the end. :meth:`Core.advance` does that. Where
-it gets stuck, something must break before it is made: :meth:`Core.moves` names the ways to go
-on, each of them the least that unblocks something. Choosing among them is the planner's affair
-(:mod:`midstride.plan.minimal`), and the place where an exact search belongs.
+it gets stuck, something must break before it is made: :mod:`midstride.plan.moves` names
+the ways to go on. Choosing among them is the planner's affair (:mod:`midstride.plan.minimal`), and the
+place where an exact search belongs.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
-from typing import Final, Literal, TypeAlias
+from typing import Final
 
 from midstride.model.action import Handover, Swap
 from midstride.model.component import PortRef
@@ -24,24 +23,20 @@ from midstride.model.specification import Order
 from midstride.plan.change import Attachment, Change
 from midstride.plan.constraints import layers
 from midstride.plan.draft import Draft
+from midstride.plan.moves import Move
 
 _EPSILON: Final = 1e-9
 
-# Sets of components to remove for one that needs room are looked for up to this size, among so many.
-_SET_SIZE: Final = 3
-_SET_FROM: Final = 10
-
-Kind: TypeAlias = Literal["create", "remove", "attach", "detach", "exchange", "finish", "hand over", "part"]
-
 
 @dataclass(frozen=True, slots=True)
-class Move:
-    """A way to go on from where nothing goes by itself."""
+class Turn:
+    """Membership test: may the structural actions of a role be taken now?"""
 
-    kind: Kind
-    names: tuple[str, ...] = ()
-    attachment: Attachment | None = None
-    swap: Swap | None = None
+    orders: tuple[Order, ...]
+    busy: set[str]
+
+    def __contains__(self, role: str) -> bool:
+        return not any(order.then == role and order.first in self.busy for order in self.orders)
 
 
 class Core:
@@ -83,23 +78,23 @@ class Core:
         self.draft.rise()
         progress = True
         while progress and not self.only_goes:
-            open_roles = self._open_roles()
-            progress = self._create(open_roles)
-            progress = self._attach(open_roles) or progress
+            turn = self.turn()
+            progress = self._create(turn)
+            progress = self._attach(turn) or progress
             self.draft.rise()
-            progress = self._hand_over(open_roles) or progress
+            progress = self._hand_over(turn) or progress
 
-    def _open_roles(self) -> _Open:
+    def turn(self) -> Turn:
         """The roles whose turn it is under the user's orders."""
-        return _Open(self.orders, self._busy() if self.orders else set())
+        return Turn(self.orders, self.busy() if self.orders else set())
 
-    def _busy(self) -> set[str]:
+    def busy(self) -> set[str]:
         role_of = self.draft.change.role_of
         names = [*self.creates, *self.removes, *self.swaps]
         names += [port.component for port, _ in (*self.attaches, *self.detaches)]
         return {role_of(name) for name in names}
 
-    def _create(self, open_roles: _Open) -> bool:
+    def _create(self, turn: Turn) -> bool:
         """Create what fits beside everything else that is to come; not while something has fallen."""
         if self.draft.meter.below:
             return False
@@ -107,34 +102,33 @@ class Core:
         for instance in self.creates.values():
             for resource, amount in instance.component.holds.items():
                 demand[resource] = demand.get(resource, 0.0) + amount
-        tight = {resource for resource, amount in demand.items() if not self._room(resource, amount)}
+        tight = {resource for resource, amount in demand.items() if not self.room(resource, amount)}
         ready = [
             name
             for name, instance in self.creates.items()
-            if instance.role in open_roles and tight.isdisjoint(instance.component.holds)
+            if instance.role in turn and tight.isdisjoint(instance.component.holds)
         ]
         for name in ready:
             self.draft.create(self.creates.pop(name))
         return bool(ready)
 
-    def _room(self, resource: str, amount: float) -> bool:
+    def room(self, resource: str, amount: float) -> bool:
         s = self.draft.s
         return s.held.get(resource, 0.0) + amount <= s.world.capacity(resource) + _EPSILON
 
-    def _attach(self, open_roles: _Open) -> bool:
+    def _attach(self, turn: Turn) -> bool:
         """Attach what fits beside everything else that is to come on its topic, or may have to."""
         wanted: dict[str, int] = {}
         for port, connector in self.attaches:
             if not self._is_input(port):
                 wanted[connector] = wanted.get(connector, 0) + 1
         for swap in (swap for swaps in self.swaps.values() for swap in swaps):
-            if swap.connector in wanted and not self._good(swap):
+            if swap.connector in wanted and not self.good(swap):
                 wanted[swap.connector] += 1
         ready = [
             (port, connector)
             for port, connector in self.attaches
-            if self._may_attach(port, open_roles)
-            and (self._is_input(port) or self._slots(connector) >= wanted[connector])
+            if self.may_attach(port, turn) and (self._is_input(port) or self.slots(connector) >= wanted[connector])
         ]
         for port, connector in ready:
             del self.attaches[port, connector]
@@ -144,10 +138,10 @@ class Core:
     def _is_input(self, port: PortRef) -> bool:
         return port.port in self.draft.change.component_of(port.component).inputs
 
-    def _may_attach(self, port: PortRef, open_roles: _Open) -> bool:
-        return port.component in self.draft.s.instances and self.draft.change.role_of(port.component) in open_roles
+    def may_attach(self, port: PortRef, turn: Turn) -> bool:
+        return port.component in self.draft.s.instances and self.draft.change.role_of(port.component) in turn
 
-    def _slots(self, connector: str) -> float:
+    def slots(self, connector: str) -> float:
         """How many more publishers the topic takes. What is one topic on the wire counts as one."""
         s = self.draft.s
         cap = s.world.connectors[connector].cap
@@ -157,24 +151,24 @@ class Core:
         beside = 0 if sibling is None else len(s.publishers_on(sibling))
         return cap - publishers_count(s, connector) - beside
 
-    def _hand_over(self, open_roles: _Open) -> bool:
+    def _hand_over(self, turn: Turn) -> bool:
         progress = False
         for new, swaps in list(self.swaps.items()):
-            if self._fits(new, swaps, open_roles) and not self._costs(swaps):
+            if self.fits(new, swaps, turn) and not self._costs(swaps):
                 del self.swaps[new]
                 self.draft.hand_over(swaps)
                 self.draft.rise()
                 progress = True
         return progress
 
-    def _fits(self, new: str, swaps: Sequence[Swap], open_roles: _Open) -> bool:
-        return self.draft.change.role_of(new) in open_roles and all(self._good(swap) for swap in swaps)
+    def fits(self, new: str, swaps: Sequence[Swap], turn: Turn) -> bool:
+        return self.draft.change.role_of(new) in turn and all(self.good(swap) for swap in swaps)
 
-    def _good(self, swap: Swap) -> bool:
+    def good(self, swap: Swap) -> bool:
         """Whether the new one may take over, as it stands now."""
-        return swap.new.component in self.draft.s.instances and self._satisfies(swap.new, swap.connector)
+        return swap.new.component in self.draft.s.instances and self.satisfies_topic(swap.new, swap.connector)
 
-    def _satisfies(self, output: PortRef, connector: str) -> bool:
+    def satisfies_topic(self, output: PortRef, connector: str) -> bool:
         s = self.draft.s
         return satisfies(s.guarantee(output), s.world.connectors[connector].guarantee)
 
@@ -188,7 +182,7 @@ class Core:
     def finish(self) -> None:
         """Detach and remove what is left, role after role where the user asks for an order."""
         change, draft = self.draft.change, self.draft
-        layered = layers(self._busy(), self.orders) or []
+        layered = layers(self.busy(), self.orders) or []
         for layer in layered:
             roles = set(layer)
             draft.detach(pair for pair in self.detaches if change.role_of(pair[0].component) in roles)
@@ -202,100 +196,6 @@ class Core:
             draft.set(name, parameters)
 
     # -- what does -----------------------------------------------------------------------------------
-
-    def moves(self) -> list[Move]:
-        """The ways to go on, the least of each kind, in a stable order; empty where the user's orders leave none."""
-        open_roles = self._open_roles()
-        found = dict.fromkeys(
-            [
-                *self._hand_overs(open_roles),
-                *self._creations(open_roles),
-                *self._attachments(open_roles),
-                *self._closings(open_roles),
-                *self._parts(open_roles),
-            ]
-        )
-        return list(found)
-
-    def _hand_overs(self, open_roles: _Open) -> Iterator[Move]:
-        for new, swaps in self.swaps.items():
-            if self._fits(new, swaps, open_roles):
-                yield Move("hand over", (new,))
-
-    def _creations(self, open_roles: _Open) -> Iterator[Move]:
-        for name, instance in self.creates.items():
-            if instance.role not in open_roles:
-                continue
-            holds = instance.component.holds
-            short = [resource for resource in sorted(holds) if not self._room(resource, holds[resource])]
-            if not short:
-                yield Move("create", (name,))
-                continue
-            for names in self._making_room(short, instance, open_roles):
-                yield Move("remove", names)
-
-    def _making_room(self, short: Sequence[str], instance: Instance, open_roles: _Open) -> Iterator[tuple[str, ...]]:
-        """The least sets of components whose removal makes room for ``instance``."""
-        s, change = self.draft.s, self.draft.change
-        need = {
-            resource: s.held.get(resource, 0.0) + instance.component.holds[resource] - s.world.capacity(resource)
-            for resource in short
-        }
-        holders = [
-            name
-            for name in self.removes
-            if change.role_of(name) in open_roles and any(resource in s.component(name).holds for resource in short)
-        ]
-
-        def enough(names: Iterable[str]) -> bool:
-            given = [s.component(name).holds for name in names]
-            return all(sum(h.get(r, 0.0) for h in given) + _EPSILON >= amount for r, amount in need.items())
-
-        found: list[tuple[str, ...]] = []
-        for size in range(1, _SET_SIZE + 1):
-            for names in combinations(holders[:_SET_FROM], size):
-                if enough(names) and not any(set(less) <= set(names) for less in found):
-                    found.append(names)
-        if not found and enough(holders):
-            least = list(holders)
-            for name in holders:
-                rest = [other for other in least if other != name]
-                least = rest if enough(rest) else least
-            found.append(tuple(least))
-        yield from found
-
-    def _attachments(self, open_roles: _Open) -> Iterator[Move]:
-        """Taking a slot of a capped topic; or making one, by handing over to the one that waits or by detaching."""
-        s, change = self.draft.s, self.draft.change
-        for port, connector in self.attaches:
-            if not self._may_attach(port, open_roles):
-                continue
-            if self._slots(connector) >= 1:
-                yield Move("attach", attachment=(port, connector))
-            for other, on in self.detaches:
-                if on not in (connector, change.sibling(connector)) or not s.is_output(other):
-                    continue
-                if change.role_of(other.component) not in open_roles:
-                    continue
-                if on == connector and self._satisfies(port, connector):
-                    yield Move("exchange", swap=Swap(connector, other, port))
-                yield Move("detach", attachment=(other, on))
-
-    def _closings(self, open_roles: _Open) -> Iterator[Move]:
-        """A role after which another is to come, and of which only the going is left."""
-        role_of = self.draft.change.role_of
-        coming = {role_of(name) for name in (*self.creates, *self.swaps)}
-        coming |= {role_of(port.component) for port, _ in self.attaches}
-        for role in sorted({order.first for order in self.orders} & self._busy()):
-            if role in open_roles and role not in coming:
-                yield Move("finish", (role,))
-
-    def _parts(self, open_roles: _Open) -> Iterator[Move]:
-        """A replacement that is not good enough for all its topics: those are not handed over."""
-        for new, swaps in self.swaps.items():
-            live = new in self.draft.s.instances and self.draft.change.role_of(new) in open_roles
-            if live and not self._fits(new, swaps, open_roles):
-                yield Move("part", (new,))
 
     def play(self, move: Move) -> None:
         """Make a move."""
@@ -325,7 +225,7 @@ class Core:
                 self._close(move.names[0])
             case "part":
                 swaps = self.swaps.pop(move.names[0])
-                good = tuple(swap for swap in swaps if self._good(swap))
+                good = tuple(swap for swap in swaps if self.good(swap))
                 if good:
                     self.swaps[move.names[0]] = good
                 self._dissolve(swap for swap in swaps if swap not in good)
@@ -342,7 +242,7 @@ class Core:
         new = self.draft.change.replaced.get(name)
         if new is not None:
             self._dissolve(self.swaps.pop(new, ()))
-            self._attach(self._open_roles())
+            self._attach(self.turn())
         pairs = [pair for pair in self.detaches if pair[0].component == name]
         self.draft.detach(pairs)
         for pair in pairs:
@@ -359,17 +259,6 @@ class Core:
         for name in [name for name in self.removes if role_of(name) == role]:
             del self.removes[name]
             self.draft.remove(name)
-
-
-@dataclass(frozen=True, slots=True)
-class _Open:
-    """Membership test: may the structural actions of a role be taken now?"""
-
-    orders: tuple[Order, ...]
-    busy: set[str]
-
-    def __contains__(self, role: str) -> bool:
-        return not any(order.then == role and order.first in self.busy for order in self.orders)
 
 
 def _pairs(change: Change) -> dict[str, list[Swap]]:

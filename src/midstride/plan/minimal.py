@@ -19,6 +19,7 @@ from midstride.plan.constraints import Breach, breaches, conflict, in_force, ref
 from midstride.plan.core import Core
 from midstride.plan.disruption import Levels
 from midstride.plan.draft import Ceiling, Draft
+from midstride.plan.moves import moves
 from midstride.plan.plan import Plan
 from midstride.plan.schedule import makespan
 from midstride.plan.step import Step
@@ -88,10 +89,7 @@ def _as_far_as_needed(change: Change) -> Ceiling:
     start, final = change.start.modes, change.final.modes
 
     def ceiling(ref: FunctionalityRef) -> int:
-        at_start, at_end = start.get(ref), final.get(ref)
-        if at_start is None or at_end is None:
-            return at_end if at_start is None and at_end is not None else at_start or 0
-        return min(at_start, at_end)
+        return min(modes[ref] for modes in (start, final) if ref in modes)
 
     return ceiling
 
@@ -116,7 +114,7 @@ def _search(change: Change, levels: Levels, constraints: Sequence[Constraint], c
                 break
             continue
         ways: list[Core] = []
-        for move in core.moves():
+        for move in moves(core):
             way = core.copy()
             way.play(move)
             way.advance()

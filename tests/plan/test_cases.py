@@ -1,0 +1,581 @@
+"""Planning, case by case: each by the name it goes by, with what every strategy must make of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from immutables import Map
+
+from midstride.model.action import Create, Handover, Remove
+from midstride.model.component import EnvironmentGuarantee, FunctionalityRef, Mode, NamedInputs, Parameter
+from midstride.model.contract import Predicate
+from midstride.model.rules import violations
+from midstride.model.specification import Node, Specification, initial
+from midstride.plan.change import Change
+from midstride.plan.plan import Plan
+from midstride.plan.registry import STRATEGIES
+from midstride.plan.validate import replay
+from tests.plan.cases import NEED, SLOW, TYPE, changed, component, functionality, replaced, system, talker, told, work
+
+EVERY = sorted(STRATEGIES)
+
+
+def sound(plan: Plan) -> Plan:
+    """The plan, once its replay has found nothing and every configuration on the way is valid."""
+    assert str(replay(plan)) == f"the plan holds: {len(plan.steps)} steps replayed"
+    for s in plan.configurations():
+        assert violations(s) == []
+    return plan
+
+
+def fallen(plan: Plan) -> list[str]:
+    return [str(ref) for ref in plan.fallen]
+
+
+# -- the paper's talker and listener -------------------------------------------------------------------
+
+
+def test_talker_by_the_paper_is_its_seven_steps() -> None:
+    plan = sound(replaced(talker(), "talker", "NewTalker", "paper"))
+    assert told(plan) == [
+        "degrade listener.listen from normal to degraded",
+        "detach talker.out from /chatter",
+        "remove talker",
+        "create talker_2 (NewTalker)",
+        "upgrade talker_2.talk from degraded to normal",
+        "attach talker_2.out to /chatter",
+        "upgrade listener.listen from degraded to normal",
+    ]
+    # While talker is removed (0.5 s) and talker_2 created (1 s), listen is one level below, and talk, which nobody
+    # serves, two: as many as it has modes.
+    assert plan.disruption == pytest.approx(1.5 * (1 + 2))
+    assert fallen(plan) == ["listener.listen", "talker.talk"]
+    assert not plan.proved_minimal
+    assert plan.lower_bound == 0.0
+    assert plan.seconds == pytest.approx(1.73)
+
+
+def test_talker_minimal_lets_nothing_fall() -> None:
+    plan = sound(replaced(talker(), "talker", "NewTalker", "minimal"))
+    assert told(plan) == [
+        "create talker_2 (NewTalker)",
+        "upgrade talker_2.talk from degraded to normal",
+        "hand over /chatter: talker.out -> talker_2.out",
+        "remove talker",
+    ]
+    assert (plan.disruption, plan.fallen, plan.proved_minimal) == (0.0, (), True)
+
+
+def test_talker_by_quiescence_lowers_all_that_it_reaches_first() -> None:
+    plan = sound(replaced(talker(), "talker", "NewTalker", "quiesce"))
+    assert told(plan)[:2] == [
+        "degrade listener.listen from normal to degraded",
+        "degrade talker.talk from normal to degraded",
+    ]
+    assert plan.disruption == pytest.approx(1.5 * (1 + 2))
+
+
+def test_a_fall_says_why_and_for_how_long() -> None:
+    plan = replaced(talker(), "talker", "NewTalker", "paper")
+    listener, talk = plan.falls
+    assert (str(listener.functionality), listener.since, listener.until) == ("listener.listen", 1, 7)
+    assert listener.seconds == pytest.approx(1.73)
+    assert "nobody satisfies /chatter" in listener.because
+    assert "step 2 (`detach talker.out from /chatter`)" in listener.because
+    assert (str(talk.functionality), talk.since, talk.until) == ("talker.talk", 2, 6)
+    assert "no instance of talker serves it" in talk.because
+
+
+def test_talker_replaced_again_and_again_never_takes_the_bare_name_back() -> None:
+    specification = talker()
+    s, names = initial(specification), []
+    for to in ("NewTalker", "Talker", "NewTalker"):
+        change = Change.replacing(s, specification, "talker", to)
+        plan = sound(STRATEGIES["minimal"](change))
+        names += [instance.name for instance in change.coming]
+        *_, last = plan.configurations()
+        s, specification = change.settled(last), change.target
+    assert names == ["talker_2", "talker_3", "talker_2"]
+
+
+# -- the paper's figures 1 to 3 ------------------------------------------------------------------------
+
+
+def obstacle() -> Specification:
+    camera = EnvironmentGuarantee("camera", Predicate("sensor_msgs/msg/Image", 30.0))
+    detect = functionality("detect", outputs=["out"], assumes=[Predicate("sensor_msgs/msg/Image", 15.0)])
+    control = functionality("control", ["in"], ["cmd"], weight=10, degraded={"cmd": NEED})
+    nodes = {
+        "detector": ("Detector", {"out": "/obstacles"}),
+        "controller": ("Controller", {"in": "/obstacles", "cmd": "/cmd_vel"}),
+    }
+    detectors = [component(name, detect) for name in ("Detector", "StereoDetector")]
+    return system([*detectors, component("Controller", control)], nodes, caps={"/cmd_vel": 1}, environment=[camera])
+
+
+def test_obstacle_the_motor_notices_nothing_of_a_replacement() -> None:
+    plan = sound(replaced(obstacle(), "detector", "StereoDetector", "minimal"))
+    assert (plan.disruption, plan.fallen) == (0.0, ())
+
+
+def test_obstacle_removing_the_detector_stops_the_motor_first() -> None:
+    start = obstacle()
+    plan = sound(STRATEGIES["minimal"](Change.removing(initial(start), start, "detector")))
+    assert told(plan) == [
+        "degrade controller.control from normal to degraded",
+        "detach detector.out from /obstacles",
+        "remove detector",
+    ]
+    # What the target cannot do either is no loss: the baseline is the worse of both ends.
+    assert (plan.disruption, plan.fallen) == (0.0, ())
+
+
+def test_obstacle_a_detector_again_starts_it() -> None:
+    start = obstacle().without_node("detector")
+    node = Node("detector", "Detector", Map({"out": ("/obstacles",)}))
+    plan = sound(STRATEGIES["minimal"](Change.adding(initial(start), start, node)))
+    assert told(plan)[0] == "create detector (Detector)"
+    assert told(plan)[-1] == "upgrade controller.control from degraded to normal"
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_obstacle_a_capped_topic_changes_hands_in_one_step(strategy: str) -> None:
+    start = obstacle()
+    other = replace(start.components["Controller"], name="Other", run="python3 other.py")
+    start = replace(start, components=start.components.set("Other", other))
+    plan = sound(replaced(start, "controller", "Other", strategy))
+    handovers = [step.action for step in plan.steps if isinstance(step.action, Handover)]
+    assert len(handovers) == (1 if strategy == "minimal" else 0)
+    assert (plan.disruption == 0.0) == (strategy == "minimal")
+    for s in plan.configurations():
+        assert len(s.publishers_on("/cmd_vel")) <= 1
+
+
+# -- chains, diamonds, alternatives --------------------------------------------------------------------
+
+
+def chain() -> Specification:
+    components = [work("Source", outputs=["out"]), work("Filter", ["in"], ["out"]), work("Median", ["in"], ["out"])]
+    nodes = {
+        "source": ("Source", {"out": "/raw"}),
+        "filter": ("Filter", {"in": "/raw", "out": "/clean"}),
+        "sink": ("Sink", {"in": "/clean"}),
+    }
+    return system([*components, work("Sink", ["in"])], nodes)
+
+
+def test_filter_in_a_chain_minimal() -> None:
+    plan = sound(replaced(chain(), "filter", "Median", "minimal"))
+    assert told(plan) == [
+        "create filter_2 (Median)",
+        "attach filter_2.in to /raw",
+        "upgrade filter_2.work from degraded to normal",
+        "hand over /clean: filter.out -> filter_2.out",
+        "degrade filter.work from normal to degraded",
+        "detach filter.in from /raw",
+        "remove filter",
+    ]
+    assert plan.proved_minimal
+
+
+def test_filter_in_a_chain_by_the_paper_detaches_outputs_first() -> None:
+    plan = sound(replaced(chain(), "filter", "Median", "paper"))
+    assert told(plan) == [
+        "degrade sink.work from normal to degraded",
+        "detach filter.out from /clean",
+        "degrade filter.work from normal to degraded",
+        "detach filter.in from /raw",
+        "remove filter",
+        "create filter_2 (Median)",
+        "attach filter_2.in to /raw",
+        "upgrade filter_2.work from degraded to normal",
+        "attach filter_2.out to /clean",
+        "upgrade sink.work from degraded to normal",
+    ]
+
+
+def diamond() -> Specification:
+    """source -> left, right -> sink: the sink is reached twice."""
+    parts = [work(name, ["in"], ["out"]) for name in ("Left", "Right")]
+    sources = [work(name, outputs=["out"]) for name in ("Source", "Other")]
+    nodes = {
+        "source": ("Source", {"out": "/raw"}),
+        "left": ("Left", {"in": "/raw", "out": "/left"}),
+        "right": ("Right", {"in": "/raw", "out": "/right"}),
+        "sink": ("Sink", {"one": "/left", "two": "/right"}),
+    }
+    return system([*sources, *parts, work("Sink", ["one", "two"])], nodes)
+
+
+def test_diamond_by_the_paper_lowers_the_one_reached_twice_once_and_first() -> None:
+    plan = sound(replaced(diamond(), "source", "Other", "paper"))
+    assert told(plan)[:4] == [
+        "degrade sink.work from normal to degraded",
+        "degrade right.work from normal to degraded",
+        "degrade left.work from normal to degraded",
+        "detach source.out from /raw",
+    ]
+    assert told(plan)[-3:] == [
+        "upgrade left.work from degraded to normal",
+        "upgrade right.work from degraded to normal",
+        "upgrade sink.work from degraded to normal",
+    ]
+
+
+def test_diamond_minimal() -> None:
+    assert sound(replaced(diamond(), "source", "Other", "minimal")).fallen == ()
+
+
+def two_eyes(*, alternatives: bool) -> Specification:
+    eyes = [work(name, outputs=["out"]) for name in ("Eye", "NewEye")]
+    assumes = [NamedInputs(("left", "right"))] if alternatives else None
+    see = component("Stereo", functionality("see", ["left", "right"], assumes=assumes))
+    nodes = {
+        "left": ("Eye", {"out": "/left"}),
+        "right": ("Eye", {"out": "/right"}),
+        "stereo": ("Stereo", {"left": "/left", "right": "/right"}),
+    }
+    return system([*eyes, see], nodes)
+
+
+def test_stereo_the_right_eye_does_not_make_good_for_the_left() -> None:
+    plan = sound(replaced(two_eyes(alternatives=False), "left", "NewEye", "paper"))
+    assert "stereo.see" in fallen(plan)
+    assert sound(replaced(two_eyes(alternatives=False), "left", "NewEye", "minimal")).fallen == ()
+
+
+def test_redundant_eyes_do() -> None:
+    plan = sound(replaced(two_eyes(alternatives=True), "left", "NewEye", "paper"))
+    assert fallen(plan) == ["left.work"]
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_an_input_on_two_topics_stands_on_the_other(strategy: str) -> None:
+    eyes = [work(name, outputs=["out"]) for name in ("Eye", "NewEye")]
+    nodes: dict[str, tuple[str, dict[str, str | tuple[str, ...]]]] = {
+        "a": ("Eye", {"out": "/a"}),
+        "b": ("Eye", {"out": "/b"}),
+        "user": ("User", {"in": ("/a", "/b")}),
+    }
+    plan = sound(replaced(system([*eyes, work("User", ["in"])], nodes), "a", "NewEye", strategy))
+    assert ("user.work" in fallen(plan)) == (strategy == "quiesce")
+
+
+# -- cycles ----------------------------------------------------------------------------------------------
+
+
+def cycle() -> Specification:
+    """Two that feed each other, each silent when degraded, and one that listens to the first."""
+    components = [work(name, ["in"], ["out"]) for name in ("Ping", "Pong", "NewPing")]
+    nodes = {
+        "ping": ("Ping", {"in": "/pong", "out": "/ping"}),
+        "pong": ("Pong", {"in": "/ping", "out": "/pong"}),
+        "sink": ("Sink", {"in": "/ping"}),
+    }
+    return system([*components, work("Sink", ["in"])], nodes)
+
+
+def test_cycle_stands_at_the_start() -> None:
+    assert set(initial(cycle()).modes.values()) == {0}
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_cycle_is_replaced_by_every_strategy(strategy: str) -> None:
+    plan = sound(replaced(cycle(), "ping", "NewPing", strategy))
+    groups = [step for step in plan.steps if len(step.modes) > 1]
+    if strategy == "minimal":
+        assert plan.fallen == ()
+    else:
+        assert told(plan)[:2] == [
+            "degrade sink.work from normal to degraded",
+            "degrade ping.work from normal to degraded, pong.work from normal to degraded",
+        ]
+        assert [len(step.modes) for step in groups] == [2, 2]
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_cycle_is_brought_up_from_nothing(strategy: str) -> None:
+    start = replace(cycle(), nodes=Map())
+    plan = sound(changed(start, cycle(), strategy))
+    assert [len(step.modes) for step in plan.steps if step.modes] == [2, 1]
+
+
+# -- caps, capacities, devices -------------------------------------------------------------------------
+
+
+def device() -> Specification:
+    """Old and new both hold the one device: break before make is forced."""
+    camera = work("Camera", outputs=["out"], holds={"/dev/video0": 1.0}, takes=2.0)
+    better = work("Better", outputs=["out"], holds={"/dev/video0": 1.0}, takes=2.0)
+    nodes = {"camera": ("Camera", {"out": "/image"}), "viewer": ("Viewer", {"in": "/image"})}
+    return system([camera, better, work("Viewer", ["in"])], nodes, resources={"/dev/video0": 1.0})
+
+
+def test_device_held_by_both_breaks_before_it_makes() -> None:
+    plan = sound(replaced(device(), "camera", "Better", "minimal"))
+    assert told(plan) == [
+        "degrade viewer.work from normal to degraded",
+        "detach camera.out from /image",
+        "remove camera",
+        "create camera_2 (Better)",
+        "upgrade camera_2.work from degraded to normal",
+        "attach camera_2.out to /image",
+        "upgrade viewer.work from degraded to normal",
+    ]
+    # The viewer is a level below while the one goes (0.5 s) and the other comes (2 s), the camera two.
+    assert plan.disruption == pytest.approx(2.5 * (1 + 2))
+    assert not plan.proved_minimal
+
+
+def test_only_what_holds_the_device_breaks() -> None:
+    start = device()
+    viewer = work("NewViewer", ["in"])
+    target = replace(start.with_replaced("camera", "Better"), components=start.components.set("NewViewer", viewer))
+    target = target.with_replaced("viewer", "NewViewer")
+    plan = sound(changed(start, target, "minimal"))
+    # The new viewer is made beforehand, and what else is removed is removed afterwards.
+    assert plan.disruption == pytest.approx(2.5 * (1 + 2))
+    creates = [step.describe() for step in plan.steps if isinstance(step.action, Create)]
+    assert creates == ["create viewer_2 (NewViewer)", "create camera_2 (Better)"]
+
+
+def test_three_devices_are_exchanged_one_after_the_other() -> None:
+    names = ("a", "b", "c")
+    parts = [
+        work(f"{kind}{name.upper()}", outputs=["out"], holds={name: 1.0}) for name in names for kind in ("Old", "New")
+    ]
+    nodes = {name: (f"Old{name.upper()}", {"out": f"/{name}"}) for name in names}
+    start = system(parts, nodes, resources=dict.fromkeys(names, 1.0))
+    target = start
+    for name in names:
+        target = target.with_replaced(name, f"New{name.upper()}")
+    plan = sound(changed(start, target, "minimal"))
+    assert plan.disruption == pytest.approx(3 * 1.5 * 2)
+    assert sound(changed(start, target, "paper")).disruption > plan.disruption
+
+
+def test_room_for_one_more_is_used_for_one_after_the_other() -> None:
+    """Memory for two of three: the first replacement goes in beside the old ones, its place then serves the next."""
+    parts = [work(f"{kind}{name}", outputs=["out"], holds={"memory": 1.0}) for name in "ABC" for kind in ("Old", "New")]
+    nodes = {name.lower(): (f"Old{name}", {"out": f"/{name.lower()}"}) for name in "ABC"}
+    start = system(parts, nodes, resources={"memory": 4.0})
+    target = start
+    for name in "ABC":
+        target = target.with_replaced(name.lower(), f"New{name}")
+    plan = sound(changed(start, target, "minimal"))
+    assert (plan.disruption, plan.fallen) == (0.0, ())
+    kinds = [step.action.kind for step in plan.steps if isinstance(step.action, (Create, Remove))]
+    assert kinds == ["create", "remove"] * 3
+
+
+def test_two_exchange_their_exclusive_topics() -> None:
+    parts = [work(name, outputs=["out"]) for name in ("A", "B")]
+    start = system(parts, {"a": ("A", {"out": "/x"}), "b": ("B", {"out": "/y"})}, caps={"/x": 1, "/y": 1})
+    target = system(parts, {"a": ("A", {"out": "/y"}), "b": ("B", {"out": "/x"})}, caps={"/x": 1, "/y": 1})
+    plan = sound(changed(start, target, "minimal"))
+    assert len(plan.steps) <= 3
+    assert plan.disruption == 0.0
+
+
+def test_another_role_takes_an_exclusive_topic_over_without_a_gap() -> None:
+    parts = [work(name, outputs=["out"]) for name in ("A", "B")] + [work("User", ["in"])]
+    users = {"user": ("User", {"in": "/x"})}
+    start = system(parts, {"a": ("A", {"out": "/x"}), **users}, caps={"/x": 1})
+    target = system(parts, {"b": ("B", {"out": "/x"}), **users}, caps={"/x": 1})
+    plan = sound(changed(start, target, "minimal"))
+    assert "hand over /x: a.out -> b.out" in told(plan)
+    assert plan.fallen == ()
+
+
+def test_all_outputs_of_a_role_change_hands_at_once() -> None:
+    parts = [work(name, outputs=["one", "two"]) for name in ("Old", "New")]
+    plan = sound(replaced(system(parts, {"n": ("Old", {"one": "/one", "two": "/two"})}), "n", "New", "minimal"))
+    assert "hand over /one: n.one -> n_2.one, /two: n.two -> n_2.two" in told(plan)
+
+
+def test_no_hand_over_to_one_that_is_not_good_enough() -> None:
+    """The new one assumes what nobody gives: it comes silent, and its topic is attached, not handed over."""
+    parts = [work("Old", outputs=["out"]), work("New", ["in"], ["out"]), work("User", ["in"])]
+    start = system(parts, {"n": ("Old", {"out": "/x"}), "user": ("User", {"in": "/x"})})
+    plan = sound(replaced(start, "n", "New", "minimal"))
+    assert not any(isinstance(step.action, Handover) for step in plan.steps)
+    assert told(plan)[:2] == ["create n_2 (New)", "attach n_2.out to /x"]
+    # In the target nobody satisfies /x: that is the baseline, and nothing falls below it.
+    assert (plan.disruption, plan.fallen) == (0.0, ())
+
+
+def test_a_renamed_port_on_the_same_topic_is_handed_over() -> None:
+    parts = [work("Old", outputs=["out"]), work("New", outputs=["scan"])]
+    start = system(parts, {"n": ("Old", {"out": "/x"})})
+    target = start.with_node(Node("n", "New", Map({"scan": ("/x",)})))
+    assert "hand over /x: n.out -> n_2.scan" in told(sound(changed(start, target, "minimal")))
+
+
+# -- modes in between ------------------------------------------------------------------------------------
+
+
+def test_a_finer_mode_is_used_by_minimal_and_passed_over_by_the_paper() -> None:
+    between = [Mode("by_odometry", (NamedInputs(("odom",)),), Map({"out": SLOW}))]
+    drive = functionality("drive", ["scan", "odom"], ["out"], between=between)
+    parts = [work(name, outputs=["out"], holds={"lidar": 1.0}) for name in ("Lidar", "NewLidar")]
+    nodes = {
+        "lidar": ("Lidar", {"out": "/scan"}),
+        "wheels": ("Wheels", {"out": "/odom"}),
+        "driver": ("Driver", {"scan": "/scan", "odom": "/odom"}),
+    }
+    start = system(
+        [*parts, work("Wheels", outputs=["out"]), component("Driver", drive)], nodes, resources={"lidar": 1.0}
+    )
+    finer = sound(replaced(start, "lidar", "NewLidar", "minimal"))
+    coarse = sound(replaced(start, "lidar", "NewLidar", "paper"))
+    assert "degrade driver.drive from normal to by_odometry" in told(finer)
+    assert "degrade driver.drive from normal to degraded" in told(coarse)
+    assert finer.disruption == pytest.approx(1.5 * (1 + 2))
+    assert coarse.disruption == pytest.approx(1.5 * (2 + 2))
+
+
+# -- rewiring, contracts, parameters -----------------------------------------------------------------
+
+
+def test_rewiring_attaches_before_it_detaches() -> None:
+    parts = [work("Source", outputs=["out"]), work("User", ["in"])]
+    sources = {"a": ("Source", {"out": "/a"}), "b": ("Source", {"out": "/b"})}
+    start = system(parts, {**sources, "user": ("User", {"in": "/a"})})
+    target = system(parts, {**sources, "user": ("User", {"in": "/b"})})
+    plan = sound(changed(start, target, "minimal"))
+    assert told(plan) == ["attach user.in to /b", "detach user.in from /a"]
+    by_paper = sound(changed(start, target, "paper"))
+    assert told(by_paper) == [
+        "degrade user.work from normal to degraded",
+        "detach user.in from /a",
+        "attach user.in to /b",
+        "upgrade user.work from degraded to normal",
+    ]
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_a_topic_whose_contract_differs_is_another_topic(strategy: str) -> None:
+    parts = [work("Source", outputs=["out"]), work("User", ["in"], needs={"in": SLOW})]
+    nodes = {"source": ("Source", {"out": "/x"}), "user": ("User", {"in": "/x"})}
+    start, target = system(parts, nodes, topics={"/x": SLOW}), system(parts, nodes, topics={"/x": NEED})
+    plan = sound(changed(start, target, strategy))
+    new = plan.change.start.world.connectors["/x@2"]
+    assert (new.name, new.topic, new.guarantee) == ("/x@2", "/x", NEED)
+    assert plan.change.start.world.connectors["/x"].guarantee == SLOW
+    if strategy == "minimal":
+        assert told(plan) == [
+            "attach source.out to /x@2",
+            "attach user.in to /x@2",
+            "detach source.out from /x",
+            "detach user.in from /x",
+        ]
+    *_, last = plan.configurations()
+    settled = plan.change.settled(last)
+    assert settled == initial(target)
+
+
+def test_a_topic_that_nobody_uses_changes_its_contract_in_place() -> None:
+    parts = [work("Source", outputs=["out"])]
+    start = system(parts, {"source": ("Source", {})}, topics={"/x": SLOW})
+    target = system(parts, {"source": ("Source", {"out": "/x"})}, topics={"/x": NEED})
+    assert told(sound(changed(start, target, "minimal"))) == ["attach source.out to /x"]
+
+
+def test_an_exclusive_topic_never_has_two_publishers_on_the_wire() -> None:
+    parts = [work("Old", outputs=["out"]), work("User", ["in"], needs={"in": SLOW})]
+    nodes = {"n": ("Old", {"out": "/cmd"}), "user": ("User", {"in": "/cmd"})}
+    start = system([*parts, work("New", outputs=["out"])], nodes, topics={"/cmd": SLOW}, caps={"/cmd": 1})
+    target = replace(
+        start.with_replaced("n", "New"), connectors=system([], {}, topics={"/cmd": NEED}, caps={"/cmd": 1}).connectors
+    )
+    plan = sound(changed(start, target, "minimal"))
+    for s in plan.configurations():
+        assert len(s.publishers_on("/cmd")) + len(s.publishers_on("/cmd@2")) <= 1
+    assert plan.disruption == 0.0
+
+
+def tuned(value: float, *, changeable: bool) -> Specification:
+    parameter = Parameter(0.4, changeable=changeable)
+    one = work("Detector", outputs=["out"], parameters={"threshold": parameter})
+    specification = system([one], {"detector": ("Detector", {"out": "/x"})})
+    node = replace(specification.nodes["detector"], parameters=Map({"threshold": value}))
+    return specification.with_node(node)
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_a_changeable_parameter_is_set_in_place(strategy: str) -> None:
+    plan = sound(changed(tuned(0.4, changeable=True), tuned(0.6, changeable=True), strategy))
+    assert told(plan)[-1:] == ["set threshold = 0.6 of detector"]
+    assert len(plan.steps) == 1
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_another_parameter_asks_for_a_replacement(strategy: str) -> None:
+    plan = sound(changed(tuned(0.4, changeable=False), tuned(0.6, changeable=False), strategy))
+    (created,) = [step.action for step in plan.steps if isinstance(step.action, Create)]
+    assert created.instance.name == "detector_2"
+    assert created.instance.parameters["threshold"] == 0.6
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_another_name_of_the_same_body_changes_nothing(strategy: str) -> None:
+    start = talker()
+    same = replace(start.components["Talker"], name="Speaker")
+    target = replace(start, components=start.components.set("Speaker", same)).with_replaced("talker", "Speaker")
+    plan = changed(start, target, strategy)
+    assert plan.steps == ()
+    assert plan.change.settled(plan.change.start).component("talker").name == "Speaker"
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_namespaced_roles(strategy: str) -> None:
+    start = talker()
+    nodes = {f"robot1/{role}": replace(node, role=f"robot1/{role}") for role, node in start.nodes.items()}
+    plan = sound(replaced(replace(start, nodes=Map(nodes)), "robot1/talker", "NewTalker", strategy))
+    assert any(step.describe() == "create robot1/talker_2 (NewTalker)" for step in plan.steps)
+    assert plan.change.replaced == Map({"robot1/talker": "robot1/talker_2"})
+
+
+# -- from nothing, and after a crash ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_a_whole_system_is_brought_up_under_its_own_names(strategy: str) -> None:
+    specification = diamond()
+    empty = replace(initial(specification), instances=Map(), connectors_of=Map(), modes=Map())
+    empty = replace(empty, publishers=Map(), subscribers=Map(), held=Map(), players=Map())
+    plan = sound(STRATEGIES[strategy](Change.between(empty, specification, specification)))
+    *_, last = plan.configurations()
+    assert last == initial(specification)
+    assert (plan.disruption, plan.fallen) == (0.0, ())
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_what_has_crashed_comes_again(strategy: str) -> None:
+    specification = chain()
+    s = initial(specification).without_instance("filter")
+    s = s.with_modes({FunctionalityRef("sink", "work"): 1})
+    plan = sound(STRATEGIES[strategy](Change.between(s, specification, specification)))
+    *_, last = plan.configurations()
+    assert last == initial(specification)
+    assert plan.fallen == ()
+
+
+def test_what_stands_lower_than_it_could_is_raised() -> None:
+    specification = chain()
+    low = {FunctionalityRef("sink", "work"): 1, FunctionalityRef("filter", "work"): 1}
+    plan = sound(
+        STRATEGIES["minimal"](Change.between(initial(specification).with_modes(low), specification, specification))
+    )
+    assert told(plan) == ["upgrade filter.work from degraded to normal", "upgrade sink.work from degraded to normal"]
+    assert fallen(plan) == ["filter.work", "sink.work"]
+
+
+def test_more_environment_raises_who_waited_for_it() -> None:
+    see = component("Eye", functionality("see", assumes=[Predicate(TYPE, 10.0)]))
+    start = system([see], {"eye": ("Eye", {})})
+    target = replace(start, environment=(EnvironmentGuarantee("lamp", NEED),))
+    plan = sound(changed(start, target, "minimal"))
+    assert told(plan) == ["upgrade eye.see from degraded to normal"]
+    assert plan.fallen == ()

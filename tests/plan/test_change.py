@@ -1,0 +1,226 @@
+"""The change: what becomes of whom, under which name; and what is refused, with what to write instead."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import pytest
+from immutables import Map
+
+from midstride.errors import PlanRefused
+from midstride.model.component import Connector, EnvironmentGuarantee, Functionality, Mode, Parameter
+from midstride.model.contract import Predicate
+from midstride.model.specification import Node, Specification, initial
+from midstride.plan.change import Change
+from midstride.plan.registry import STRATEGIES, planner
+from midstride.plan.request import Request
+from tests.plan.cases import NEED, SLOW, component, functionality, system, talker, work
+
+
+def refused(start: Specification, target: Specification) -> str:
+    with pytest.raises(PlanRefused) as caught:
+        Change.between(initial(start), start, target)
+    return str(caught.value)
+
+
+# -- names ---------------------------------------------------------------------------------------------
+
+
+def test_a_replacement_takes_the_first_name_that_nobody_has() -> None:
+    start = talker()
+    nodes = start.nodes.set("talker_2", Node("talker_2", "Talker")).set("talker_4", Node("talker_4", "Talker"))
+    start = replace(start, nodes=nodes)
+    change = Change.replacing(initial(start), start, "talker", "NewTalker")
+    assert [instance.name for instance in change.coming] == ["talker_3"]
+
+
+def test_a_name_of_the_target_is_nobody_else_s() -> None:
+    start = talker()
+    target = start.with_replaced("talker", "NewTalker").with_node(Node("talker_2", "Talker"))
+    change = Change.between(initial(start), start, target)
+    assert sorted((instance.role, instance.name) for instance in change.coming) == [
+        ("talker", "talker_3"),
+        ("talker_2", "talker_2"),
+    ]
+
+
+def test_a_first_instance_bears_its_role_s_name_unless_it_is_taken() -> None:
+    start = talker()
+    s = initial(start)
+    change = Change.replacing(s, start, "talker", "NewTalker")
+    *_, last = STRATEGIES["minimal"](change).configurations()
+    change = Change.adding(change.settled(last), change.target, Node("talker_2", "Talker"))
+    assert [instance.name for instance in change.coming] == ["talker_2_2"]
+    assert [instance.name for instance in Change.adding(s, start, Node("other", "Talker")).coming] == ["other"]
+
+
+# -- what differs ------------------------------------------------------------------------------------
+
+
+def test_a_parameter_that_only_one_declares_asks_for_a_replacement() -> None:
+    start = talker()
+    more = replace(start.components["Talker"], parameters=Map({"gain": Parameter(1.0, changeable=True)}))
+    target = replace(start, components=start.components.set("Talker", more))
+    assert Change.between(initial(start), start, target).leaving == ("talker",)
+
+
+def test_parameters_of_the_node_go_over_those_of_the_component() -> None:
+    one = work("One", parameters={"gain": Parameter(1.0, changeable=True)})
+    start = system([one], {"n": ("One", {})})
+    default = replace(one, parameters=Map({"gain": Parameter(2.0, changeable=True)}))
+    target = replace(start, components=start.components.set("One", default))
+    assert Change.between(initial(start), start, target).parameters == (("n", Map({"gain": 2.0})),)
+    own = target.with_node(replace(target.nodes["n"], parameters=Map({"gain": 1.0})))
+    assert Change.between(initial(start), start, own).parameters == ()
+
+
+def test_an_instance_of_no_role_leaves() -> None:
+    start = talker()
+    s = initial(start)
+    stray = replace(s.instances["talker"], name="talker_7")
+    change = Change.between(s.with_instance(stray), start, start)
+    assert change.leaving == ("talker_7",)
+    assert change.coming == ()
+
+
+def test_durations_are_declared_else_measured_else_the_default() -> None:
+    start = replace(talker(), timing=Map({"detach": 0.3}))
+    slow = replace(start.components["NewTalker"], takes=4.0)
+    start = replace(start, components=start.components.set("NewTalker", slow))
+    target = start.with_replaced("talker", "NewTalker")
+    measured = {"create NewTalker": 9.0, "detach": 9.0, "attach": 0.7, "create Listener": 2.5, "create": 3.5}
+    change = Change.between(initial(start), start, target, measured)
+    assert change.seconds("create", slow) == 4.0
+    assert change.seconds("detach") == 0.3
+    assert change.seconds("attach") == 0.7
+    assert change.seconds("create", start.components["Listener"]) == 2.5
+    assert change.seconds("create", start.components["Talker"]) == 3.5
+    assert change.seconds("remove") == 0.2
+
+
+# -- what is refused -----------------------------------------------------------------------------------
+
+
+def test_unknown_names_are_suggested() -> None:
+    start = talker()
+    s = initial(start)
+    with pytest.raises(PlanRefused, match=r"no node talkr; did you mean talker\?"):
+        Change.replacing(s, start, "talkr", "NewTalker")
+    with pytest.raises(PlanRefused, match=r"no component NewTalk; did you mean NewTalker\?"):
+        Change.replacing(s, start, "talker", "NewTalk")
+    with pytest.raises(PlanRefused, match=r"no node speaker"):
+        Change.removing(s, start, "speaker")
+    with pytest.raises(PlanRefused, match=r"no topic /chater; did you mean /chatter\?"):
+        Change.adding(s, start, Node("more", "Talker", Map({"out": ("/chater",)})))
+    with pytest.raises(PlanRefused, match=r"no strategy minimum; did you mean `minimal`\?"):
+        planner("minimum")
+    assert planner() is STRATEGIES["minimal"]
+
+
+@pytest.mark.parametrize(
+    ("node", "words"),
+    [
+        (Node("talker", "Talkr"), "node talker: there is no component Talkr; did you mean `Talker`?"),
+        (
+            Node("talker", "Talker", Map({"uot": ("/chatter",)})),
+            "component Talker has no port uot; did you mean `out`?",
+        ),
+        (Node("talker", "Talker", Map({"out": ("/chat",)})), "port out is to be attached to /chat, which is no topic"),
+        (Node("talker", "Talker", Map(), Map({"gain": 1})), "component Talker has no parameter gain"),
+    ],
+)
+def test_a_target_that_names_what_is_not_there(node: Node, words: str) -> None:
+    assert words in refused(talker(), talker().with_node(node))
+
+
+def test_contracts_that_do_not_fit() -> None:
+    start = talker()
+    talk = Functionality("talk", (Mode("normal", (), Map({"out": SLOW})), Mode("degraded")), (), ("out",))
+    start = replace(start, components=start.components.set("Weak", component("Weak", talk)))
+    s = initial(start)
+    with pytest.raises(PlanRefused) as caught:
+        Change.replacing(s, start, "talker", "Weak")
+    assert "talker_2.out cannot be attached to /chatter" in str(caught.value)
+    assert "5 Hz is offered, at least 10 Hz is needed" in str(caught.value)
+
+
+def test_a_cap_that_either_end_exceeds() -> None:
+    parts = [work("Source", outputs=["out"])]
+    two = {"a": ("Source", {"out": "/x"}), "b": ("Source", {"out": "/x"})}
+    one = {"a": ("Source", {"out": "/x"})}
+    assert refused(system(parts, two), system(parts, one, caps={"/x": 1})) == (
+        "the running system does not fit: /x: 2 publishers (a.out, b.out), at most 1 allowed"
+    )
+    words = refused(system(parts, one, caps={"/x": 1}), system(parts, two, caps={"/x": 1}))
+    assert words.startswith("the target does not fit: /x: 2 publishers")
+    start = system(parts, one, caps={"/x": 1})
+    with pytest.raises(PlanRefused, match="the target does not fit: /x: 2 publishers"):
+        Change.adding(initial(start), start, Node("b", "Source", Map({"out": ("/x",)})))
+
+
+def test_a_capacity_that_either_end_exceeds() -> None:
+    parts = [work("Big", holds={"memory": 6.0}), work("Small", holds={"memory": 1.0})]
+    start = system(parts, {"a": ("Big", {})}, resources={"memory": 8.0})
+    assert "6 held by a, capacity 5" in refused(start, system(parts, {"a": ("Small", {})}, resources={"memory": 5.0}))
+    with pytest.raises(PlanRefused, match="the target does not fit: resource memory: 12 held by a, b, capacity 8"):
+        Change.adding(initial(start), start, Node("b", "Big"))
+
+
+def test_an_environment_that_the_running_system_cannot_do_without() -> None:
+    see = component("Eye", functionality("see", assumes=[Predicate("sensor_msgs/msg/Image", 15.0)]))
+    lamp = EnvironmentGuarantee("camera", Predicate("sensor_msgs/msg/Image", 30.0))
+    start = system([see], {"eye": ("Eye", {})}, environment=[lamp])
+    words = refused(start, replace(start, environment=()))
+    assert words.startswith("the running system is not valid in the target's environment: eye.see in mode normal")
+
+
+# -- what it costs ---------------------------------------------------------------------------------------
+
+
+def cells(number: int) -> Specification:
+    """Cells that have nothing to do with each other: the cone of a change is one cell."""
+    parts = [work("Source", outputs=["out"]), work("Filter", ["in"], ["out"]), work("Other", ["in"], ["out"])]
+    nodes: dict[str, tuple[str, dict[str, str]]] = {}
+    for n in range(number):
+        nodes[f"source{n}"] = ("Source", {"out": f"/raw{n}"})
+        nodes[f"filter{n}"] = ("Filter", {"in": f"/raw{n}", "out": f"/clean{n}"})
+        nodes[f"sink{n}"] = ("Sink", {"in": f"/clean{n}"})
+    return system([*parts, work("Sink", ["in"])], nodes)
+
+
+def calls_to_plan(specification: Specification, strategy: str) -> int:
+    """How many calls, C functions included, a whole replacement takes: a cost that no busy machine falsifies."""
+    s = initial(specification)
+    count = 0
+
+    def note(_: object, event: str, __: object) -> None:
+        nonlocal count
+        count += event in ("call", "c_call")
+
+    request = Request(replace=(("filter0", "Other"),))
+    sys.setprofile(note)
+    try:
+        target = request.target(specification)
+        plan = STRATEGIES[strategy](Change.of_request(s, specification, request, target))
+    finally:
+        sys.setprofile(None)
+    assert len(plan.steps) >= 7
+    return count
+
+
+@pytest.mark.parametrize("strategy", sorted(STRATEGIES))
+def test_planning_costs_what_the_change_costs(strategy: str) -> None:
+    small, large = cells(5), cells(1500)
+    calls_to_plan(small, strategy)
+    assert calls_to_plan(large, strategy) <= 1.05 * calls_to_plan(small, strategy)
+
+
+def test_connectors_of_the_target_alone_are_there_throughout() -> None:
+    start = talker()
+    target = replace(start, connectors=start.connectors.set("/more", Connector("/more", NEED)))
+    target = target.with_node(Node("talker", "Talker", Map({"out": ("/chatter", "/more")})))
+    change = Change.between(initial(start), start, target)
+    assert "/more" in change.start.world.connectors
+    assert "/more" not in change.origin.world.connectors
+    assert change.end_world == target.world

@@ -1,0 +1,237 @@
+"""Every plan of every strategy, on random systems and random changes, replayed and compared with slow twins.
+
+A planner that is in the registry is covered by being there.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from random import Random
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from midstride.errors import PlanRefused
+from midstride.model.rules import violations
+from midstride.model.specification import Specification, initial
+from midstride.plan.change import Change
+from midstride.plan.constraints import in_force
+from midstride.plan.plan import Plan
+from midstride.plan.registry import STRATEGIES
+from midstride.plan.validate import replay, replay_document
+from midstride.testing.strategies import specifications
+from tests.plan import systems
+from tests.plan.exhaustive import Exhaustive, TooLarge
+
+SEEDS = st.integers(0, 2**32 - 1)
+NAMES = st.sampled_from(sorted(STRATEGIES))
+
+
+def drawn(seed: int, *, nodes: int = 5, topics: int = 4, edits: int = 5, constraints: bool = False) -> Change:
+    """The change that a seed stands for. What both ends do not meet is no example."""
+    rng = Random(seed)
+    start, target = systems.change(rng, systems.system(rng, nodes, topics), edits)
+    if constraints:
+        target = systems.constrained(rng, start, target)
+    return between(start, target)
+
+
+def between(start: Specification, target: Specification) -> Change:
+    try:
+        return Change.between(initial(start), start, target)
+    except PlanRefused:
+        assume(False)
+        raise
+
+
+def planned(change: Change, strategy: str) -> Plan:
+    """The plan; it may be refused on account of the user's constraints alone."""
+    try:
+        return STRATEGIES[strategy](change)
+    except PlanRefused as error:
+        if not in_force(change) or "constraint" not in str(error):
+            raise
+        assume(False)
+        raise
+
+
+def holds(plan: Plan) -> None:
+    verdict = replay(plan)
+    assert verdict.holds, f"{verdict}\n" + "\n".join(str(step) for step in plan.steps)
+    for s in plan.configurations():
+        assert violations(s) == []
+
+
+@given(SEEDS, NAMES, st.booleans())
+def test_every_plan_holds(seed: int, strategy: str, constraints: bool) -> None:
+    holds(planned(drawn(seed, constraints=constraints), strategy))
+
+
+@given(specifications(), SEEDS, NAMES)
+def test_every_plan_holds_on_drawn_systems(start: Specification, seed: int, strategy: str) -> None:
+    rng = Random(seed)
+    start, target = systems.change(rng, start, edits=4)
+    holds(planned(between(start, target), strategy))
+
+
+@given(specifications(), specifications(), NAMES)
+def test_every_plan_holds_between_any_two_systems(start: Specification, target: Specification, strategy: str) -> None:
+    holds(planned(between(start, target), strategy))
+
+
+@given(SEEDS, NAMES)
+def test_the_json_form_says_the_same(seed: int, strategy: str) -> None:
+    plan = planned(drawn(seed, constraints=True), strategy)
+    document = json.loads(json.dumps(plan.to_document()))
+    verdict = replay_document(document)
+    assert verdict.holds, verdict
+    assert document["steps"] == plan.step_documents()
+
+
+@given(SEEDS, NAMES, SEEDS)
+def test_steps_that_commute_may_be_taken_in_any_order(seed: int, strategy: str, order: int) -> None:
+    plan = planned(drawn(seed), strategy)
+    rng, left, done, s = Random(order), list(range(len(plan.steps))), set[int](), plan.change.start
+    while left:
+        index = rng.choice([index for index in left if done.issuperset(plan.dependencies[index])])
+        left.remove(index)
+        done.add(index)
+        s = plan.steps[index].action.apply(s)
+    *_, last = plan.configurations()
+    assert s == last
+
+
+@given(SEEDS, NAMES)
+def test_the_makespan_is_the_longest_chain_of_dependencies(seed: int, strategy: str) -> None:
+    plan = planned(drawn(seed), strategy)
+    ends: list[float] = []
+    for step, waits in zip(plan.steps, plan.dependencies, strict=True):
+        ends.append(max((ends[index] for index in waits), default=0.0) + step.seconds)
+    assert plan.makespan == pytest.approx(max(ends, default=0.0))
+
+
+@settings(max_examples=200)
+@given(SEEDS)
+def test_minimal_is_as_good_as_every_order_tried(seed: int) -> None:
+    change = drawn(seed, nodes=4, topics=3)
+    try:
+        twin = Exhaustive(change)
+    except TooLarge:
+        assume(False)
+    plan = planned(change, "minimal")
+    least = twin.optimum()
+    assert least is not None
+    if least == 0.0:  # no conflict core, or one that can be untied
+        assert plan.disruption == 0.0
+        if plan.fallen:
+            assert twin.optimum(spotless=True) is None
+    else:
+        assert plan.disruption >= least - 1e-9
+        assert not plan.proved_minimal
+
+
+@given(SEEDS)
+def test_minimal_is_never_worse_than_the_others(seed: int) -> None:
+    change = drawn(seed)
+    least = planned(change, "minimal")
+    for strategy in sorted(STRATEGIES):
+        assert least.disruption <= planned(change, strategy).disruption + 1e-9
+
+
+@given(SEEDS)
+def test_minimal_makes_each_difference_once_and_no_other(seed: int) -> None:
+    change = drawn(seed)
+    found: list[tuple[str, str]] = []
+    for document in planned(change, "minimal").step_documents():
+        match document["action"]:
+            case "create" | "remove":
+                found.append((document["action"], document["component"]))
+            case "attach" | "detach":
+                found.append((document["action"], f"{document['port']} {document['connector']}"))
+            case "handover":
+                for swap in document["swaps"]:
+                    found.append(("attach", f"{swap['new']} {swap['connector']}"))
+                    found.append(("detach", f"{swap['old']} {swap['connector']}"))
+    wanted = [("create", instance.name) for instance in change.coming]
+    wanted += [("remove", name) for name in change.leaving]
+    wanted += [("attach", f"{port} {connector}") for port, connector in change.attached]
+    wanted += [("detach", f"{port} {connector}") for port, connector in change.detached]
+    assert sorted(found) == sorted(wanted)
+
+
+@given(SEEDS, NAMES)
+def test_without_a_conflict_nothing_falls(seed: int, strategy: str) -> None:
+    rng = Random(seed)
+    start, target = systems.change(rng, systems.system(rng), 5)
+    plan = planned(between(systems.unbounded(start), systems.unbounded(target)), "minimal")
+    assert (plan.disruption, plan.fallen, plan.proved_minimal) == (0.0, (), True)
+
+
+@given(SEEDS)
+def test_no_change_is_no_plan(seed: int) -> None:
+    rng = Random(seed)
+    start, _ = systems.change(rng, systems.system(rng))
+    change = between(start, start)
+    assert change.is_empty
+    for strategy in sorted(STRATEGIES):
+        assert STRATEGIES[strategy](change).steps == ()
+
+
+@given(SEEDS)
+def test_a_change_of_some_roles_is_the_same_either_way(seed: int) -> None:
+    """What costs the change finds the same as what walks the system."""
+    rng = Random(seed)
+    start, target = systems.change(rng, systems.system(rng), 4, world=False)
+    s = initial(start)
+    roles = [r for r in {*start.nodes, *target.nodes} if start.nodes.get(r) != target.nodes.get(r)]
+    roles += [
+        r
+        for r in target.nodes
+        if r in start.nodes and start.components.get(start.nodes[r].component) != target.component_of(r)
+    ]
+    one, other = Change.of_roles(s, start, target, roles), Change.between(s, start, target)
+    assert one.final == other.final
+    assert one == other
+
+
+@given(SEEDS, NAMES)
+def test_the_running_names_do_not_matter(seed: int, strategy: str) -> None:
+    """A change after a change: instances that bear other names than their roles."""
+    rng = Random(seed)
+    first, second = systems.change(rng, systems.system(rng), 4)
+    plan = planned(between(first, second), "minimal")
+    *_, last = plan.configurations()
+    running = plan.change.settled(last)
+    try:
+        back = Change.between(running, second, first)
+    except PlanRefused:
+        assume(False)
+    plan = planned(back, strategy)
+    holds(plan)
+    assert replay_document(plan.to_document()).holds
+
+
+SCRIPT = """
+import json, sys
+from tests.plan.test_random import drawn
+from midstride.plan.registry import STRATEGIES
+for seed in (3, 8, 11, 59):
+    print(json.dumps([STRATEGIES[name](drawn(seed)).to_document() for name in sorted(STRATEGIES)]))
+"""
+
+
+def test_plans_do_not_depend_on_how_strings_hash() -> None:
+    def run(hash_seed: str) -> str:
+        environment = {**os.environ, "PYTHONHASHSEED": hash_seed}
+        root = Path(__file__).parents[2]
+        environment["PYTHONPATH"] = os.pathsep.join([str(root), *sys.path])
+        done = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, env=environment, cwd=root)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert run("1") == run("2") == run("3")
