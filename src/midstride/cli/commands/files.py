@@ -13,10 +13,16 @@ from midstride.cli.systems import find, system_option
 
 @click.command("export")
 @click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of specifications instead.")
 @system_option
 @json_option
-def export_command(file: Path | None, system: str | None) -> int:
+def export_command(file: Path | None, schema: bool, system: str | None) -> int:
     """Print the specification in FILE, or the one that the running system has, as JSON."""
+    if schema:
+        from midstride.lang.schema import schema as schema_of_specifications
+
+        print_json(schema_of_specifications())
+        return 0
     if file is not None:
         from midstride.cli.files import read
         from midstride.model.document import specification_to_document
