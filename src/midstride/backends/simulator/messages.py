@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from types import ModuleType
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 # The type store does not tell default values; these are the ones in it that are not zero.
 DEFAULTS: Final[dict[str, dict[str, Any]]] = {
@@ -53,6 +53,10 @@ class Message:
         if fields:
             known = ", ".join(self._defaults) or "none"
             raise TypeError(f"{self.__msgtype__} has no field {', '.join(fields)}; its fields are: {known}")
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
 
     @classmethod
     def get_fields_and_field_types(cls) -> dict[str, str]:
