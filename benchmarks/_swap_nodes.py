@@ -6,6 +6,7 @@ import json
 import signal
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -16,11 +17,11 @@ TOPIC = "/swap"
 RATE = 50.0
 
 
-def source() -> None:
+def source(name: str = "source") -> None:
     """A component that writes at 50 Hz."""
     from midstride import Component
 
-    comp = Component("source")
+    comp = Component(name)
     out = comp.create_output("out", String)
     talk = comp.create_functionality("talk", outputs=[out])
     talk.set_normal_mode(lambda: out.write(String(data="tick")), rate=RATE, outputs=[out])
@@ -99,5 +100,11 @@ def recorder(path: str) -> None:
 
 
 if __name__ == "__main__":
-    kinds = {"source": source, "sink": sink, "bare": bare, "lifecycle": lifecycle, "recorder": recorder}
+    kinds: dict[str, Callable[..., None]] = {
+        "source": source,
+        "sink": sink,
+        "bare": bare,
+        "lifecycle": lifecycle,
+        "recorder": recorder,
+    }
     kinds[sys.argv[1]](*sys.argv[2:])
