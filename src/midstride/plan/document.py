@@ -84,11 +84,8 @@ def plan_from_document(document: Mapping[str, Any]) -> Plan:
         target = specification_from_document(document["target"])
         running = _started(start, document.get("running") or {}, document.get("standing") or {})
         change = Change.between(running, start, target)
-        steps, s = [], change.start
-        for entry in document["steps"]:
-            step = _step(change, s, entry)
-            steps.append(step)
-            s = step.action.effect(s)
+        known = dict(change.start.instances)
+        steps = [_step(change, known, entry) for entry in document["steps"]]
         return Plan(
             strategy=str(document["strategy"]),
             change=change,
@@ -125,11 +122,12 @@ def _refs(named: Mapping[str, str]) -> list[tuple[FunctionalityRef, str]]:
     return [(FunctionalityRef.parse(text), mode) for text, mode in named.items()]
 
 
-def _step(change: Change, s: Configuration, entry: Mapping[str, Any]) -> Step:
-    action = _action(change, s, entry)
-    names = instances_touched(action)
-    instances = [action.instance] if isinstance(action, Create) else [s.instances[name] for name in names]
-    roles = tuple(dict.fromkeys(instance.role for instance in instances))
+def _step(change: Change, known: dict[str, Instance], entry: Mapping[str, Any]) -> Step:
+    """One step. ``known`` are the instances there have been so far, those that steps create included."""
+    action = _action(change, known, entry)
+    if isinstance(action, Create):
+        known.setdefault(action.instance.name, action.instance)
+    roles = tuple(dict.fromkeys(known[name].role for name in instances_touched(action) if name in known))
     changes = tuple(
         ModeChange(FunctionalityRef.parse(text), str(modes["from"]), str(modes["to"]))
         for text, modes in sorted(entry.get("modes", {}).items())
@@ -137,7 +135,16 @@ def _step(change: Change, s: Configuration, entry: Mapping[str, Any]) -> Step:
     return Step(action, float(entry["seconds"]), roles, changes)
 
 
-def _action(change: Change, s: Configuration, entry: Mapping[str, Any]) -> Action:
+def _mode_index(known: Mapping[str, Instance], ref: FunctionalityRef, mode: str) -> int:
+    try:
+        return known[ref.component].component.functionalities[ref.functionality].mode_index(mode)
+    except KeyError:
+        raise SpecificationError(
+            f"not a plan: {ref} and its mode {mode} are not known where a step speaks of them"
+        ) from None
+
+
+def _action(change: Change, known: Mapping[str, Instance], entry: Mapping[str, Any]) -> Action:
     kind = entry["action"]
     match kind:
         case "create":
@@ -152,9 +159,7 @@ def _action(change: Change, s: Configuration, entry: Mapping[str, Any]) -> Actio
             return Detach(PortRef.parse(entry["port"]), str(entry["connector"]))
         case "degrade" | "upgrade":
             named = {text: str(modes["to"]) for text, modes in entry["modes"].items()}
-            to: Map[FunctionalityRef, int] = Map(
-                {ref: s.functionality(ref).mode_index(mode) for ref, mode in _refs(named)}
-            )
+            to: Map[FunctionalityRef, int] = Map({ref: _mode_index(known, ref, mode) for ref, mode in _refs(named)})
             return Degrade(to) if kind == "degrade" else Upgrade(to)
         case "handover":
             return Handover(

@@ -76,8 +76,8 @@ def replay(plan: Plan) -> Verdict:
         if reasons:
             findings += [Finding(number, f"{step.describe()}: {reason}") for reason in reasons]
             return Verdict("violated", tuple(findings), number)
-        s = step.action.effect(s)
-        ledger.enter(step.action, step.seconds, s)
+        before, s = s, step.action.effect(s)
+        ledger.enter(step.action, step.seconds, before, s)
     findings += [Finding(None, because) for because in _end(plan, s)]
     findings += [Finding(None, because) for because in ledger.differences()]
     return Verdict("violated" if findings else "holds", tuple(findings), len(plan.steps))
@@ -195,7 +195,7 @@ class _Ledger:
     def _weight(self, ref: FunctionalityRef) -> float:
         return self.target.component_of(ref.component).functionalities[ref.functionality].weight
 
-    def enter(self, action: Action, seconds: float, after: Configuration) -> None:
+    def enter(self, action: Action, seconds: float, start: Configuration, after: Configuration) -> None:
         before, self.levels = self.levels, self._now(after)
         self.seconds += seconds
         for ref in self.levels:
@@ -210,7 +210,8 @@ class _Ledger:
             if self.levels[keep.functionality] > threshold:
                 self.broken[f"`{keep}` is not kept after {action.describe()}"] = None
         structural = isinstance(action, (Create, Remove, Attach, Detach, Handover))
-        self.roles.append({self.plan.change.role_of(name) for name in _names(action)} if structural else set())
+        named = _names(action) if structural else []
+        self.roles.append({(start.instances.get(name) or after.instances[name]).role for name in named})
 
     def differences(self) -> Iterator[str]:
         """In what the plan's own figures and promises differ from what was entered."""

@@ -1,0 +1,181 @@
+"""The replay finds what is wrong with a plan: every way of spoiling one is found, by what it breaks."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from midstride.model.component import FunctionalityRef
+from midstride.model.specification import Keep, Limit, Order, Specification, initial
+from midstride.plan.change import Change
+from midstride.plan.registry import STRATEGIES
+from midstride.plan.validate import Finding, replay_document
+from tests.plan.cases import component, functionality, replaced, system, talker, work
+
+Document = dict[str, Any]
+
+
+def document(strategy: str = "paper", specification: Specification | None = None) -> Document:
+    return replaced(specification or talker(), "talker", "NewTalker", strategy).to_document()
+
+
+def findings(spoilt: Document) -> str:
+    verdict = replay_document(spoilt)
+    assert verdict.outcome == "violated"
+    assert not verdict.holds
+    assert all(isinstance(finding, Finding) for finding in verdict.findings)
+    return str(verdict)
+
+
+def test_what_is_not_spoilt_holds() -> None:
+    for strategy in sorted(STRATEGIES):
+        verdict = replay_document(document(strategy))
+        assert (verdict.outcome, verdict.findings) == ("holds", ())
+        assert "steps replayed" in str(verdict)
+
+
+def drop(index: int) -> Callable[[Document], None]:
+    return lambda spoilt: spoilt["steps"].pop(index)
+
+
+def put(key: str, value: object) -> Callable[[Document], None]:
+    return lambda spoilt: spoilt.update({key: value})
+
+
+def put_in(index: int, key: str, value: object) -> Callable[[Document], None]:
+    return lambda spoilt: spoilt["steps"][index].update({key: value})
+
+
+def swap(one: int, other: int) -> Callable[[Document], None]:
+    def spoil(spoilt: Document) -> None:
+        steps = spoilt["steps"]
+        steps[one], steps[other] = steps[other], steps[one]
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (drop(0), "step 1: detach talker.out from /chatter: without talker.out on /chatter, listener.listen"),
+        (drop(1), "step 2: remove talker: talker.out is still attached to /chatter"),
+        (drop(2), "talker has 2 instances at the end (talker, talker_2)"),
+        (drop(4), "step 6: upgrade listener.listen"),
+        (drop(5), "step 6: upgrade listener.listen"),
+        (drop(6), "listener.listen is in mode degraded at the end, normal is its best"),
+        (swap(0, 1), "step 1"),
+        (swap(1, 2), "step 2: remove talker: talker.out is still attached"),
+        (put("disruption", 1.0), "its disruption is 4.5, not 1"),
+        (put("seconds", 1.0), "its steps take 1.73 s, not 1 s"),
+        (put("makespan", 60.0), "its makespan, 60 s, is longer than its steps one after another"),
+        (put("fallen", []), "what falls is listener.listen, talker.talk, not nothing"),
+        (put("proved_minimal", True), "it is not proved minimal: its disruption is above the lower bound, 0"),
+        (put("lower_bound", 5.0), "its lower bound, 5, is above its disruption"),
+        (put_in(3, "of", "Listener"), "not a plan: talker_2.talk and its mode normal are not known"),
+        (put_in(3, "of", "Talker"), "step 4: create talker_2 (Talker): talker_2 is not what the target says of talker"),
+        (put_in(3, "of", "Speaker"), "the plan creates a Speaker, a component that neither"),
+        (put_in(3, "role", "stranger"), "the target has no node stranger"),
+        (put_in(3, "action", "conjure"), "there is no action conjure"),
+        (put("steps", None), "not a plan"),
+        (lambda spoilt: spoilt.pop("target"), "not a plan (KeyError: 'target')"),
+        (lambda spoilt: spoilt["start"].update(nodes={"talker": {"component": "None"}}), "there is no component"),
+    ],
+)
+def test_what_is_spoilt_is_found(spoil: Callable[[Document], None], words: str) -> None:
+    spoilt = copy.deepcopy(document())
+    spoil(spoilt)
+    assert words in findings(spoilt)
+
+
+def rename(text: str, old: str, new: str) -> str:
+    import json
+
+    return json.loads(json.dumps(text).replace(old, new))  # type: ignore[no-any-return]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("listener", "listener is live already"),
+        ("speaker", "speaker is no name for an instance of talker"),
+    ],
+)
+def test_a_name_that_no_instance_may_have(name: str, words: str) -> None:
+    spoilt = document()
+    del spoilt["steps"][4:]
+    spoilt["steps"] = rename(spoilt["steps"], "talker_2", name)
+    assert words in findings(spoilt)
+
+
+def test_another_name_that_it_may_have() -> None:
+    spoilt = document()
+    spoilt["steps"] = rename(spoilt["steps"], "talker_2", "talker_9")
+    assert replay_document(spoilt).holds
+
+
+def test_the_bare_name_is_for_the_first_alone() -> None:
+    spoilt = document("minimal")
+    spoilt["steps"] = [
+        {
+            "action": "create",
+            "component": "talker",
+            "role": "talker",
+            "of": "NewTalker",
+            "parameters": {},
+            "seconds": 1.0,
+        }
+    ]
+    assert "talker is live already" in findings(spoilt)
+
+
+def test_an_attachment_too_many_and_one_too_few() -> None:
+    spoilt = document()
+    spoilt["steps"].append({"action": "detach", "port": "talker_2.out", "connector": "/chatter", "seconds": 0.1})
+    assert "listener.listen" in findings(spoilt)
+    del spoilt["steps"][6]
+    assert "talker_2.out is attached to nothing at the end, /chatter is wanted" in findings(spoilt)
+
+
+@pytest.mark.parametrize(
+    ("constraint", "words"),
+    [
+        (Keep(FunctionalityRef("listener", "listen"), "normal"), "`keep listener.listen at normal` is not kept after"),
+        (Limit(FunctionalityRef("talker", "talk"), 0.5), "`limit talker.talk below baseline 0.5 s` is exceeded"),
+    ],
+)
+def test_a_constraint_that_is_not_met(constraint: Keep | Limit, words: str) -> None:
+    spoilt = document()
+    limit = {"limit": "talker.talk", "below_baseline_seconds": 0.5}
+    keep = {"keep": "listener.listen", "at": "normal"}
+    spoilt["target"]["constraints"] = [keep if isinstance(constraint, Keep) else limit]
+    assert words in findings(spoilt)
+
+
+def test_an_order_that_is_not_kept() -> None:
+    parts = [
+        component(f"{kind}{name}", functionality("f", outputs=["out"])) for name in "AB" for kind in ("Old", "New")
+    ]
+    start = system(parts, {"a": ("OldA", {"out": "/a"}), "b": ("OldB", {"out": "/b"})})
+    target = start.with_replaced("a", "NewA").with_replaced("b", "NewB")
+    plan = STRATEGIES["minimal"](Change.between(initial(start), start, target))
+    spoilt = plan.to_document()
+    spoilt["target"]["constraints"] = [{"order": "b", "before": "a"}]
+    assert f"`{Order('b', 'a')}` is broken by step" in findings(spoilt)
+
+
+def test_parameters_that_were_not_set() -> None:
+    from dataclasses import replace
+
+    from immutables import Map
+
+    from midstride.model.component import Parameter
+
+    one = work("One", parameters={"gain": Parameter(1.0, changeable=True)})
+    start = system([one], {"n": ("One", {})})
+    target = start.with_node(replace(start.nodes["n"], parameters=Map({"gain": 2.0})))
+    spoilt = STRATEGIES["minimal"](Change.between(initial(start), start, target)).to_document()
+    spoilt["steps"], spoilt["seconds"] = [], 0.0
+    assert "n has other parameters at the end than the target says" in findings(spoilt)
