@@ -149,7 +149,8 @@ def test_every_fault_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     file = broken(tmp_path, topcs={}, nodes=nodes)
     status, out, _ = run(capsys, "check", file)
     assert status == 1
-    assert f"{file}: error: /topcs: a specification has no key `topcs`" in out
+    assert "error[E002]: a specification has no key `topcs`" in out
+    assert f"{file}:" in out
     assert "Talkr" in out
     assert "did you mean `Talker`?" in out
     status, out, _ = run(capsys, "--json", "check", file)

@@ -22,8 +22,8 @@ class Said:
     def __str__(self) -> str:
         if self.at is None:
             return self.words
-        clock = time.strftime("%H:%M:%S", time.localtime(self.at))
-        return f"{clock}.{int(self.at % 1 * 1000):03d}  {self.words}"
+        whole, millis = divmod(round(self.at * 1000), 1000)
+        return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}  {self.words}"
 
     @property
     def kind(self) -> str:

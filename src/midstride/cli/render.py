@@ -234,8 +234,8 @@ def event(document: Document) -> Text:
     """One event on one line."""
     import time
 
-    at = time.strftime("%H:%M:%S", time.localtime(document["at"]))
-    millis = int(document["at"] % 1 * 1000)
+    whole, millis = divmod(round(document["at"] * 1000), 1000)
+    at = time.strftime("%H:%M:%S", time.localtime(whole))
     styles = {"step_failed": "red", "up_failed": "red", "exited": "red", "degraded": "yellow", "rollback": "yellow"}
     words = str(document["words"])
     if document["kind"] == "outcome":

@@ -13,7 +13,11 @@ from midstride.cli.app import json_option
 @click.command("demo")
 @click.argument("name", default="talker")
 @click.option(
-    "--backend", type=click.Choice(NAMES), help="What it runs on.  [default: ros2 where it can be had, else sim]"
+    "--backend",
+    type=click.Choice(NAMES),
+    envvar="MIDSTRIDE_BACKEND",
+    show_envvar=True,
+    help="What it runs on; ros2 where it can be had, else sim.",
 )
 @json_option
 def demo_command(name: str, backend: str | None) -> int:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import click
 
 from midstride.cli.app import json_option
+from midstride.cli.client import Event
 from midstride.cli.output import console, print_json, wants_json
 from midstride.cli.systems import find, system_option
 
@@ -79,16 +82,18 @@ def watch_command(system: str | None) -> int:
     return watch(client, workspace.name)
 
 
-def _stream(events: object) -> None:
+def _stream(events: Iterable[Event]) -> None:
+    """An array, written event by event; Ctrl-C ends it between two of them, so that it is whole."""
     import json
-    from collections.abc import Iterable
+    import signal
 
-    assert isinstance(events, Iterable)
     lead = "["
     try:
         for event in events:
+            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
             print(f"{lead}\n{json.dumps(event)}", end="", flush=True)
             lead = ","
+            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
     except KeyboardInterrupt:
         pass
     print("[]" if lead == "[" else "\n]")

@@ -22,7 +22,15 @@ POLL = 0.02
 
 @click.command("up")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--backend", type=click.Choice(NAMES), default="ros2", show_default=True, help="What it runs on.")
+@click.option(
+    "--backend",
+    type=click.Choice(NAMES),
+    default="ros2",
+    show_default=True,
+    envvar="MIDSTRIDE_BACKEND",
+    show_envvar=True,
+    help="What it runs on.",
+)
 @click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
 @click.option("--http", type=click.IntRange(0, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
 @click.option("--http-host", metavar="ADDRESS", help="With --http: on this address of the machine instead of loopback.")

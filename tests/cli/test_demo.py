@@ -1,0 +1,169 @@
+"""The examples from beginning to end, and that nothing of them is left behind."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+import shutil
+import signal
+import time
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from midstride.backends.simulator import loop
+from midstride.cli import example as examples
+from midstride.cli.listening import excerpt, parse
+from midstride.cli.performance import perform
+from tests.cli.conftest import ROOT, Midstride, alive
+
+EVERY = ("filter", "obstacle", "talker")
+
+
+@pytest.fixture
+def environment(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A demo says in its environment whose it is: not in that of the tests."""
+    monkeypatch.setenv("MIDSTRIDE_DEMO", "")
+
+
+def in_virtual_time(name: str) -> tuple[list[examples.Act], list[dict[str, object]], str]:
+    """An example on the simulator: its acts, what came of each, and what was shown."""
+    example = examples.find(name)
+    out = Console(file=io.StringIO(), width=1000)
+    outcomes = loop.run(perform(example, "sim", out))
+    assert isinstance(out.file, io.StringIO)
+    return list(example.acts), outcomes, out.file.getvalue()
+
+
+def test_every_example_has_a_demo() -> None:
+    folder = examples.examples_folder()
+    assert folder is not None
+    assert tuple(sorted(entry.name for entry in folder.iterdir() if entry.is_dir())) == EVERY
+
+
+@pytest.mark.usefixtures("environment")
+@pytest.mark.parametrize("name", EVERY)
+def test_a_hand_over_loses_nothing_and_the_paper_s_steps_do(name: str) -> None:
+    acts, outcomes, shown = in_virtual_time(name)
+    assert [outcome["outcome"] for outcome in outcomes] == ["done"] * len(acts)
+    for act, outcome in zip(acts, outcomes, strict=True):
+        if not act.request.replace:
+            continue
+        swaps = outcome["swaps"]
+        assert isinstance(swaps, list)
+        assert swaps
+        for swap in swaps:
+            lossless = (swap["missed"], swap["lost"], swap["duplicates"]) == (0, 0, 0)
+            assert lossless == (act.request.strategy == "minimal"), swap
+    assert "Side by side" in shown
+    assert not (ROOT / ".midstride" / f"demo-{os.getpid()}").exists()
+
+
+@pytest.mark.usefixtures("environment")
+def test_the_talker_s_demo_shows_the_listener_going_on() -> None:
+    _, _, shown = in_virtual_time("talker")
+    said = [line.strip() for line in shown.partition("listener said meanwhile:")[2].splitlines()[1:5]]
+    assert [re.sub(r"\d+", "#", line) for line in said] == [
+        "I heard: hello world, this is talker",
+        "I heard: hello world, this is talker",
+        "I heard: good news from talker_#, number #",
+        "I heard: good news from talker_#, number #",
+    ]
+
+
+@pytest.mark.usefixtures("environment")
+def test_the_motor_stops_without_a_detector() -> None:
+    _, _, shown = in_virtual_time("obstacle")
+    without = shown.index("Now controller.control is in mode degraded.")
+    assert shown.index("no detector") < without < shown.index("a detector again")
+    assert "Now controller.control" not in shown[without + 1 :]
+
+
+def test_what_is_said_is_cut_down_to_its_changes() -> None:
+    lines = [f"[INFO] [100.{n:03d}] [ear]: I heard: {'old' if n < 50 else 'new'} {n}" for n in range(100)]
+    said = [said for line in ["a line of a library", *lines] if (said := parse(line)) is not None]
+    assert len(said) == 100
+    assert [line and line.words for line in excerpt(said)] == [
+        "I heard: old 48",
+        "I heard: old 49",
+        "I heard: new 50",
+        "I heard: new 51",
+    ]
+    assert excerpt(said[:50]) == []
+    assert str(said[50]).endswith(".050  I heard: new 50")
+    twice = excerpt([*said, *said[:50]])
+    assert twice.count(None) == 1
+
+
+def test_as_a_command(midstride: Midstride) -> None:
+    done = midstride("demo", "--backend", "sim", "--json")
+    assert (done.status, done.err) == (0, "")
+    document = done.json
+    assert (document["outcome"], document["example"], document["backend"]) == ("done", "talker", "sim")
+    assert [act["plan"]["strategy"] for act in document["acts"]] == ["minimal", "paper"]
+    assert document["swaps"] == document["acts"][0]["swaps"]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_it_ends_in_order(midstride: Midstride, number: signal.Signals) -> None:
+    demo = midstride.start("demo", "--backend", "sim")
+    try:
+        assert demo.stdout is not None
+        assert any("hand over" in line and "✓" in line for line in demo.stdout)
+        demo.send_signal(number)
+        assert "Interrupted; everything that was started has ended." in demo.stdout.read()
+        assert demo.wait(20) == 130
+    finally:
+        demo.kill()
+        demo.communicate()
+    assert not (ROOT / ".midstride" / f"demo-{demo.pid}").exists()
+
+
+# -- on ROS 2 -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.ros2
+@pytest.mark.parametrize("name", EVERY)
+def test_on_ros_2(midstride: Midstride, name: str) -> None:
+    done = midstride("demo", name, "--backend", "ros2", "--json", timeout=110)
+    assert done.status == 0, done.out + done.err
+    for act in done.json["acts"]:
+        assert act["outcome"] == "done"
+        if act["plan"]["strategy"] == "minimal":
+            assert [(swap["lost"], swap["duplicates"]) for swap in act["swaps"]] == [(0, 0)] * len(act["swaps"])
+            assert act["fallen"] == {}
+
+
+@pytest.mark.ros2
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGKILL])
+def test_no_orphan_on_ros_2(midstride: Midstride, number: signal.Signals) -> None:
+    """In the middle of a change, so that old and new are both there."""
+    demo = midstride.start("demo", "--backend", "ros2")
+    try:
+        assert demo.stdout is not None
+        assert any("✓ 1/4 create talker_2" in line for line in demo.stdout)
+        started = {child for child in children(demo.pid) if alive(child)}
+        assert len(started) >= 4  # listener, talker, talker_2, and the guardian
+        demo.send_signal(number)
+        demo.stdout.read()  # to its end: the guardian has let go of it, too
+        assert demo.wait(30) == (130 if number == signal.SIGINT else -signal.SIGKILL)
+        wait_until_gone(started)
+    finally:
+        demo.kill()
+        demo.communicate()
+        shutil.rmtree(ROOT / ".midstride" / f"demo-{demo.pid}", ignore_errors=True)  # the next demo would do it
+
+
+def children(pid: int) -> list[int]:
+    return [
+        int(child) for task in Path(f"/proc/{pid}/task").iterdir() for child in (task / "children").read_text().split()
+    ]
+
+
+def wait_until_gone(pids: set[int]) -> None:
+    deadline = time.monotonic() + 20
+    while left := {pid for pid in pids if alive(pid)}:
+        assert time.monotonic() < deadline, f"still there: {left}"
+        time.sleep(0.02)

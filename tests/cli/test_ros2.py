@@ -1,0 +1,84 @@
+"""The command line over real ROS 2: components outlive their manager, and `down` ends them."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+
+import pytest
+
+from tests.cli.conftest import EXAMPLES, Midstride, alive
+
+TALKER = str(EXAMPLES / "talker" / "talker.json")
+
+pytestmark = pytest.mark.ros2
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    deadline = time.monotonic() + 20
+    while not condition():
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)
+
+
+def heard(midstride: Midstride) -> str:
+    """What the listener has said last."""
+    log = midstride.runtime / "midstride" / "talker" / "logs" / "listener.log"
+    return log.read_text().splitlines()[-1].rpartition("]: ")[2]
+
+
+def test_a_system_from_up_to_down(midstride: Midstride) -> None:
+    up = midstride("up", TALKER, "-d")
+    assert up.status == 0, up.err
+    before = midstride.components("talker")
+    replaced = midstride("replace", "talker", "NewTalker", "--yes", "--json")
+    assert replaced.status == 0, replaced.out
+    (swap,) = replaced.json["swaps"]
+    assert (swap["missed"], swap["lost"], swap["duplicates"]) == (0, 0, 0)
+    assert replaced.json["fallen"] == {}
+    assert "good news from talker_2" in heard(midstride)
+    after = midstride.components("talker")
+    assert len(set(before) & set(after)) == 1  # the listener is the same process
+    assert midstride("down").status == 0
+    until(lambda: not any(map(alive, {*before, *after})), "components are left")
+
+
+def test_components_outlive_their_manager_and_are_found_again(midstride: Midstride) -> None:
+    assert midstride("up", TALKER, "-d").status == 0
+    assert midstride("replace", "talker", "NewTalker", "--yes").status == 0
+    components = midstride.components("talker")
+    os.kill(midstride.manager("talker"), signal.SIGKILL)
+    said = heard(midstride)
+    until(lambda: heard(midstride) != said, "the listener hears nothing any more")
+    done = midstride("status")
+    assert done.status == 1
+    assert "its components may still run: `midstride up` with its file finds them again" in done.err
+    up = midstride("up", TALKER, "-d")
+    assert up.status == 0, up.err
+    assert "talker_2 was found again" in up.out
+    assert "was running, and is not as" in up.err  # the file says Talker, a NewTalker runs
+    assert midstride.components("talker") == components
+    assert midstride("status", "--json").json["valid"]
+    back = midstride("apply", TALKER, "--yes", "--json").json
+    assert (back["outcome"], [(swap["lost"], swap["duplicates"]) for swap in back["swaps"]]) == ("done", [(0, 0)])
+
+
+def test_down_ends_what_a_killed_manager_left(midstride: Midstride) -> None:
+    assert midstride("up", TALKER, "-d").status == 0
+    components = midstride.components("talker")
+    os.kill(midstride.manager("talker"), signal.SIGKILL)
+    assert all(map(alive, components))
+    assert midstride("down").out == "talker is down.\n"
+    assert not any(map(alive, components))
+
+
+def test_a_manager_that_is_told_to_end_leaves_the_components(midstride: Midstride) -> None:
+    assert midstride("up", TALKER, "-d").status == 0
+    manager, components = midstride.manager("talker"), midstride.components("talker")
+    os.kill(manager, signal.SIGTERM)
+    until(lambda: not alive(manager), "the manager does not end")
+    assert all(map(alive, components))
+    assert midstride("up", TALKER, "-d").status == 0
+    assert midstride.components("talker") == components

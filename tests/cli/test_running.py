@@ -1,0 +1,319 @@
+"""Running systems by the command line: a real manager process, real node code, the simulator below."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cli.conftest import EXAMPLES, Midstride, alive, running
+from tests.cli.terminal import Terminal
+
+TALKER = str(EXAMPLES / "talker" / "talker.json")
+
+
+@pytest.fixture(scope="module")
+def talker() -> Iterator[Midstride]:
+    """The talker's system, up. Tests leave it as they found it."""
+    for midstride in running():
+        done = midstride("up", TALKER, "--backend", "sim", "--detach")
+        assert done.status == 0, done.err
+        yield midstride
+
+
+def playing(midstride: Midstride, role: str = "talker") -> tuple[str, str]:
+    """The instance that plays a role, and its component."""
+    components = midstride("status", "--json").json["components"]
+    return next((entry["name"], entry["component"]) for entry in components if entry["role"] == role)
+
+
+def test_up_shows_what_it_does(midstride: Midstride) -> None:
+    done = midstride("up", TALKER, "--backend", "sim", "-d")
+    assert (done.status, done.err) == (0, "")
+    assert re.search(r"✓ 1/6 create listener \(Listener\) \d+", done.out)
+    assert done.out.splitlines()[-1] == "talker is up (listener, talker)."
+    manager = midstride.manager("talker")
+    assert os.getsid(manager) == manager
+    again = midstride("up", TALKER, "--backend", "sim", "-d")
+    assert (again.status, again.out) == (1, "")
+    assert f"talker is running already, under the manager with process {manager}" in again.err
+    down = midstride("down")
+    assert (down.status, down.out) == (0, "talker is down.\n")
+    assert midstride("status").status == 1
+    up = midstride("up", TALKER, "--backend", "sim", "--json")
+    assert (up.status, up.json["components"], up.err) == (0, ["listener", "talker"], "")
+    assert midstride("down", "--json").json == {"outcome": "done", "system": "talker"}
+
+
+def test_status_says_what_is_live(talker: Midstride) -> None:
+    document = talker("status", "--json").json
+    assert (document["system"], document["backend"], document["valid"]) == ("talker", "sim", True)
+    modes = {row["name"]: row["mode"] for entry in document["components"] for row in entry["functionalities"]}
+    assert set(modes.values()) == {"normal"}
+    shown = talker("status")
+    assert shown.status == 0
+    assert "talker on sim, valid" in shown.out
+    assert "/chatter: " in shown.out
+
+
+def test_why_and_log(talker: Midstride) -> None:
+    why = talker("why", "listener.listen")
+    assert (why.status, why.out.splitlines()[0]) == (0, "listener.listen is in mode normal")
+    assert talker("why", "listener.listen", "--json").json["functionality"] == "listener.listen"
+    refused = talker("why", "listener.lissen")
+    assert refused.status == 1
+    assert "there is no functionality listener.lissen" in refused.err
+    events = talker("log", "--json").json
+    assert [event["n"] for event in events] == list(range(1, len(events) + 1))
+    assert talker("log", "--since", str(len(events) - 1), "--json").json == events[-1:]
+    assert "talker is up" in talker("log").out
+
+
+@pytest.mark.parametrize(
+    "words", [("replace", "talkr", "NewTalker"), ("replace", "talker", "NewTalkr"), ("remove", "x")]
+)
+def test_what_is_refused_changes_nothing(talker: Midstride, words: tuple[str, ...]) -> None:
+    before = talker("status", "--json").json["revision"]
+    done = talker(*words, "--yes")
+    assert done.status == 1
+    assert "Refused, nothing was changed: there is no " in done.out
+    told = talker(*words, "--yes", "--json")
+    assert (told.status, told.json["outcome"]) == (1, "refused")
+    assert "there is no " in told.json["because"]
+    assert talker("status", "--json").json["revision"] == before
+
+
+def test_a_replacement_is_shown_and_measured(talker: Midstride) -> None:
+    done = talker("replace", "talker", "NewTalker", "--yes")
+    assert done.status == 0, done.err
+    lines = done.out.splitlines()
+    assert lines[0] == "replace talker by NewTalker"
+    assert "Nothing falls: every functionality keeps its level throughout." in lines
+    assert [line.split()[1] for line in lines if "✓" in line] == ["1/4", "2/4", "3/4", "4/4"]
+    assert re.match(r"/chatter +listener.in +\d+ ms +1\.\d\d", lines[-1])
+    back = talker("--json", "replace", "talker", "Talker", "--yes").json
+    assert (back["outcome"], back["because"], back["plan"]["strategy"]) == ("done", None, "minimal")
+    (swap,) = back["swaps"]
+    assert (swap["topic"], swap["subscriber"], swap["lost"], swap["duplicates"]) == ("/chatter", "listener.in", 0, 0)
+    assert playing(talker)[1] == "Talker"
+
+
+def test_the_paper_s_strategy_is_measured_as_well(talker: Midstride) -> None:
+    _, component = playing(talker)
+    other = "NewTalker" if component == "Talker" else "Talker"
+    done = talker("replace", "talker", other, "--yes", "--strategy", "paper", "--json").json
+    assert done["outcome"] == "done"
+    assert done["fallen"]["listener.listen"] > 0
+    assert talker("replace", "talker", component, "--yes").status == 0
+
+
+def test_nodes_come_and_go(talker: Midstride) -> None:
+    added = talker("add", "second", "Listener", "in=/chatter", "--yes", "--json")
+    assert added.json["outcome"] == "done"
+    assert playing(talker, "second") == ("second", "Listener")
+    exported = talker("export", "--json").json
+    assert exported["nodes"]["second"] == {"component": "Listener", "attachments": {"in": ["/chatter"]}}
+    removed = talker("remove", "second", "--yes", "--json")
+    assert (removed.json["outcome"], removed.json["swaps"]) == ("done", [])
+
+
+def test_components_of_another_file(talker: Midstride, tmp_path: Path) -> None:
+    document = json.loads(Path(TALKER).read_text())
+    document["components"] = {"Ear": document["components"]["Listener"]}
+    document["nodes"] = {}
+    file = tmp_path / "more.json"
+    file.write_text(json.dumps(document))
+    done = talker("add", "ear", "Ear", "in=/chatter", "--from", str(file), "--yes")
+    assert done.status == 0, done.out + done.err
+    assert playing(talker, "ear") == ("ear", "Ear")
+    assert talker("remove", "ear", "--yes").status == 0
+
+
+def test_apply_takes_the_system_to_a_file(talker: Midstride, tmp_path: Path) -> None:
+    document = json.loads(Path(TALKER).read_text())
+    document["nodes"]["third"] = {"component": "Listener", "attachments": {"in": ["/chatter"]}}
+    file = tmp_path / "three.json"
+    file.write_text(json.dumps(document))
+    done = talker("apply", str(file), "--yes", "--json")
+    assert (done.status, done.json["outcome"]) == (0, "done")
+    assert playing(talker, "third") == ("third", "Listener")
+    assert talker("apply", TALKER, "--yes").status == 0
+    assert len(talker("status", "--json").json["components"]) == 2
+
+
+def test_nobody_to_ask(talker: Midstride) -> None:
+    before = len(talker("log", "--json").json)
+    done = talker("remove", "listener")
+    assert (done.status, done.out) == (2, "")
+    assert "say --yes to go ahead" in done.err
+    assert len(talker("log", "--json").json) == before
+
+
+def test_a_person_is_asked(talker: Midstride) -> None:
+    events = len(talker("log", "--json").json)
+    with Terminal(talker, "add", "second", "Listener", "in=/chatter") as terminal:
+        shown = terminal.until("Go ahead? [y/N]: ")
+        assert "create second (Listener)" in shown
+        assert "Nothing falls" in shown
+        terminal.press("n\n")
+        assert "Nothing was changed." in terminal.rest()
+        assert terminal.status == 1
+    assert len(talker("log", "--json").json) == events
+    with Terminal(talker, "add", "second", "Listener", "in=/chatter") as terminal:
+        terminal.until("Go ahead? [y/N]: ")
+        terminal.press("y\n")
+        assert "Done in" in terminal.rest()
+        assert terminal.status == 0
+    assert talker("remove", "second", "--yes").status == 0
+
+
+def test_what_was_shown_is_what_is_done(talker: Midstride) -> None:
+    """A change between the preview and the yes: the plan that was shown is not the one that would be carried out."""
+    with Terminal(talker, "remove", "listener") as terminal:
+        terminal.until("Go ahead? [y/N]: ")
+        assert talker("add", "second", "Listener", "in=/chatter", "--yes").status == 0
+        terminal.press("y\n")
+        assert "the configuration has changed since the plan was shown" in terminal.rest()
+        assert terminal.status == 1
+    assert playing(talker, "listener") == ("listener", "Listener")
+    assert talker("remove", "second", "--yes").status == 0
+
+
+def test_two_changes_at_once_take_turns(talker: Midstride) -> None:
+    done: list[Any] = []
+
+    def add(name: str) -> None:
+        done.append(talker("add", name, "Listener", "in=/chatter", "--yes", "--json").json["outcome"])
+
+    threads = [threading.Thread(target=add, args=(name,)) for name in ("left", "right")]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert done == ["done", "done"]
+    assert talker("remove", "left", "right", "--yes").status == 0
+
+
+def test_watch_tells_events_as_one_document(talker: Midstride) -> None:
+    watching = talker.start("watch", "--json")
+    try:
+        assert watching.stdout is not None
+        first = [watching.stdout.readline() for _ in range(3)]
+        assert first[0] == "[\n"
+        watching.send_signal(signal.SIGINT)
+        events = json.loads("".join(first) + watching.stdout.read())
+        assert [event["n"] for event in events[:2]] == [1, 2]
+        assert watching.wait(20) == 0
+    finally:
+        watching.kill()
+        watching.communicate()
+
+
+def test_the_live_view_is_left_and_the_system_goes_on(midstride: Midstride) -> None:
+    with Terminal(midstride, "up", TALKER, "--backend", "sim") as terminal:
+        terminal.until("Ctrl-C leaves the view")
+        terminal.press("\x03")
+        assert "talker goes on running." in terminal.rest()
+        assert terminal.status == 0
+    assert midstride("status", "--json").json["valid"]
+    with Terminal(midstride, "watch") as terminal:
+        terminal.until("listener.in")
+        assert midstride("down").status == 0
+        assert "talker is down." in terminal.rest()
+        assert terminal.status == 0
+
+
+def test_ctrl_c_while_coming_up_takes_it_down_again(midstride: Midstride, tmp_path: Path) -> None:
+    document = json.loads(Path(TALKER).read_text())
+    document["components"]["Talker"]["run"] = "python3 never.py"
+    (tmp_path / "never.py").write_text("import time\nwhile True:\n    time.sleep(1)\n")
+    (tmp_path / "listener.py").write_text((EXAMPLES / "talker" / "listener.py").read_text())
+    file = tmp_path / "never.json"
+    file.write_text(json.dumps(document))
+    midstride.environment["MIDSTRIDE_REGISTRATION_TIMEOUT"] = "3"
+    with Terminal(midstride, "up", str(file), "--backend", "sim") as terminal:
+        terminal.until("create talker")
+        terminal.press("\x03")
+        assert "Ending what has been started of talker" in terminal.rest()
+        assert terminal.status == 130
+    assert midstride("status").status == 1
+
+
+@pytest.mark.parametrize(
+    ("program", "told"),
+    [
+        ("import nothing_of_the_kind\n", "No module named 'nothing_of_the_kind'"),
+        ("raise SystemExit(3)\n", "talker exited with status 3 before it registered"),
+        (
+            (EXAMPLES / "talker" / "talker.py").read_text().replace('"out"', '"output"'),
+            "output out is declared, but the node does not have it",
+        ),
+        (None, "can't open file"),
+    ],
+)
+def test_a_component_that_does_not_come_up(
+    midstride: Midstride, tmp_path: Path, program: str | None, told: str
+) -> None:
+    for file in (EXAMPLES / "talker").iterdir():
+        (tmp_path / file.name).write_text(file.read_text())
+    (tmp_path / "talker.py").unlink()
+    if program is not None:
+        (tmp_path / "talker.py").write_text(program)
+    done = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "-d")
+    assert done.status == 1
+    assert done.err.startswith("midstride up: ")
+    assert told in done.err
+    assert "midstride/cli" not in done.err
+    told_json = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "--json")
+    assert (told_json.status, told_json.json["error"]["kind"]) == (1, "StepFailed")
+    assert not (midstride.runtime / "midstride" / "talker" / "state.json").exists()
+
+
+def test_several_systems(talker: Midstride) -> None:
+    file = str(EXAMPLES / "obstacle" / "obstacle.json")
+    assert talker("up", file, "--backend", "sim", "-d").status == 0
+    done = talker("status")
+    assert (done.status, done.out) == (2, "")
+    assert "several systems are running (obstacle, talker): say which with --system NAME" in done.err
+    assert talker("status", "--system", "obstacle").out.startswith("obstacle on sim")
+    assert talker("status", "--system", "talkr").err.endswith("did you mean `talker`?\n")
+    assert talker("down", "--system", "obstacle").status == 0
+    assert talker("status").status == 0
+
+
+def test_a_killed_manager_is_no_riddle(midstride: Midstride) -> None:
+    """In the simulator components die with their manager; what is left written must not be in anybody's way."""
+    assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
+    manager = midstride.manager("talker")
+    os.kill(manager, signal.SIGKILL)
+    while alive(manager):
+        time.sleep(0.01)
+    done = midstride("status")
+    assert done.status == 1
+    assert "the manager of talker has ended" in done.err
+    assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
+    os.kill(midstride.manager("talker"), signal.SIGKILL)
+    assert midstride("down").out == "talker is down.\n"
+    assert midstride("down").status == 1
+
+
+def test_the_view_says_that_the_manager_has_gone(midstride: Midstride) -> None:
+    assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
+    watching = midstride.start("watch")
+    try:
+        assert watching.stdout is not None
+        assert "up talker" in watching.stdout.readline()
+        os.kill(midstride.manager("talker"), signal.SIGTERM)
+        assert watching.stdout.read().endswith("The manager of talker has ended; its components go on.\n")
+        assert watching.wait(20) == 1
+    finally:
+        watching.kill()
+        watching.communicate()
