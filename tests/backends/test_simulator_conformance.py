@@ -8,9 +8,16 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.testing.conformance import CHECKS, Check
+from midstride.testing.conformance.walks import walk
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))
 def test_the_simulator(check: Check, tmp_path: Path) -> None:
     simulator = Simulator()
     simulator.run(check(simulator, tmp_path))
+
+
+@pytest.mark.parametrize("seed", range(100, 120))
+def test_the_simulator_does_what_random_sequences_ask(seed: int, tmp_path: Path) -> None:
+    simulator = Simulator(jitter=0.002, seed=seed)
+    simulator.run(walk(simulator, tmp_path, seed))

@@ -297,7 +297,7 @@ def test_a_refused_call_changes_nothing() -> None:
 def test_writing_without_an_attachment_just_counts() -> None:
     out = Component("talker").create_output("out", String)
     out.write(String(data="into the void"))
-    assert out.writes == 1 and not out.attached
+    assert out.unattached == 1 and not out.attached
 
 
 def test_before_it_starts_an_input_has_heard_nothing() -> None:

@@ -89,7 +89,7 @@ class Output:
         self.name = name
         self.type = type_
         self.qos = qos
-        self.writes = 0
+        self.unattached = 0
         self.wrong_type: str | None = None
         self.links: tuple[OutputLink, ...] = ()
         self.owner: Runner | None = None
@@ -98,8 +98,10 @@ class Output:
         """Publish ``message``. Raises NodeError where it is not of the output's type."""
         if message.__class__ is not self.type and not isinstance(message, self.type):
             self._refuse(message)
-        self.writes += 1
-        for link in self.links:
+        links = self.links
+        if not links:
+            self.unattached += 1
+        for link in links:
             if link.open:
                 link.publish(message)
                 link.count += 1

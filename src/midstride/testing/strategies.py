@@ -246,13 +246,13 @@ class Scene:
 
 
 @st.composite
-def specifications(draw: st.DrawFn, *, most: int = 5) -> Specification:
+def specifications(draw: st.DrawFn, *, most: int = 6) -> Specification:
     """Well-formed specifications of up to ``most`` nodes, whose attachments fit and whose caps and capacities hold.
 
     Some are motley, made of components that know nothing of each other; in the others, networks, what
     befalls one functionality is felt by the next, round in circles as often as not.
     """
-    bare = draw(st.one_of(_networks(most), _motley(most)))
+    bare = draw(st.one_of(_networks(most), _networks(most), _motley(most)))
     s = structure(bare)
     connectors = dict(bare.connectors)
     capped = draw(st.sampled_from((None, *sorted(connectors))))
@@ -312,7 +312,10 @@ def _networks(draw: st.DrawFn, most: int) -> Specification:
     topics = {name: draw(st.sampled_from(NEEDS[:3])) for name in names}
     cast, wiring = {}, {}
     for number, own in enumerate(names):
-        read = draw(st.lists(st.sampled_from(names), max_size=2))
+        near = names[max(0, number - 2) : number] * count  # those before, and at times any: so there are cycles
+        read = [
+            draw(st.sampled_from((*near, *names))) for _ in range(draw(st.sampled_from((1, 1, 2, 0))) if number else 0)
+        ]
         inputs = {f"in{index}": topics[name] for index, name in enumerate(read)}
         cast[f"n{number}"] = Component.of(
             f"C{number}",
@@ -320,7 +323,7 @@ def _networks(draw: st.DrawFn, most: int) -> Specification:
             outputs=("out0",),
             functionalities=(draw(_links(inputs)),),
         )
-        also = draw(st.sampled_from((own, own, own, *names)))
+        also = draw(st.sampled_from((*[own] * count, *names)))
         wiring[f"n{number}"] = {"out0": tuple(dict.fromkeys((own, also)))}
         wiring[f"n{number}"] |= {f"in{index}": (name,) for index, name in enumerate(read)}
     return _specification(cast, wiring, topics, draw(_environments(names)))
@@ -332,7 +335,8 @@ def _links(draw: st.DrawFn, inputs: dict[str, Predicate]) -> Functionality:
     used = tuple(inputs)
     forms: list[tuple[Assumption, ...]] = [(), (NEEDS[4],)]
     if used:
-        forms = [tuple(NamedInputs((port,)) for port in used), (NamedInputs(used),), (inputs[used[0]],)]
+        each = tuple(NamedInputs((port,)) for port in used)
+        forms = [each, each, each, (NamedInputs(used),), (inputs[used[0]],)]
     normal = draw(st.sampled_from(forms))
     middle: list[tuple[tuple[Assumption, ...], Map[str, Predicate]]] = []
     if draw(st.booleans()):
@@ -391,13 +395,13 @@ def _constraints(draw: st.DrawFn, specification: Specification) -> tuple[Constra
 
 
 @st.composite
-def configurations(draw: st.DrawFn, *, most: int = 5) -> Configuration:
+def configurations(draw: st.DrawFn, *, most: int = 6) -> Configuration:
     """Valid configurations, in any of their valid mode assignments."""
     return draw(scenes(most=most)).configuration
 
 
 @st.composite
-def scenes(draw: st.DrawFn, *, most: int = 5) -> Scene:
+def scenes(draw: st.DrawFn, *, most: int = 6) -> Scene:
     specification = draw(specifications(most=most))
     s = structure(specification)
     # Any valid assignment is the best one below itself: so all of them are drawn, the best one more often.

@@ -1,0 +1,160 @@
+"""Random sequences of commands, held after each against a small and obvious account of what should be.
+
+Every back end is held against the same account, so those that pass agree with each other.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from midstride.runtime.backend import Backend
+from midstride.testing.conformance.lab import Lab, settled
+from midstride.testing.conformance.puppets import STRING, Description
+
+STEPS: Final = 60
+TOPICS: Final = ("/a", "/b", "/c")
+
+
+def walker() -> Description:
+    """Two functionalities, one with three modes; a parameter that refuses 13."""
+    return {
+        "component": {
+            "name": "walker",
+            "parameters": {"speed": {"value": 1, "changeable": True}, "name": {"value": "w", "changeable": True}},
+            "inputs": {"in": {"type": STRING}},
+            "outputs": ["out", "log"],
+            "functionalities": {
+                "work": {
+                    "uses": ["in"],
+                    "produces": ["out"],
+                    "modes": {
+                        "normal": {"assumes": ["in"], "guarantees": {"out": {"type": STRING}}},
+                        "slow": {"guarantees": {"out": {"type": STRING}}},
+                        "degraded": {},
+                    },
+                },
+                "tell": {
+                    "produces": ["log"],
+                    "modes": {"normal": {"guarantees": {"log": {"type": STRING, "rate": 20}}}, "degraded": {}},
+                },
+            },
+        },
+        "refuse": {"speed": [13]},
+    }
+
+
+@dataclass
+class Account:
+    """What one walker should be."""
+
+    revision: int
+    modes: dict[str, str] = field(default_factory=lambda: {"work": "degraded", "tell": "degraded"})
+    gates: dict[str, dict[str, str | None]] = field(default_factory=lambda: {"out": {}, "log": {}, "in": {}})
+    parameters: dict[str, Any] = field(default_factory=lambda: {"speed": 1, "name": "w"})
+
+    def take(self, op: str, values: dict[str, Any]) -> bool:
+        """Whether the command is carried out; then this is changed by it."""
+        done: bool = getattr(self, f"_{op}")(**values)
+        self.revision += done
+        return done
+
+    def settled(self) -> dict[str, Any]:
+        return {
+            "revision": self.revision,
+            "modes": self.modes,
+            "gates": self.gates,
+            "parameters": self.parameters,
+        }
+
+    def _attach(self, port: str, topic: str, gate: str) -> bool:
+        if port not in self.gates or topic in self.gates[port]:
+            return False
+        self.gates[port][topic] = None if port == "in" else gate
+        return True
+
+    def _detach(self, port: str, topic: str) -> bool:
+        return port in self.gates and self.gates[port].pop(topic, "absent") != "absent"
+
+    def _gate(self, port: str, topic: str, gate: str) -> bool:
+        if port == "in" or topic not in self.gates.get(port, {}):
+            return False
+        self.gates[port][topic] = gate
+        return True
+
+    def _modes(self, modes: dict[str, str]) -> bool:
+        known = {"work": ("normal", "slow", "degraded"), "tell": ("normal", "degraded")}
+        if any(mode not in known.get(name, ()) for name, mode in modes.items()):
+            return False
+        self.modes.update(modes)
+        return True
+
+    def _set(self, parameters: dict[str, Any]) -> bool:
+        if parameters.get("speed") == 13 or not set(parameters) <= set(self.parameters):
+            return False
+        self.parameters.update(parameters)
+        return True
+
+
+def command(chance: random.Random) -> tuple[str, dict[str, Any]]:
+    """Any command; now and then one that makes no sense."""
+    port = chance.choice(("out", "out", "log", "in", "in", "nowhere"))
+    topic, gate = chance.choice(TOPICS), chance.choice(("open", "closed"))
+    return chance.choice(
+        (
+            ("attach", {"port": port, "topic": topic, "gate": gate}),
+            ("attach", {"port": port, "topic": topic, "gate": gate}),
+            ("detach", {"port": port, "topic": topic}),
+            ("gate", {"port": port, "topic": topic, "gate": gate}),
+            ("modes", {"modes": {"work": chance.choice(("normal", "slow", "degraded", "fast"))}}),
+            ("modes", {"modes": {"work": "normal", "tell": chance.choice(("normal", "degraded"))}}),
+            ("set", {"parameters": {"speed": chance.choice((1, 2, 13)), "name": chance.choice("abc")}}),
+            ("set", {"parameters": {chance.choice(("name", "colour")): "d"}}),
+        )
+    )
+
+
+async def walk(backend: Backend, workspace: Path, seed: int) -> None:
+    chance = random.Random(seed)
+    async with Lab(backend, workspace) as lab:
+        accounts: dict[str, Account] = {}
+        for name in ("one", "two"):
+            await lab.start(name, walker())
+            accounts[name] = Account((await lab.read(name, "observe"))["revision"])
+        for step in range(STEPS):
+            name = chance.choice(("one", "two"))
+            op, values = command(chance)
+            expected = accounts[name].take(op, values)
+            reply = await lab.reply(name, op, True, **values)
+            where = f"seed {seed}, step {step}: {name} {op} {values} -> {reply}"
+            assert reply.ok == expected, where
+            for other, account in accounts.items():
+                state = await lab.read(other, "observe")
+                assert settled(state) == account.settled(), f"{where}\n{other} is {settled(state)}"
+        await lab.eventually("the graph shows what is attached", lambda: _graph_agrees(lab, accounts))
+
+
+async def _graph_agrees(lab: Lab, accounts: dict[str, Account]) -> bool:
+    graph = await lab.backend.endpoints()
+    publishers, subscribers = set(), set()
+    for name, account in accounts.items():
+        publishers |= {(f"/{name}", topic) for port in ("out", "log") for topic in account.gates[port]}
+        subscribers |= {(f"/{name}", topic) for topic in account.gates["in"]}
+    ours = set(TOPICS)
+    return {pair for pair in graph.publishers if pair[1] in ours} == publishers and {
+        pair for pair in graph.subscribers if pair[1] in ours
+    } == subscribers
+
+
+def _seeded(seed: int) -> Callable[[Backend, Path], Coroutine[Any, Any, None]]:
+    async def check(backend: Backend, workspace: Path) -> None:
+        await walk(backend, workspace, seed)
+
+    check.__name__ = f"walks_at_random_{seed}"
+    return check
+
+
+CHECKS: Final = tuple(_seeded(seed) for seed in range(1, 4))
