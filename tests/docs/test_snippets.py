@@ -1,0 +1,208 @@
+"""Every snippet of the README, the documentation and the examples is run, in the order it stands in.
+
+A page is a session: its ``sh`` and ``python`` blocks run one after another in a copy of the examples. After
+the language may stand ``file=PATH`` (the block is written to that file instead) and ``exit=N`` (its exit
+status, else 0). Each line of a ``text`` block must have been printed since the one before, whatever its
+numbers. Lines that call ``make`` are not run, since that is what runs this test; their targets must exist.
+Blocks of other languages are not run: ``json`` ones must be JSON.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SOURCE = ROOT / "src" / "midstride"
+PAGES = sorted(
+    page
+    for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")]
+    if page.is_file()
+)
+RUN = {"sh", "python", "text", "json"}
+
+
+@dataclass(frozen=True)
+class Snippet:
+    language: str
+    options: dict[str, str]
+    text: str
+    line: int
+
+
+def snippets(page: Path) -> Iterator[Snippet]:
+    lines = iter(enumerate(page.read_text(encoding="utf-8").splitlines(), 1))
+    for number, line in lines:
+        if not line.startswith("```"):
+            continue
+        language, *words = line[3:].split() or [""]
+        body: list[str] = []
+        for _, inside in lines:
+            if inside == "```":
+                break
+            body.append(inside)
+        else:
+            raise AssertionError(f"{page}:{number}: the block has no end")
+        yield Snippet(language, dict(word.split("=", 1) for word in words), "\n".join(body) + "\n", number)
+
+
+def without_make(snippet: Snippet) -> str:
+    """The commands to run; a target of ``make`` must exist."""
+    kept = []
+    for line in snippet.text.splitlines():
+        words = line.split("#")[0].split()
+        if words[:1] == ["make"]:
+            dry = subprocess.run(["make", "-n", *words[1:]], cwd=ROOT, capture_output=True, text=True, check=False)
+            assert dry.returncode == 0, dry.stderr
+        else:
+            kept.append(line)
+    return "\n".join(kept)
+
+
+def without_numbers(text: str) -> list[str]:
+    """Lines to be compared: numbers and the width of columns may differ."""
+    return [" ".join(re.sub(r"\d+(\.\d+)?( m?s)?", "#", line).split()) for line in text.splitlines()]
+
+
+class Session:
+    def __init__(self, folder: Path, backend: str) -> None:
+        self.folder = folder
+        shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("__pycache__"))
+        command = folder / "bin" / "midstride"
+        command.parent.mkdir()
+        command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m midstride "$@"\n')
+        command.chmod(0o755)
+        self.environment = {
+            **{name: value for name, value in os.environ.items() if name != "MIDSTRIDE_DEMO"},
+            "PATH": f"{command.parent}{os.pathsep}{os.environ['PATH']}",
+            "XDG_RUNTIME_DIR": str(folder),
+            "MIDSTRIDE_BACKEND": backend,
+        }
+        self.printed = ""
+
+    def run(self, snippet: Snippet) -> None:
+        if (path := snippet.options.get("file")) is not None:
+            (self.folder / path).write_text(snippet.text, encoding="utf-8")
+        elif snippet.language == "json":
+            json.loads(snippet.text)
+        elif snippet.language == "text":
+            seen = without_numbers(self.printed)
+            for line in without_numbers(snippet.text):
+                assert line in seen, f"line {snippet.line}: {line!r} was not printed, but:\n{self.printed}"
+            self.printed = ""
+        elif snippet.language == "sh":
+            self._do(["sh", "-eu", "-c", without_make(snippet)], snippet)
+        elif snippet.language == "python":
+            self._do([sys.executable, "-c", snippet.text], snippet)
+
+    def _do(self, command: list[str], snippet: Snippet) -> None:
+        done = subprocess.run(
+            command,
+            cwd=self.folder,
+            env=self.environment,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            timeout=100,
+            check=False,
+        )
+        assert done.returncode == int(snippet.options.get("exit", "0")), f"line {snippet.line}:\n{done.stdout}"
+        self.printed += done.stdout
+
+    def close(self) -> list[str]:
+        """End what still runs; its names."""
+        left = [state.parent.name for state in self.folder.glob("midstride/*/state.json")]
+        for system in left:
+            command = [sys.executable, "-m", "midstride", "down", "--system", system]
+            subprocess.run(command, env=self.environment, capture_output=True, check=True)
+        return left
+
+
+def play(page: Path, backend: str) -> None:
+    folder = Path(tempfile.mkdtemp(prefix="ms"))  # sockets have short paths
+    session = Session(folder, backend)
+    try:
+        for snippet in snippets(page):
+            session.run(snippet)
+        assert session.close() == []
+    finally:
+        session.close()
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+WITH_CODE = [page for page in PAGES if any(snippet.language in RUN for snippet in snippets(page))]
+
+
+@pytest.mark.parametrize("page", WITH_CODE, ids=name_of)
+def test_every_snippet_runs(page: Path) -> None:
+    play(page, "sim")
+
+
+@pytest.mark.ros2
+def test_the_readme_runs_on_ros_2() -> None:
+    play(ROOT / "README.md", "ros2")
+
+
+def test_a_snippet_that_is_wrong_fails(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    for text in (
+        "```sh\nmidstride --versoin\n```\n",
+        "```python\nraise SystemExit(3)\n```\n",
+        "```sh\nmake no-such-target\n```\n",
+        "```sh\necho one 1\n```\n```text\ntwo 2\n```\n",
+        "```json\n{]\n```\n",
+        "```sh\ntrue\n",
+    ):
+        page.write_text(text)
+        with pytest.raises((AssertionError, ValueError)):
+            play(page, "sim")
+    page.write_text("```sh exit=2\nmidstride --versoin\n```\n```sh\necho one   12.5 ms\n```\n```text\none 3\n```\n")
+    play(page, "sim")
+
+
+LINK = re.compile(r"\]\((?!https?:|#)([^)#\s]+)")
+PATH = re.compile(r"`([a-z_]+(?:/[a-z_0-9]+)*/[a-z_0-9]+\.py)`")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_what_is_linked_and_named_is_there(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    for link in LINK.findall(text):
+        assert (page.parent / link).exists(), f"{name_of(page)} links to {link}"
+    for path in PATH.findall(text):
+        assert (SOURCE / path).exists() or (ROOT / path).exists(), f"{name_of(page)} names {path}"
+
+
+def test_every_class_of_the_glossary_exists() -> None:
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    rooms = [entry.name for entry in SOURCE.iterdir() if entry.is_dir()]
+    names = [name for name in re.findall(r"`([a-z_]+(?:\.[A-Za-z_]+)+)`", text) if name.split(".")[0] in rooms]
+    assert len(names) > 30
+    for name in names:
+        module = f"midstride.{name}"
+        attributes: list[str] = []
+        while True:
+            try:
+                found: object = importlib.import_module(module)
+                break
+            except ModuleNotFoundError:
+                module, _, attribute = module.rpartition(".")
+                attributes.insert(0, attribute)
+        for attribute in attributes:
+            found = getattr(found, attribute)
