@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import midstride as package
+from midstride.backends import NAMES
 from midstride.cli import main
 from midstride.cli.app import COMMANDS
 from tests.cli.conftest import EXAMPLES, Midstride
@@ -88,7 +89,7 @@ def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
             ["plan", TALKER, "--remove", "talker", "--strategy", "fast"],
             "'fast' is not one of 'minimal', 'paper', 'quiesce'",
         ),
-        (["up", TALKER, "--backend", "ros3"], "'ros3' is not one of 'ros2', 'sim'"),
+        (["up", TALKER, "--backend", "ros3"], "'ros3' is not one of " + ", ".join(map(repr, NAMES))),
         (["up", TALKER, "--http-host", "0.0.0.0"], "--http-host needs --http PORT"),
         (["demo", "talkr"], "there is no example `talkr`; did you mean `talker`?"),
         (["add", "second", "Listener", "in", "--yes"], "`in` is not of the form PORT=TOPIC, such as out=/chatter"),

@@ -44,7 +44,7 @@ def stage(example: Example, backend: str) -> Iterator[Stage]:
         workspace = Workspace(folder)
         _own_network(folder)
         os.environ[_MARK] = token
-        guardian = stack.enter_context(Guardian(_MARK, token)) if backend == "ros2" else None
+        guardian = stack.enter_context(Guardian(_MARK, token)) if backend != "sim" else None
         platform: Backend = (
             Simulator(starting=COLD_START)
             if backend == "sim"

@@ -37,7 +37,8 @@ def demo_command(name: str, backend: str | None) -> int:
     if backend is None:
         backend = backends.default()
         if backend != "ros2":
-            click.echo("ROS 2 cannot be imported here, so this runs on the simulator.", err=True)
+            instead = "the simulator" if backend == "sim" else backend
+            click.echo(f"ROS 2 cannot be imported here, so this runs on {instead}.", err=True)
     out = Console(quiet=True) if wants_json() else console()
     try:
         outcomes = asyncio.run(perform(example, backend, out))
