@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from midstride.runtime.backend import Backend
     from midstride.runtime.guardian import Guardian
 
-NAMES: Final = ("ros2", "sim")
+NAMES: Final = ("ros2", "ros1", "sim")
 
 
 def make(name: str, *, logs: Path | None = None, guardian: Guardian | None = None) -> Backend:
@@ -30,14 +30,23 @@ def make(name: str, *, logs: Path | None = None, guardian: Guardian | None = Non
         from midstride.backends.ros2 import create_backend
 
         return create_backend(logs=logs, guardian=guardian)
+    if name == "ros1":
+        from midstride.backends import ros1
+
+        return ros1.create_backend(logs=logs, guardian=guardian)
     raise BackendError(f"there is no back end {name}; there are {', '.join(NAMES)}")
 
 
 def available(name: str) -> bool:
-    """Whether the back end ``name`` can be had here, without importing it."""
+    """Whether the back end ``name`` can be had here, without importing any ROS."""
+    if name == "ros1":
+        from midstride.backends import ros1
+
+        return ros1.available()
     return name == "sim" or (name == "ros2" and importlib.util.find_spec("rclpy") is not None)
 
 
 def default() -> str:
-    """ROS 2 where it can be had, else the simulator."""
-    return "ros2" if available("ros2") else "sim"
+    """The ROS that this Python can import, ROS 2 first; the simulator where there is none."""
+    libraries = {"ros2": "rclpy", "ros1": "rospy"}
+    return next((name for name, library in libraries.items() if importlib.util.find_spec(library)), "sim")

@@ -164,7 +164,7 @@ class Attachments:
             if self._host.steady() >= deadline:
                 await self._data.run(undo, timeout)
                 raise CommandRefused(
-                    f"only {matched} of {peers} endpoints on {topic} were found within {timeout:g} s; "
+                    f"only {max(matched, 0)} of {peers} endpoints on {topic} were found within {timeout:g} s; "
                     "the others have another type or incompatible QoS, or are not there"
                 )
             await self._host.sleep(TICK)

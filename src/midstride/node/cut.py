@@ -37,10 +37,11 @@ def belongs_after(runner: Runner | None, at: int, host: Host) -> bool:
 
 
 def source_of(info: Any, host: Host) -> int:
-    """When what a call answers was published: the newest of a set; now, where the middleware does not tell."""
+    """When what a call answers was published, or else stamped: the newest of a set; now, where nobody tells."""
     if isinstance(info, InfoSet):
         return max(source_of(one, host) for one in info)
-    source = host.read_info(info).source
+    told = host.read_info(info)
+    source = told.stamp if told.source is None else told.source
     return host.now() if source is None else source
 
 

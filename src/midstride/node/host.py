@@ -22,12 +22,14 @@ class MessageInfo:
     """What the middleware tells of a received message; None where it cannot tell.
 
     ``source`` is the time of publication (ns), ``number`` the publisher's own count,
-    ``publisher`` an opaque identity of the publishing endpoint.
+    ``publisher`` an opaque identity of the publishing endpoint. ``stamp`` is a time that every receiver of the
+    message reads alike (its header's), where the time of publication is not told: good enough to agree on a cut.
     """
 
     source: int | None
     number: int | None
     publisher: str | None
+    stamp: int | None = None
 
 
 class Publisher(Protocol):
@@ -36,7 +38,7 @@ class Publisher(Protocol):
     def publish(self, message: Any) -> None: ...
 
     def matched(self) -> int:
-        """How many *compatible* subscriptions are matched. Called on the control side."""
+        """How many *compatible* subscriptions are matched; -1 before the platform knows of it. On the control side."""
         ...
 
     async def acknowledged(self, timeout: float) -> bool | None:
@@ -53,7 +55,7 @@ class Subscription(Protocol):
     """An endpoint of an input on one topic."""
 
     def matched(self) -> int:
-        """How many compatible publishers are matched. Called on the control side."""
+        """How many compatible publishers are matched; -1 before the platform knows of it. On the control side."""
         ...
 
     def destroy(self) -> None: ...

@@ -1,0 +1,158 @@
+"""What the back ends of real platforms share: components as processes of the operating system."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import shutil
+import signal
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, TypeVar
+
+from midstride.errors import StartFailed, Unreachable
+from midstride.runtime.backend import Launch
+from midstride.runtime.guardian import Guardian
+from midstride.runtime.process import Process
+from midstride.wire.messages import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
+
+T = TypeVar("T")
+
+_OURS: Final = ("python", "python3")
+
+
+def command(
+    arguments: Sequence[str], directory: Path, environment: Mapping[str, str], python: Callable[[], str]
+) -> tuple[str, ...]:
+    """The command with its program found. Raises StartFailed, naming what cannot be found.
+
+    ``python`` and ``python3`` mean the interpreter that has the platform and Midstride, whatever comes
+    first on the PATH. Any other one is asked for by its path.
+    """
+    program, *rest = arguments
+    if program in _OURS:
+        return (python(), *rest)
+    if "/" in program:
+        found = shutil.which(os.path.join(directory, program))
+    else:
+        found = shutil.which(program, path=environment.get("PATH"))
+    if found is None:
+        raise StartFailed(f"cannot start `{' '.join(arguments)}`: there is no program {program} that can be run")
+    return (found, *rest)
+
+
+def identity(launch: Launch, backend: str) -> dict[str, str]:
+    """The environment variables that tell a component's process who it is (wire/messages.py)."""
+    return {
+        ENV_BACKEND: backend,
+        ENV_INSTANCE: launch.instance,
+        ENV_NAMESPACE: launch.namespace,
+        ENV_TOKEN: launch.token,
+        ENV_PARAMETERS: json.dumps(launch.parameters),
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+class Children:
+    """The processes of components, by instance; to be used on one event loop.
+
+    ``exited`` is told of each that ends by itself, once it is no longer among them.
+    """
+
+    def __init__(self, guardian: Guardian | None, exited: Callable[[str, int | None, Process], None]) -> None:
+        self._guardian = guardian
+        self._exited = exited
+        self._processes: dict[str, Process] = {}
+        self._gone: dict[str, asyncio.Event] = {}
+
+    def __contains__(self, instance: object) -> bool:
+        return instance in self._processes
+
+    def __len__(self) -> int:
+        return len(self._processes)
+
+    def take(self, instance: str, process: Process) -> None:
+        """Watch a process from now on."""
+        self._processes[instance] = process
+        self._gone[instance] = asyncio.Event()
+        if self._guardian is not None:
+            self._guardian.watch(process.pid, process.started)
+        process.on_exit(lambda status: self._ended(instance, process, status))
+
+    def _ended(self, instance: str, process: Process, status: int | None) -> None:
+        self._forget(instance, process)
+        self._exited(instance, status, process)
+
+    async def end(self, instance: str, grace: float) -> bool:
+        """End a process, whoever is told of nothing; returns when it is gone. False where there is none."""
+        process = self._processes.get(instance)
+        if process is None:
+            return False
+        process.on_exit(None)
+        await process.end(grace)
+        self._forget(instance, process)
+        return True
+
+    def _forget(self, instance: str, process: Process) -> None:
+        if self._processes.get(instance) is process:
+            del self._processes[instance]
+            self._gone[instance].set()
+        if self._guardian is not None:
+            self._guardian.release(process.pid)
+        process.close()
+
+    async def while_running(self, instance: str, what: str, work: Awaitable[T]) -> T:
+        """What ``work`` comes to. Raises Unreachable as soon as the process of ``instance`` has ended."""
+        working = asyncio.ensure_future(work)
+        gone = self._gone.get(instance)
+        if gone is None:  # nobody's process here: it was started elsewhere
+            return await working
+        waiting = asyncio.ensure_future(gone.wait())
+        try:
+            await asyncio.wait({working, waiting}, return_when=asyncio.FIRST_COMPLETED)
+            if working.done():
+                return working.result()
+            raise Unreachable(f"the process of {instance} ended before it answered `{what}`")
+        finally:
+            working.cancel()
+            waiting.cancel()
+            await asyncio.gather(working, return_exceptions=True)
+
+    def close(self) -> None:
+        """Let go of them all; they go on."""
+        for process in self._processes.values():
+            process.close()
+        self._processes.clear()
+
+
+@contextmanager
+def ending_on_signals(main: asyncio.Future[None]) -> Iterator[list[int]]:
+    """SIGTERM and SIGINT cancel ``main``, which then ends in order; the second one of them ends the process at once.
+
+    Yields the signals that came. What was in their place is put back. To be used on the event loop of ``main``.
+    """
+    loop = asyncio.get_running_loop()
+    caught = (signal.SIGTERM, signal.SIGINT)
+    before = {number: signal.getsignal(number) for number in caught}
+    came: list[int] = []
+
+    def interrupt(number: int) -> None:
+        came.append(number)
+        for other in caught:
+            loop.remove_signal_handler(other)
+            signal.signal(other, signal.SIG_DFL)
+        main.cancel()
+
+    try:
+        for number in caught:
+            loop.add_signal_handler(number, interrupt, number)
+    except (ValueError, RuntimeError):  # not in the main thread: whoever started that one deals with signals
+        before = {}
+    try:
+        yield came
+    finally:
+        for number, handler in before.items():
+            loop.remove_signal_handler(number)
+            signal.signal(number, handler)

@@ -1,0 +1,53 @@
+"""ROS 1: what a component's process is given (:func:`create_host`), and the manager's side (:func:`create_backend`).
+
+Importing this package imports no ROS. The manager's side never does: it speaks ROS 1's protocols itself
+and may live beside ROS 2. A component's process has rospy, and no ROS 2 on its ``sys.path``.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from midstride.errors import BackendError
+
+if TYPE_CHECKING:
+    from midstride.backends.ros1.backend import Ros1Backend
+    from midstride.backends.ros1.host import Ros1Host
+    from midstride.runtime.guardian import Guardian
+
+__all__ = ["available", "create_backend", "create_host"]
+
+
+def available() -> bool:
+    """Whether an interpreter is known here in which components of ROS 1 can run."""
+    from midstride.backends.ros1.launching import interpreter
+
+    return interpreter() is not None
+
+
+def create_host(name: str, namespace: str) -> Ros1Host:
+    """Join ROS 1 as the component ``name``. Raises BackendError or NodeError where that is not possible."""
+    try:
+        import rospy  # noqa: F401
+    except ImportError as error:
+        raise BackendError(
+            f"ROS 1 cannot be imported ({error}): apt install python3-rospy, and run this with the system's Python "
+            "or in a virtual environment with --system-site-packages"
+        ) from error
+    from midstride.backends.ros1.host import Ros1Host
+
+    return Ros1Host(name, namespace)
+
+
+def create_backend(*, logs: Path | None = None, guardian: Guardian | None = None) -> Ros1Backend:
+    """The back end of a manager. ``logs``: the folder of the components' logs (default: beside ROS's own).
+
+    ``guardian`` ends what is started should this process be killed. Raises BackendError where no
+    interpreter with ROS 1 is known.
+    """
+    from midstride.backends.ros1.backend import Ros1Backend
+    from midstride.backends.ros1.launching import require_interpreter
+
+    require_interpreter()
+    return Ros1Backend(logs=logs, guardian=guardian)

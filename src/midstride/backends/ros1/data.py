@@ -1,0 +1,98 @@
+"""The data side: an event loop in a thread of its own, in which all user code runs, one call after another.
+
+rospy calls back in as many threads as there are connections. Here they only queue what has come; so
+two publishers of one topic never call user code at the same time, and a change of modes falls between two calls.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import selectors
+import threading
+import traceback
+from collections.abc import Awaitable, Callable, Coroutine
+from typing import Any, TypeVar
+
+T = TypeVar("T")
+
+
+class DataSide:
+    """Runs functions in its thread, in the order in which they come."""
+
+    def __init__(self, failed: Callable[[str], None]) -> None:
+        """``failed`` is told, in the thread, the traceback of whatever a function raised."""
+        # select() takes its time-out in microseconds; epoll() would make every timer up to a millisecond late.
+        self.loop = asyncio.SelectorEventLoop(selectors.SelectSelector())
+        self.loop.set_exception_handler(lambda loop, context: failed(_told(context)))
+        self._driven: set[asyncio.Task[None]] = set()  # the loop itself refers to its tasks weakly
+        self._thread = threading.Thread(target=self._run, name="midstride-data", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def _run(self) -> None:
+        asyncio.set_event_loop(self.loop)
+        self.loop.run_forever()
+
+    def stop(self, timeout: float) -> bool:
+        """Stop and join it; False where a function does not return in time. Blocks."""
+        if self._thread.is_alive():
+            self.loop.call_soon_threadsafe(self.loop.stop)
+            self._thread.join(timeout)
+        if self._thread.is_alive():
+            return False
+        for task in asyncio.all_tasks(self.loop):
+            task.cancel()
+        self.loop.run_until_complete(asyncio.sleep(0))
+        self.loop.close()
+        return True
+
+    def post(self, function: Callable[..., object], *arguments: Any) -> None:
+        """Have ``function`` called in its turn. From any thread."""
+        if not self.loop.is_closed():
+            self.loop.call_soon_threadsafe(function, *arguments)
+
+    def run(self, function: Callable[[], T]) -> Awaitable[T]:
+        """Queue ``function`` at once; its result, for the event loop that asks."""
+        asking = asyncio.get_running_loop()
+        done: asyncio.Future[T] = asking.create_future()
+
+        def settle(result: T | None, error: BaseException | None) -> None:
+            if done.cancelled():
+                return
+            if error is None:
+                done.set_result(result)  # type: ignore[arg-type]
+            else:
+                done.set_exception(error)
+
+        def work() -> None:
+            result: T | None = None
+            raised: BaseException | None = None
+            try:
+                result = function()
+            except BaseException as error:
+                raised = RuntimeError(str(error)) if isinstance(error, StopIteration) else error
+            if not asking.is_closed():
+                asking.call_soon_threadsafe(settle, result, raised)
+
+        self.post(work)
+        return done
+
+    def drive(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
+        """Run ``coroutine`` to its end, then call ``done``. In the thread."""
+        task = self.loop.create_task(coroutine)
+        self._driven.add(task)
+
+        def ended(task: asyncio.Task[None]) -> None:
+            self._driven.discard(task)
+            if not task.cancelled():
+                done()
+
+        task.add_done_callback(ended)
+
+
+def _told(context: dict[str, Any]) -> str:
+    error = context.get("exception")
+    if isinstance(error, BaseException):
+        return "".join(traceback.format_exception(error)).rstrip()
+    return str(context.get("message"))

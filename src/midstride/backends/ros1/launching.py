@@ -1,0 +1,101 @@
+"""What the processes of ROS 1 are started with: their interpreter and their environment.
+
+The manager needs no ROS 1 itself, so it may run in an environment of ROS 2. What it starts never sees
+that: two ROS on one ``sys.path`` break each other's messages.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Final
+from urllib.parse import urlsplit
+
+from midstride.errors import BackendError
+
+# Names the interpreter in which components run, and which has rospy, rosmaster and Midstride.
+ENV_PYTHON: Final = "MIDSTRIDE_ROS1_PYTHON"
+# The environment that `make test` sets up, beside the one the manager runs in.
+BESIDE: Final = ".venv-ros1"
+MASTER_URI: Final = "ROS_MASTER_URI"
+DEFAULT_MASTER: Final = "http://localhost:11311"
+LOOPBACK: Final = "127.0.0.1"
+
+_LOCAL: Final = ("localhost", "127.0.0.1", "::1")
+# Said by a sourced ROS 2, or by its wheels, and meant for ROS 2 alone.
+_OF_ROS2: Final = (
+    "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+    "AMENT_PREFIX_PATH",
+    "COLCON_PREFIX_PATH",
+    "RMW_IMPLEMENTATION",
+    "ROS_DOMAIN_ID",
+)
+_VERSION_OF_ROS2: Final = ("ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION")
+
+
+def interpreter() -> str | None:
+    """The Python in which components run; None where none is known that could."""
+    if named := os.environ.get(ENV_PYTHON):
+        return named
+    if importlib.util.find_spec("rospy") is not None:
+        return sys.executable
+    beside = Path(sys.prefix).parent / BESIDE / "bin" / "python"
+    return str(beside) if os.access(beside, os.X_OK) else None
+
+
+def require_interpreter() -> str:
+    """Raises BackendError, saying what to do, where there is none."""
+    found = interpreter()
+    if found is None:
+        raise BackendError(
+            "ROS 1 cannot be found here: neither does this Python import rospy, nor does "
+            f"{ENV_PYTHON} name one that does. On Debian 12 and Ubuntu 22.04: apt install python3-rospy "
+            "python3-rosmaster, then `tools/ros1`, or a virtual environment with --system-site-packages"
+        )
+    return found
+
+
+def master_uri(environment: Mapping[str, str]) -> str:
+    return environment.get(MASTER_URI) or DEFAULT_MASTER
+
+
+def is_local(uri: str) -> bool:
+    """Whether an address means this machine by its loopback."""
+    return urlsplit(uri).hostname in _LOCAL
+
+
+def own_host(environment: Mapping[str, str], uri: str) -> str:
+    """Under which name other nodes reach this process: what the user says, else loopback with a local master."""
+    named = environment.get("ROS_HOSTNAME") or environment.get("ROS_IP")
+    if named:
+        return named
+    if is_local(uri):
+        return LOOPBACK
+    raise BackendError(f"the ROS master is on another machine ({uri}): set ROS_IP to the address of this one")
+
+
+def environment(base: Mapping[str, str], uri: str) -> dict[str, str]:
+    """The environment of any process of ROS 1: the manager's, without what is ROS 2's."""
+    result = {name: value for name, value in base.items() if name not in _OF_ROS2}
+    if "AMENT_PREFIX_PATH" in base or base.get("ROS_VERSION") == "2":
+        for name in _VERSION_OF_ROS2:
+            result.pop(name, None)
+    _keep(result, "PYTHONPATH", lambda path: not os.path.isdir(os.path.join(path, "rclpy")))
+    if "_ROS_WHEELS_BOOTSTRAP_COMPLETE" in base:
+        _keep(result, "LD_LIBRARY_PATH", lambda path: not Path(path).is_relative_to(sys.prefix))
+    result[MASTER_URI] = uri
+    if is_local(uri) and "ROS_HOSTNAME" not in result:
+        result.setdefault("ROS_IP", LOOPBACK)
+    result["PYTHONUNBUFFERED"] = "1"
+    return result
+
+
+def _keep(environment: dict[str, str], variable: str, wanted: Callable[[str], bool]) -> None:
+    kept = [path for path in environment.get(variable, "").split(os.pathsep) if path and wanted(path)]
+    if kept:
+        environment[variable] = os.pathsep.join(kept)
+    else:
+        environment.pop(variable, None)

@@ -1,0 +1,45 @@
+"""Names of nodes, topics and services on ROS 1."""
+
+from __future__ import annotations
+
+from typing import Final
+
+STRING: Final = "std_msgs/String"
+# Every component's announcements, and every component's state: JSON in a std_msgs/String.
+ANNOUNCEMENT: Final = "/midstride/announcement"
+STATE: Final = "/midstride/state"
+# What the names of managers' nodes begin with.
+MANAGER: Final = "/midstride_manager_"
+# The type of the command service, whose classes genpy makes from its definition.
+COMMAND_TYPE: Final = "midstride/Command"
+COMMAND_DEFINITION: Final = "string request\n---\nstring reply\n"
+# What a subscriber asks of a publisher at the end of its message definition, which is a comment to everybody else;
+# and the field of the publisher's connection header by which it grants it, and names itself.
+NUMBERED: Final = "# midstride: numbered"
+GRANTED: Final = "midstride"
+
+
+def split(instance: str, namespace: str = "") -> tuple[str, str]:
+    """The name and the namespace of an instance's node: ``front/camera`` is node ``camera`` in ``/front``.
+
+    ``namespace`` counts where ``instance`` names none of its own.
+    """
+    own, _, name = instance.strip("/").rpartition("/")
+    inside = (own or namespace).strip("/")
+    return name, f"/{inside}" if inside else "/"
+
+
+def full(instance: str, namespace: str = "") -> str:
+    """The full name of an instance's node: ``/front/camera``."""
+    name, inside = split(instance, namespace)
+    return f"{inside.rstrip('/')}/{name}"
+
+
+def command_service(node: str) -> str:
+    """The service by which the component of ``node`` takes commands."""
+    return f"{node}/midstride/command"
+
+
+def is_ours(name: str) -> bool:
+    """Whether a node, topic or service is Midstride's own plumbing."""
+    return name in (ANNOUNCEMENT, STATE) or name.startswith(MANAGER) or name.endswith("/midstride/command")

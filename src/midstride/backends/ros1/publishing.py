@@ -1,0 +1,210 @@
+"""The publishers of a component: rospy's, with numbers and source times where a subscriber asks for them.
+
+A message of ROS 1 carries no number and no time of publication (semantics.md section 7 wants both). But
+connections begin with headers to which either side may add: a Midstride subscriber asks, a Midstride
+publisher grants, and each message on that connection ends with some bytes more, beyond the message's own
+length. Every other subscriber gets exactly what rospy would send. The header's answer also names the
+publisher anew each time, so that two of one name, one after the other, are told apart.
+
+To rospy a node has one connection to each subscriber of a topic, however many of its outputs are
+attached there: so the trailer says which of them wrote.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import struct
+import threading
+import time
+import uuid
+from collections.abc import Callable
+from itertools import count
+from typing import Any, Final
+
+import rospy.impl.tcpros_base
+from rospy.impl.registration import get_topic_manager
+from rospy.msg import serialize_message
+from rospy.topics import _PublisherImpl, _TopicImpl
+
+from midstride.backends.ros1 import names
+from midstride.backends.ros1.peers import Peer
+from midstride.backends.ros1.registrar import Registrar
+from midstride.errors import NodeError
+from midstride.model.contract import QoS
+
+# What follows a message to who has asked for it: its number, from 1, when it was published (ns), which output of the
+# node wrote it, and whether it is one that was held for late joiners.
+TRAILER: Final = struct.Struct("<QQIB")
+_LENGTH: Final = struct.Struct("<I")
+# How long the end of a publisher may take: for the last messages to be sent, and for subscribers to have read them (s).
+FLUSH: Final = 0.5
+READ: Final = 0.3
+_POLL: Final = 0.002
+
+# The header of the subscriber whose connection is being added, in the thread that adds it.
+_joining = threading.local()
+
+
+def prepare() -> None:
+    """Once, after rospy's start: let publishers see the headers of their subscribers.
+
+    And accept each connection in a thread of its own: rospy reads their headers one after another, so that
+    one peer that is frozen in the middle of its own keeps all others out, commands included.
+    """
+    server = rospy.impl.tcpros_base._tcpros_server
+    handle = server.topic_connection_handler
+
+    def topic_connection(connection: Any, address: Any, header: dict[str, str]) -> Any:
+        _joining.header = header
+        try:
+            return handle(connection, address, header)
+        finally:
+            _joining.header = {}
+
+    server.topic_connection_handler = topic_connection
+    server.start_server()
+    accept = server.tcp_ros_server.inbound_handler
+    server.tcp_ros_server.inbound_handler = lambda connection, address: threading.Thread(
+        target=accept, args=(connection, address), daemon=True
+    ).start()
+
+
+class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
+    """What rospy keeps of a topic that this node publishes; shared by the outputs that are attached to it."""
+
+    def __init__(self, topic: str, type_: Any, latched: bool, control: asyncio.AbstractEventLoop) -> None:
+        super().__init__(topic, type_)
+        self.registered = False
+        self.given_up = False
+        self.is_latch = latched  # said in connection headers; what is held for late joiners is each port's
+        self.headers = {names.GRANTED: uuid.uuid4().hex}
+        self.ports: tuple[PortPublisher, ...] = ()
+        self.indices = count()
+        self._control = control
+        self._buffer = io.BytesIO()
+
+    def add_connection(self, transport: Any) -> bool:
+        """rospy, in the thread of a new connection: its header has been answered."""
+        asked = getattr(_joining, "header", {}).get("message_definition", "")
+        depth = max((port.depth for port in self.ports), default=1)
+        peer = Peer(transport, asked.rstrip().endswith(names.NUMBERED), depth, self._control)
+        with self.publock:
+            if not _TopicImpl.add_connection(self, peer):
+                return False
+            for port in self.ports:
+                if port.held is not None:
+                    peer.write(self._frame(port, *port.held, held=True)[peer.numbered])
+        return True
+
+    def send(self, port: PortPublisher, message: Any, source: int) -> None:
+        """Send to every subscriber. Raises what serialising raises, and then nothing has been sent."""
+        with self.publock:
+            number = port.sent + 1
+            peers = self.connections
+            if peers or port.latched:
+                plain, numbered = self._frame(port, message, number, source)
+                if port.latched:
+                    port.held = (message, number, source)
+                for peer in peers:
+                    peer.write(numbered if peer.numbered else plain)
+            port.sent = number
+
+    def _frame(
+        self, port: PortPublisher, message: Any, number: int, source: int, held: bool = False
+    ) -> tuple[bytes, bytes]:
+        """The message as rospy sends it, and with its trailer."""
+        buffer = self._buffer
+        try:
+            serialize_message(buffer, number, message)
+            plain = buffer.getvalue()
+        finally:
+            buffer.seek(0)
+            buffer.truncate()
+        length = _LENGTH.pack(len(plain) - 4 + TRAILER.size)
+        return plain, b"".join((length, memoryview(plain)[4:], TRAILER.pack(number, source, port.index, held)))
+
+    def publish(self, message: Any, connection_override: Any = None) -> bool:
+        """For an author who publishes on a port's topic by rospy's means: as if the first port had."""
+        if self.ports:
+            self.send(self.ports[0], message, time.time_ns())
+        return True
+
+    def connected(self) -> int:
+        return sum(not peer.gone.is_set() for peer in self.connections)
+
+    async def drained(self, timeout: float) -> bool:
+        """Whether every subscriber's machine has all that was written, within ``timeout`` seconds."""
+        deadline = time.monotonic() + timeout
+        while not all(peer.idle for peer in self.connections):
+            if time.monotonic() > deadline:
+                return False
+            await asyncio.sleep(_POLL)
+        return True
+
+    async def leave(self) -> None:
+        """On the control side, once the last port has gone: everybody reads to the end, then the connections close."""
+        peers: list[Peer] = list(self.connections)
+        await self.drained(FLUSH)
+        for peer in peers:
+            peer.finish()
+        deadline = time.monotonic() + READ
+        while not all(peer.gone.is_set() for peer in peers) and time.monotonic() < deadline:
+            await asyncio.sleep(_POLL)
+        for peer in peers:
+            peer.leave()
+
+
+class PortPublisher:
+    """See :class:`midstride.node.host.Publisher`. ``registrar`` is told of topics that are new, or given up."""
+
+    def __init__(
+        self, topic: str, type_: Any, qos: QoS, now: Callable[[], int], registrar: Registrar[NumberedTopic]
+    ) -> None:
+        """Raises NodeError where the node publishes there by other means, or another type."""
+        stated = qos.effective()
+        self.depth = 100_000 if stated.history == "keep_all" else stated.depth or 1
+        self.latched = stated.is_transient_local
+        self.sent = 0
+        self.held: tuple[Any, int, int] | None = None
+        self._now = now
+        self._registrar = registrar
+        name, manager = rospy.names.resolve_name(topic), get_topic_manager()
+        with manager.lock:
+            found = manager.pubs.get(name)
+            if found is None:
+                found = NumberedTopic(name, type_, self.latched, registrar.loop)
+                manager.pubs[name] = found
+                manager.topics.add(name)
+                registrar.join(found)
+            elif not isinstance(found, NumberedTopic) or found.data_class._md5sum != type_._md5sum:
+                raise NodeError(f"this node publishes on {name} already, but not by a port of this type")
+            found.ref_count += 1  # an author's own use of the topic must not end it
+            self.topic: NumberedTopic = found
+            self.index = next(found.indices)
+            found.is_latch = found.is_latch or self.latched
+            found.ports = (*found.ports, self)
+        self._send = found.send
+
+    def publish(self, message: Any) -> None:
+        self._send(self, message, self._now())
+
+    def matched(self) -> int:
+        """-1 until the master knows of it."""
+        return self.topic.connected() if self.topic.registered else -1
+
+    async def acknowledged(self, timeout: float) -> bool | None:
+        """Whether every subscriber's machine has all; what its node has not read yet, it reads before the end."""
+        return await self.topic.drained(timeout) or None
+
+    def destroy(self) -> None:
+        """What has been written still arrives."""
+        topic, manager = self.topic, get_topic_manager()
+        with manager.lock:
+            topic.ports = tuple(port for port in topic.ports if port is not self)
+            topic.ref_count -= 1
+            if topic.ref_count == 0 and manager.pubs.get(topic.resolved_name) is topic:
+                topic.given_up = topic.closed = True  # no further subscriber
+                del manager.pubs[topic.resolved_name]
+                manager._recalculate_topics()
+                self._registrar.leave(topic)

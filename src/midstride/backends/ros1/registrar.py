@@ -1,0 +1,112 @@
+"""What a component tells the master of its topics, and whether that has had its effect.
+
+rospy tells the master in the thread that asks, without a deadline: a master that is frozen would hold
+user code for good. Here it is told on the control side. And where a subscriber that the master knows of does
+not connect (rospy's overlook a publisher that comes back while they are inside a callback), the master
+is told again, which makes it tell them again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import defaultdict
+from contextlib import suppress
+from typing import Any, Final, Generic, Protocol, TypeVar
+
+from rospy.impl.registration import RegManager, get_registration_listeners
+
+from midstride.backends.ros1.master import Master
+from midstride.errors import BackendError
+
+# After how long (s), again and again, it is looked whether all have connected that should.
+_LOOKS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
+# A master that does not answer is asked again after this (s).
+_AGAIN: Final = 0.2
+
+
+class Topic(Protocol):
+    """What rospy keeps of a topic, as far as it matters here."""
+
+    resolved_name: str
+    type: str
+    registered: bool
+    given_up: bool
+
+    def connected(self) -> int: ...
+
+    async def leave(self) -> None: ...
+
+
+T = TypeVar("T", bound=Topic)
+
+
+class Registrar(Generic[T]):
+    """``kind`` is ``Publisher`` or ``Subscriber``. ``join`` and ``leave`` may be called in any thread."""
+
+    def __init__(self, kind: str, master: Master, node: str, uri: str, loop: asyncio.AbstractEventLoop) -> None:
+        self.loop = loop
+        self._kind = kind
+        self._master = master
+        self._identity = node, uri
+        self._turns: defaultdict[str, asyncio.Lock] = defaultdict(asyncio.Lock)
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._leaving: set[asyncio.Task[None]] = set()
+
+    def join(self, topic: T) -> None:
+        """Have the master know of ``topic``; ``registered`` is set once it does."""
+        self.loop.call_soon_threadsafe(self._begin, self._join(topic), self._tasks)
+
+    def leave(self, topic: T) -> None:
+        """``topic`` is given up: close it in order, and have the master forget it."""
+        self.loop.call_soon_threadsafe(self._begin, self._leave(topic), self._leaving)
+
+    async def end(self, timeout: float) -> None:
+        """The component ends: what is being given up gets ``timeout`` seconds to be so."""
+        await asyncio.sleep(0)  # what has been asked for by now has begun
+        for task in self._tasks:
+            task.cancel()
+        if self._leaving:
+            await asyncio.wait(self._leaving, timeout=timeout)
+
+    def _begin(self, work: Any, tasks: set[asyncio.Task[None]]) -> None:
+        task = self.loop.create_task(work)
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
+
+    async def _join(self, topic: T) -> None:
+        expected = 0
+        async with self._turns[topic.resolved_name]:  # one given up before must be gone before
+            while not topic.registered and not topic.given_up:
+                try:
+                    expected = await self._register(topic)
+                    topic.registered = True
+                except BackendError:
+                    await asyncio.sleep(_AGAIN)
+        for pause in _LOOKS:
+            await asyncio.sleep(pause)
+            if topic.given_up or topic.connected() >= expected:
+                return
+            with suppress(BackendError):
+                expected = await self._register(topic)
+
+    async def _register(self, topic: T) -> int:
+        """Tell the master; how many others it knows on the topic."""
+        node, uri = self._identity
+        others = await self._master.ask(f"register{self._kind}", node, topic.resolved_name, topic.type, uri)
+        if self._kind == "Subscriber":
+            _connect(topic.resolved_name, others)
+        return len(set(others))
+
+    async def _leave(self, topic: T) -> None:
+        async with self._turns[topic.resolved_name]:
+            await topic.leave()
+            node, uri = self._identity
+            with suppress(BackendError):  # a master that is gone knows of nothing
+                await self._master.ask(f"unregister{self._kind}", node, topic.resolved_name, uri)
+
+
+def _connect(topic: str, publishers: list[str]) -> None:
+    """Have rospy connect to the publishers of a topic to which it is not connected yet."""
+    for listener in get_registration_listeners().listeners:
+        if isinstance(listener, RegManager):
+            listener.publisher_update(topic, publishers)

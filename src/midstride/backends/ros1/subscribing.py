@@ -1,0 +1,164 @@
+"""The subscriptions of a component: rospy's connections, with what each message says of its publisher."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final, TypeAlias
+
+import genpy
+import rospy
+from rospy.impl.registration import get_topic_manager
+from rospy.topics import _SubscriberImpl
+
+from midstride.backends.ros1 import names
+from midstride.backends.ros1.data import DataSide
+from midstride.backends.ros1.publishing import TRAILER
+from midstride.backends.ros1.registrar import Registrar
+from midstride.errors import NodeError
+from midstride.model.contract import QoS
+from midstride.node.host import MessageInfo
+
+# A header's time further from the time of receipt than this (ns) says something else than when the message is from.
+_PLAUSIBLE: Final = 1_000_000_000
+
+# What is kept of a message: its source time, number, publisher and stamp, each None where nobody tells.
+Info: TypeAlias = tuple[int | None, int | None, str | None, int | None]
+
+
+def frame_of(type_: Any) -> type:
+    """A message class for rospy that reads a message and keeps what follows it, and asks publishers for that."""
+
+    def deserialize(frame: Any, data: bytes) -> Any:
+        frame.message = type_().deserialize(data)
+        frame.tail = data[-TRAILER.size :]
+        return frame
+
+    return type(
+        "Frame",
+        (genpy.Message,),
+        {
+            "__slots__": ("message", "tail"),
+            "__init__": lambda frame: None,
+            "_type": type_._type,
+            "_md5sum": type_._md5sum,
+            "_full_text": f"{type_._full_text}\n{names.NUMBERED}",
+            "_has_header": False,
+            "deserialize": deserialize,
+        },
+    )
+
+
+class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
+    """What rospy keeps of a topic that this node subscribes to; shared by the inputs that are attached to it."""
+
+    def __init__(self, topic: str, type_: Any, now: Callable[[], int]) -> None:
+        super().__init__(topic, frame_of(type_))
+        self.registered = False
+        self.given_up = False
+        self.ports: tuple[PortSubscription, ...] = ()
+        self.set_tcp_nodelay(True)
+        self._now = now
+        self._has_header = bool(type_._has_header)
+
+    def receive_callback(self, frames: list[Any], connection: Any) -> None:
+        """rospy, in the thread of a connection: messages have come."""
+        ports, callbacks = self.ports, self.callbacks
+        for frame in frames:
+            info, held = self.read(frame, connection)
+            for port in ports:
+                if not held or port.wants_held:
+                    port.arrived(frame.message, info)
+            for callback, arguments in callbacks or ():  # the author's own
+                self._invoke_callback(frame.message, callback, arguments)
+
+    def read(self, frame: Any, connection: Any) -> tuple[Info, bool]:
+        """What is known of a message, and whether it was held for late joiners."""
+        publisher = connection.header.get(names.GRANTED)
+        if publisher is not None:
+            number, source, index, held = TRAILER.unpack(frame.tail)
+            return (source, number, f"{publisher}.{index}", None), bool(held)
+        caller = connection.header.get("callerid")
+        if not self._has_header:
+            return (None, None, caller, None), False
+        # A publisher that is not Midstride's tells its name, and one of a type with a header numbers its messages.
+        header = frame.message.header
+        stamp = header.stamp.to_nsec()
+        return (None, header.seq, caller, stamp if abs(self._now() - stamp) < _PLAUSIBLE else None), False
+
+    def connected(self) -> int:
+        """Publishers whose header has been read."""
+        return sum(bool(connection.header) and not connection.done for connection in self.connections)
+
+    async def leave(self) -> None:
+        self.close()
+
+
+class PortSubscription:
+    """See :class:`midstride.node.host.Subscription`."""
+
+    def __init__(
+        self,
+        topic: str,
+        type_: Any,
+        qos: QoS,
+        callback: Callable[[Any, Any], None],
+        now: Callable[[], int],
+        data: DataSide,
+        registrar: Registrar[FramedTopic],
+    ) -> None:
+        """Raises NodeError where the node is subscribed there by other means, or to another type."""
+        stated = qos.effective()
+        self.wants_held = stated.is_transient_local
+        self._callback: Callable[[Any, Any], None] | None = callback
+        self._data = data
+        self._registrar = registrar
+        depth = None if stated.history == "keep_all" else stated.depth or 1
+        self._waiting: deque[tuple[Any, Info]] = deque(maxlen=depth)
+        name, manager = rospy.names.resolve_name(topic), get_topic_manager()
+        with manager.lock:
+            found = manager.subs.get(name)
+            if found is None:
+                found = FramedTopic(name, type_, now)
+                manager.subs[name] = found
+                manager.topics.add(name)
+                registrar.join(found)
+            elif not isinstance(found, FramedTopic) or found.data_class._md5sum != type_._md5sum:
+                raise NodeError(f"this node is subscribed to {name} already, but not by a port of this type")
+            found.ref_count += 1
+            self.topic: FramedTopic = found
+            found.ports = (*found.ports, self)
+        for connection in found.connections if self.wants_held else ():  # what came before this input did
+            if connection.latch is not None:
+                self.arrived(connection.latch.message, found.read(connection.latch, connection)[0])
+
+    def arrived(self, message: Any, info: Info) -> None:
+        """In any thread."""
+        self._waiting.append((message, info))
+        self._data.post(self._take)
+
+    def _take(self) -> None:
+        """On the data side, once for each message; those that had to make way are missing."""
+        if self._waiting and self._callback is not None:
+            self._callback(*self._waiting.popleft())
+
+    def matched(self) -> int:
+        """-1 until the master knows of it."""
+        return self.topic.connected() if self.topic.registered else -1
+
+    def destroy(self) -> None:
+        """Nothing that comes from now on is handed on."""
+        self._callback = None
+        topic, manager = self.topic, get_topic_manager()
+        with manager.lock:
+            topic.ports = tuple(port for port in topic.ports if port is not self)
+            topic.ref_count -= 1
+            if topic.ref_count == 0 and manager.subs.get(topic.resolved_name) is topic:
+                topic.given_up = True
+                del manager.subs[topic.resolved_name]
+                manager._recalculate_topics()
+                self._registrar.leave(topic)
+
+
+def read_info(info: Info) -> MessageInfo:
+    return MessageInfo(*info)
