@@ -133,6 +133,19 @@ def test_ending_reaches_the_whole_group(tmp_path: Path, token: str, arguments: t
     assert not alive(child)
 
 
+def test_a_leader_that_is_killed_takes_its_group_along(tmp_path: Path, token: str) -> None:
+    async def run() -> int:
+        process = family(tmp_path, token, "stubborn")
+        child = await told(process)
+        os.kill(process.pid, signal.SIGKILL)
+        assert await asyncio.wait_for(process.wait(), 10) == -signal.SIGKILL
+        process.close()
+        return child
+
+    child = asyncio.run(run())
+    until(lambda: not alive(child))
+
+
 def test_a_stopped_process_ends_in_order(tmp_path: Path, token: str) -> None:
     async def run() -> int | None:
         process = family(tmp_path, token)

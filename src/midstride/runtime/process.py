@@ -3,7 +3,8 @@
 Each process is started as the leader of its own session and process group, so that a signal reaches
 what it starts in turn (a shell, `ros2 run`), and a terminal's Ctrl-C passes it by. Its exit is known
 at once through a file descriptor of the process, whoever its parent is: a process that an earlier
-manager started is watched like an own one, only that nobody can tell its exit status.
+manager started is watched like an own one, only that nobody can tell its exit status. Where the
+leader ends by itself, the rest of its group is ended with it.
 """
 
 from __future__ import annotations
@@ -36,6 +37,7 @@ class Process:
         self._child = child
         self._status: int | None = None
         self._exited = asyncio.Event()
+        self._ending = False
         self._on_exit: Callable[[int | None], None] | None = None
         self._fd = os.pidfd_open(pid)
         seen = look(pid)
@@ -72,6 +74,9 @@ class Process:
                 result = None
             if result is not None:
                 self._status = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
+        if not self._ending and self._group == self.pid:
+            # What it started has lost its head: a shell that is killed must not leave the component it ran.
+            send(self._group, signal.SIGKILL)
         self._exited.set()
         if self._on_exit is not None:
             self._on_exit(self._status)
@@ -81,6 +86,7 @@ class Process:
 
         Returns when all of them are gone. Raises BackendError where the kernel does not let them go.
         """
+        self._ending = True
         deadline = self._loop.time() + grace
         self._signal(signal.SIGTERM)
         self._signal(signal.SIGCONT)  # one that was stopped ends in order, too

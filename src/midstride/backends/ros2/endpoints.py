@@ -65,15 +65,21 @@ class RosPublisher:
 class RosSubscription:
     """An input's subscription."""
 
-    __slots__ = ("_destroy", "_subscription")
+    __slots__ = ("_destroy", "_in_graph", "_subscription")
 
-    def __init__(self, subscription: Any, destroy: Callable[[Any], object]) -> None:
+    def __init__(self, subscription: Any, destroy: Callable[[Any], object], in_graph: Callable[[str], int]) -> None:
+        """``in_graph`` counts the publishers of a topic, for an rclpy that does not tell the matched ones (humble)."""
         self._subscription = subscription
         self._destroy = destroy
+        self._in_graph = in_graph
 
     def matched(self) -> int:
+        handle = self._subscription.handle
         try:
-            return int(self._subscription.handle.get_publisher_count())
+            with handle:
+                if hasattr(handle, "get_publisher_count"):
+                    return int(handle.get_publisher_count())
+            return self._in_graph(self._subscription.topic_name)
         except InvalidHandle:
             return 0
 

@@ -179,7 +179,9 @@ class Ros2Host:
             type_, topic, endpoints.for_rclpy(callback), qos.profile(qos_), callback_group=self._data_group
         )
         self._ports.add(id(subscription))
-        return endpoints.RosSubscription(subscription, self._destroy(self._data_node.destroy_subscription))
+        return endpoints.RosSubscription(
+            subscription, self._destroy(self._data_node.destroy_subscription), self._data_node.count_publishers
+        )
 
     def _destroy(self, destroy: Callable[[Any], object]) -> Callable[[Any], None]:
         def forget(endpoint: Any) -> None:
