@@ -32,4 +32,4 @@ def test_briefly(prop: Property) -> None:
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("prop", PROPERTIES, ids=lambda prop: prop.__name__)
 def test_at_length(prop: Property) -> None:
-    run(prop, 40 * PROPERTIES[prop])
+    run(prop, 15 * PROPERTIES[prop])

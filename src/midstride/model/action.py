@@ -229,7 +229,7 @@ class Detach(Action):
 def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], when: str, *others: str) -> tuple[Reason, ...]:
     """One reason for each assumption of ``refs`` that would not hold; ``others`` are subjects besides them."""
     return tuple(
-        Reason("satisfied", (*violation.names, *others), f"{when}, {violation}")
+        Reason("satisfied", tuple(dict.fromkeys((*violation.names, *others))), f"{when}, {violation}")
         for violation in Judge(after).violations_of(refs)
     )
 
@@ -414,10 +414,7 @@ class SetParameters(Action):
         return s.with_parameters(self.component, self.parameters)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
-        instance = before.instances[self.component]
-        old = {
-            name: instance.parameters.get(name, instance.component.parameters[name].value) for name in self.parameters
-        }
+        old = {name: before.instances[self.component].parameters[name] for name in self.parameters}
         return (SetParameters(self.component, Map(old)),)
 
     def describe(self, s: Configuration | None = None) -> str:

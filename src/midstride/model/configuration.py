@@ -69,12 +69,21 @@ def exact(amount: float) -> Fraction:
 
 @dataclass(frozen=True, slots=True)
 class Instance:
-    """What runs: an instance of a role's component. The first bears the role's name (section 6)."""
+    """What runs: an instance of a role's component. The first bears the role's name (section 6).
+
+    ``parameters`` holds the value of every parameter: its component's where none is given.
+    """
 
     name: str
     role: str
     component: Component
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
+
+    def __post_init__(self) -> None:
+        declared = self.component.parameters
+        missing = {name: declared[name].value for name in declared if name not in self.parameters}
+        if missing:
+            object.__setattr__(self, "parameters", self.parameters.update(missing))
 
     def functionality_refs(self) -> list[FunctionalityRef]:
         return [FunctionalityRef(self.name, name) for name in self.component.functionality_order]
