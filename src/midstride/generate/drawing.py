@@ -1,0 +1,122 @@
+"""Views as text that others draw: Graphviz's dot, and Mermaid."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Final
+
+from midstride.generate.view import Box, Edge, Port, View
+
+_COLOURS: Final = {"node": "#e8f0fe", "group": "#e6f4ea", "environment": "#fef7e0"}
+
+
+def to_dot(view: View) -> str:
+    """The view for Graphviz's ``dot``: boxes with ports, ovals for topics, dashed for the environment."""
+    ids = _ids(view)
+    lines = [
+        f"digraph {_quoted(view.title)} {{",
+        '  graph [rankdir=LR, fontname="Helvetica", nodesep=0.3, ranksep=0.7];',
+        '  node [fontname="Helvetica", fontsize=11];',
+        '  edge [fontname="Helvetica", fontsize=9, color="#5f6368", arrowsize=0.7];',
+    ]
+    for box in view.boxes:
+        lines.append(f"  {ids[box.id]} [shape=plain, label=<{_table(box)}>];")
+    for topic in view.topics:
+        note = f'<br/><font point-size="9" color="#5f6368">{_wrapped(topic.note)}</font>' if topic.note else ""
+        label = f"{escape(topic.name)}{note}"
+        style = 'shape=ellipse, style=filled, fillcolor="#ffffff", color="#5f6368", margin="0.05,0.03"'
+        lines.append(f"  {ids[topic.id]} [{style}, label=<{label}>];")
+    lines += [f"  {_dot_edge(edge, ids)};" for edge in view.edges]
+    return "\n".join([*lines, "}", ""])
+
+
+def _dot_edge(edge: Edge, ids: dict[str, str]) -> str:
+    start = ids[edge.start] + (f":{_quoted('out ' + edge.start_port)}:e" if edge.start_port else "")
+    end = ids[edge.end] + (f":{_quoted('in ' + edge.end_port)}:w" if edge.end_port else "")
+    return f"{start} -> {end}" + (" [style=dashed]" if edge.relies else "")
+
+
+def _table(box: Box) -> str:
+    """A box as a table: its title, then inputs on the left, functionalities in the middle, outputs on the right."""
+    border = 'style="dashed"' if box.kind == "environment" else 'style="rounded"'
+    title = f"<tr><td colspan='3'><b>{escape(box.title)}</b></td></tr>"
+    lines = box.lines if box.kind == "node" else [f"  {line}" for line in box.lines]
+    middle = "<br align='left'/>".join(_line(line) for line in lines)
+    if middle:
+        middle += "<br align='left'/>"
+    body = ""
+    if box.inputs or box.outputs or box.lines:
+        cells = [_ports(box.inputs, "in"), f"<td>{middle}</td>" if middle else "<td></td>", _ports(box.outputs, "out")]
+        body = f"<tr>{''.join(cells)}</tr>"
+    attributes = f"bgcolor='{_COLOURS[box.kind]}' border='1' cellborder='0' cellspacing='2' cellpadding='3' {border}"
+    return f"<table {attributes}>{title}{body}</table>"
+
+
+def _line(line: str) -> str:
+    if not line.startswith("  "):
+        return f"<i>{escape(line)}</i>"
+    text = _wrapped(line.strip(), end="<br align='left'/>")
+    return f'<font point-size="9" color="#5f6368">{text}</font>'
+
+
+def _ports(ports: tuple[Port, ...], side: str) -> str:
+    if not ports:
+        return "<td></td>"
+    rows = []
+    for port in ports:
+        note = f'<br/><font point-size="9" color="#5f6368">{_wrapped(port.note, 34)}</font>' if port.note else ""
+        attributes = f"port='{escape(side + ' ' + port.name)}' border='1' bgcolor='white'"
+        rows.append(f"<tr><td {attributes}>{escape(port.name)}{note}</td></tr>")
+    return f"<td><table border='0' cellborder='0' cellspacing='2' cellpadding='2'>{''.join(rows)}</table></td>"
+
+
+def _wrapped(text: str, width: int = 46, end: str = "<br/>") -> str:
+    """``text`` broken into lines at blanks."""
+    lines, line = [], ""
+    for word in text.split(" "):
+        if line and len(line) + 1 + len(word) > width:
+            lines.append(line)
+            line = word
+        else:
+            line = f"{line} {word}" if line else word
+    return end.join(escape(part) for part in [*lines, line])
+
+
+def _quoted(text: str) -> str:
+    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def to_mermaid(view: View) -> str:
+    """The view as a Mermaid flow chart; ports are written on the arrows."""
+    ids = _ids(view)
+    lines = ["flowchart LR"]
+    for box in view.boxes:
+        notes = [f"{kind} {p.name}: {p.note}" for kind, ports in _sides(box) for p in ports if p.note]
+        text = "<br/>".join([f"<b>{_mermaid(box.title)}</b>", *(_mermaid(line) for line in [*box.lines, *notes])])
+        lines.append(f'  {ids[box.id]}["{text}"]:::{box.kind}')
+    for topic in view.topics:
+        note = f"<br/>{_mermaid(topic.note)}" if topic.note else ""
+        lines.append(f'  {ids[topic.id]}(["{_mermaid(topic.name)}{note}"]):::topic')
+    for edge in view.edges:
+        port = edge.start_port or edge.end_port
+        arrow = "-.->" if edge.relies else "-->"
+        label = f"|{_mermaid(port)}|" if port else ""
+        lines.append(f"  {ids[edge.start]} {arrow}{label} {ids[edge.end]}")
+    lines += [f"  classDef {kind} fill:{colour},stroke:#5f6368" for kind, colour in _COLOURS.items()]
+    lines += ["  classDef topic fill:#ffffff,stroke:#5f6368", ""]
+    return "\n".join(lines)
+
+
+def _sides(box: Box) -> tuple[tuple[str, tuple[Port, ...]], tuple[str, tuple[Port, ...]]]:
+    return ("in", box.inputs), ("out", box.outputs)
+
+
+def _mermaid(text: str) -> str:
+    """Text that Mermaid takes for nothing else."""
+    return "".join(c if c.isalnum() or c in " _-./:,@" else f"#{ord(c)};" for c in text.strip())
+
+
+def _ids(view: View) -> dict[str, str]:
+    """Short identifiers; `n1` and so on, so that no name can be a word of the drawing's language."""
+    names = [*(box.id for box in view.boxes), *(topic.id for topic in view.topics)]
+    return {name: f"n{index}" for index, name in enumerate(names)}

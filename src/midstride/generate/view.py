@@ -1,0 +1,193 @@
+"""The component-and-connector view of a specification (the paper's figures 1 and 3), as values to be drawn.
+
+Nodes are boxes with their ports, topics are connectors between them, the environment stands beside them. With
+``annotate`` contracts and modes are written out. Where ``collapse`` holds, the nodes of a namespace are one box.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Final, Literal
+
+from midstride.model.component import Component, Functionality, Mode
+from midstride.model.contract import Predicate, satisfies
+from midstride.model.specification import Specification
+
+# More nodes than this are drawn by namespace, unless that is asked otherwise.
+READABLE: Final = 40
+
+Kind = Literal["node", "group", "environment"]
+
+
+@dataclass(frozen=True, slots=True)
+class Port:
+    """``note`` is what is written beside the name: an input's assumption, an output's normal guarantee."""
+
+    name: str
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    id: str
+    title: str
+    kind: Kind = "node"
+    inputs: tuple[Port, ...] = ()
+    outputs: tuple[Port, ...] = ()
+    lines: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    id: str
+    name: str
+    note: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """From a box's port to a topic, from a topic to a box's port, or (``relies``) from the environment to a box."""
+
+    start: str
+    end: str
+    start_port: str = ""
+    end_port: str = ""
+    relies: bool = False
+
+
+@dataclass(slots=True)
+class View:
+    """What there is to draw, in a stable order."""
+
+    title: str
+    boxes: list[Box] = field(default_factory=list)
+    topics: list[Topic] = field(default_factory=list)
+    edges: list[Edge] = field(default_factory=list)
+
+
+def view(specification: Specification, *, annotate: bool = False, collapse: bool | None = None) -> View:
+    """The view of a specification. ``collapse`` None: only where it would not be readable otherwise."""
+    if collapse is None:
+        collapse = len(specification.nodes) > READABLE
+    return _Builder(specification, annotate, collapse).build()
+
+
+class _Builder:
+    def __init__(self, specification: Specification, annotate: bool, collapse: bool) -> None:
+        self.specification = specification
+        self.annotate = annotate
+        self.collapse = collapse
+        self.view = View(specification.name)
+        self.boxes: dict[str, str] = {}  # what is drawn of a role
+        self.edges: dict[Edge, None] = {}
+
+    def build(self) -> View:
+        groups: dict[str, list[str]] = {}
+        for role in self.specification.roles():
+            group = role.strip("/").partition("/")[0] if self.collapse and "/" in role.strip("/") else ""
+            if group:
+                groups.setdefault(group, []).append(role)
+                self.boxes[role] = f"group {group}"
+            else:
+                self.boxes[role] = f"node {role}"
+                self.view.boxes.append(self._node(role))
+        inside = self._attachments()
+        for group, roles in groups.items():
+            hidden = inside.get(f"group {group}", 0)
+            lines = [f"{len(roles)} nodes"] + ([f"{hidden} topics inside"] if hidden else [])
+            self.view.boxes.append(Box(f"group {group}", group, "group", lines=tuple(lines)))
+        self._environment()
+        self.view.edges = list(self.edges)
+        return self.view
+
+    # -- nodes ---------------------------------------------------------------------------------------------
+
+    def _node(self, role: str) -> Box:
+        component = self.specification.component_of(role)
+        return Box(
+            f"node {role}",
+            role if component.name.lower() == role.lower() else f"{role} : {component.name}",
+            inputs=tuple(self._input(component, name) for name in component.input_order),
+            outputs=tuple(self._output(component, name) for name in component.outputs),
+            lines=tuple(line for functionality in component for line in self._functionality(functionality)),
+        )
+
+    def _input(self, component: Component, name: str) -> Port:
+        return Port(name, told(component.inputs[name]) if self.annotate else "")
+
+    def _output(self, component: Component, name: str) -> Port:
+        owner = component.find_owner(name)
+        guarantee = owner.modes[0].guarantee(name) if owner is not None and owner.modes else None
+        return Port(name, told(guarantee) if self.annotate and isinstance(guarantee, Predicate) else "")
+
+    def _functionality(self, functionality: Functionality) -> Iterable[str]:
+        yield functionality.name
+        if self.annotate:
+            for mode in functionality.modes:
+                yield f"  {mode.name}: {_mode(mode)}"
+
+    # -- connections ---------------------------------------------------------------------------------------
+
+    def _attachments(self) -> dict[str, int]:
+        """Draw topics and what is attached to them; how many topics are wholly inside of each group."""
+        ends: dict[str, list[tuple[str, str, bool]]] = {}
+        for role in self.specification.roles():
+            component = self.specification.component_of(role)
+            for port, topic in self.specification.attachments_of(role):
+                ends.setdefault(topic, []).append((self.boxes[role], port.port, port.port in component.outputs))
+        seen_outside = {offer.topic for offer in self.specification.environment}
+        inside: dict[str, int] = {}
+        for name, connector in sorted(self.specification.connectors.items()):
+            attached = ends.get(name, [])
+            boxes = {box for box, _, _ in attached}
+            if len(boxes) == 1 and name not in seen_outside and next(iter(boxes)).startswith("group "):
+                inside[boxes.pop()] = inside.get(attached[0][0], 0) + 1
+                continue
+            note = told(connector.guarantee) if self.annotate else ""
+            if self.annotate and connector.cap is not None:
+                note += f", at most {connector.cap} publisher{'' if connector.cap == 1 else 's'}"
+            self.view.topics.append(Topic(f"topic {name}", name, note))
+            for box, name_of_port, is_output in attached:
+                shown = "" if box.startswith("group ") else name_of_port
+                if is_output:
+                    self.edges[Edge(box, f"topic {name}", start_port=shown)] = None
+                else:
+                    self.edges[Edge(f"topic {name}", box, end_port=shown)] = None
+        return inside
+
+    def _environment(self) -> None:
+        for offer in self.specification.environment:
+            box = Box(f"environment {offer.name}", offer.name, "environment")
+            if self.annotate:
+                box = Box(box.id, box.title, box.kind, lines=(told(offer.guarantee),))
+            self.view.boxes.append(box)
+            if offer.topic is not None:
+                self.edges[Edge(box.id, f"topic {offer.topic}")] = None
+                continue
+            for role in self.specification.roles():
+                if _relies(self.specification.component_of(role), offer.guarantee):
+                    self.edges[Edge(box.id, self.boxes[role], relies=True)] = None
+
+
+def _relies(component: Component, guarantee: Predicate) -> bool:
+    """Whether a mode of the component assumes something that the guarantee satisfies."""
+    return any(
+        isinstance(assumption, Predicate) and satisfies(guarantee, assumption)
+        for functionality in component
+        for mode in functionality.modes
+        for assumption in mode.assumptions
+    )
+
+
+def told(predicate: Predicate) -> str:
+    """A predicate, its type without the part that all types share."""
+    return str(predicate).replace("/msg/", "/", 1)
+
+
+def _mode(mode: Mode) -> str:
+    assumed = [told(a) if isinstance(a, Predicate) else str(a) for a in mode.assumptions]
+    given = [f"{name} : {told(guarantee)}" for name, guarantee in sorted(mode.guarantees.items())]
+    parts = [f"assumes {', '.join(assumed)}"] if assumed else []
+    parts += [f"guarantees {', '.join(given)}"] if given else []
+    return "; ".join(parts) or "nothing"

@@ -1,0 +1,243 @@
+"""How two specifications differ, in the model's words: what `midstride diff` shows.
+
+What becomes of each node is told as the planners will see it: added, removed, replaced, rewired, or with parameters
+set in place. The plan that takes one to the other is another matter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from midstride.model.component import Component, Connector, Parameter
+from midstride.model.contract import NOTHING, Contract
+from midstride.model.specification import Node, Specification
+
+Kind = Literal["added", "removed", "changed", "replaced", "rewired", "set"]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One difference: of what (``topic /scan``), of which kind, and its details, a line each."""
+
+    subject: str
+    kind: Kind
+    details: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return "\n".join([f"{self.subject}: {self.kind}", *(f"  {detail}" for detail in self.details)])
+
+    def to_document(self) -> dict[str, Any]:
+        return {"subject": self.subject, "kind": self.kind, "details": list(self.details)}
+
+
+def differences(old: Specification, new: Specification) -> list[Difference]:
+    """Every difference, topics first; empty iff one may stand for the other."""
+    return [
+        *_topics(old, new),
+        *_resources(old, new),
+        *_environment(old, new),
+        *_components(old, new),
+        *_nodes(old, new),
+        *_rest(old, new),
+    ]
+
+
+def _topics(old: Specification, new: Specification) -> Iterator[Difference]:
+    for name in sorted({*old.connectors, *new.connectors}):
+        before, after = old.connectors.get(name), new.connectors.get(name)
+        if before is None and after is not None:
+            yield Difference(f"topic {name}", "added", (str(after.guarantee),))
+        elif before is not None and after is None:
+            yield Difference(f"topic {name}", "removed")
+        elif before is not None and after is not None and (details := tuple(_topic(before, after))):
+            yield Difference(f"topic {name}", "changed", details)
+
+
+def _topic(before: Connector, after: Connector) -> Iterator[str]:
+    if not before.same_contract(after):
+        yield _became("contract", before.guarantee, after.guarantee)
+        yield "another contract is another topic: what is attached is detached and attached again"
+    if before.cap != after.cap:
+        told = ["any number" if cap is None else f"at most {cap}" for cap in (before.cap, after.cap)]
+        yield _became("publishers", *told)
+
+
+def _resources(old: Specification, new: Specification) -> Iterator[Difference]:
+    for name in sorted({*old.resources, *new.resources}):
+        before, after = old.resources.get(name), new.resources.get(name)
+        if before is None and after is not None:
+            yield Difference(f"resource {name}", "added", (f"capacity {after.capacity:g}",))
+        elif after is None:
+            yield Difference(f"resource {name}", "removed")
+        elif before is not None and before.capacity != after.capacity:
+            detail = _became("capacity", f"{before.capacity:g}", f"{after.capacity:g}")
+            yield Difference(f"resource {name}", "changed", (detail,))
+
+
+def _environment(old: Specification, new: Specification) -> Iterator[Difference]:
+    before = {offer.name: offer for offer in old.environment}
+    after = {offer.name: offer for offer in new.environment}
+    for name in sorted({*before, *after}):
+        subject = f"environment {name}"
+        if name not in before:
+            yield Difference(subject, "added", (str(after[name].guarantee),))
+        elif name not in after:
+            yield Difference(subject, "removed")
+        elif before[name] != after[name]:
+            details = []
+            if before[name].guarantee != after[name].guarantee:
+                details.append(_became("guarantee", before[name].guarantee, after[name].guarantee))
+            if before[name].topic != after[name].topic:
+                details.append(_became("topic", before[name].topic, after[name].topic))
+            yield Difference(subject, "changed", tuple(details))
+
+
+# -- components ------------------------------------------------------------------------------------------
+
+
+def _components(old: Specification, new: Specification) -> Iterator[Difference]:
+    for name in sorted({*old.components, *new.components}):
+        before, after = old.components.get(name), new.components.get(name)
+        if before is None:
+            yield Difference(f"component {name}", "added")
+        elif after is None:
+            yield Difference(f"component {name}", "removed")
+        elif details := tuple(component_differences(before, after)):
+            yield Difference(f"component {name}", "changed", details)
+
+
+def component_differences(before: Component, after: Component) -> Iterator[str]:
+    """How two declarations of a component differ, a line each."""
+    for what, old, new in (("run", before.run, after.run), ("takes", before.takes, after.takes)):
+        if old != new:
+            yield _became(what, old, new)
+    yield from _named("input", dict(before.inputs), dict(after.inputs))
+    yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
+    yield from _named("holds", dict(before.holds), dict(after.holds))
+    yield from _named("parameter", _told(before), _told(after))
+    allowed = [{str(endpoint): "" for endpoint in component.allows} for component in (before, after)]
+    yield from _named("allows", allowed[0], allowed[1])
+    for name in dict.fromkeys([*before.functionality_order, *after.functionality_order]):
+        yield from _functionality(name, before, after)
+
+
+def _told(component: Component) -> dict[str, str]:
+    def told(parameter: Parameter) -> str:
+        return f"{'changeable ' if parameter.changeable else ''}{parameter.value!r}"
+
+    return {name: told(parameter) for name, parameter in component.parameters.items()}
+
+
+def _functionality(name: str, before: Component, after: Component) -> Iterator[str]:
+    old, new = before.functionalities.get(name), after.functionalities.get(name)
+    if old is None or new is None:
+        yield f"functionality {name}: {'added' if old is None else 'removed'}"
+        return
+    where = f"functionality {name}"
+    if old.weight != new.weight:
+        yield _became(f"{where}: weight", f"{old.weight:g}", f"{new.weight:g}")
+    for what, then, now in (("uses", old.inputs, new.inputs), ("produces", old.outputs, new.outputs)):
+        if set(then) != set(now):
+            yield _became(f"{where}: {what}", ", ".join(then), ", ".join(now))
+    modes = [[mode.name for mode in functionality.modes] for functionality in (old, new)]
+    if modes[0] != modes[1]:
+        yield _became(f"{where}: modes", ", ".join(modes[0]), ", ".join(modes[1]))
+    for mode in old.modes:
+        other = next((candidate for candidate in new.modes if candidate.name == mode.name), None)
+        if other is None:
+            continue
+        assumed = [", ".join(str(a) for a in m.assumptions) or "nothing" for m in (mode, other)]
+        if assumed[0] != assumed[1]:
+            yield _became(f"{where}, mode {mode.name}: assumes", *assumed)
+        for output in sorted({*mode.guarantees, *other.guarantees}):
+            given, gives = mode.guarantee(output), other.guarantee(output)
+            if given != gives:
+                yield _became(f"{where}, mode {mode.name}: {output}", _contract(given), _contract(gives))
+
+
+def _contract(contract: Contract) -> str:
+    return "nothing" if contract is NOTHING else str(contract)
+
+
+# -- nodes -----------------------------------------------------------------------------------------------
+
+
+def _nodes(old: Specification, new: Specification) -> Iterator[Difference]:
+    for role in sorted({*old.nodes, *new.nodes}):
+        before, after = old.nodes.get(role), new.nodes.get(role)
+        subject = f"node {role}"
+        if before is None and after is not None:
+            yield Difference(subject, "added", (f"a {after.component}",))
+        elif after is None:
+            yield Difference(subject, "removed")
+        elif before is not None:
+            yield from _node(subject, old, new, before, after)
+
+
+def _node(subject: str, old: Specification, new: Specification, before: Node, after: Node) -> Iterator[Difference]:
+    details: list[str] = []
+    kind: Kind = "rewired"
+    was, will = old.component_of(before.role), new.component_of(after.role)
+    if before.component != after.component and not was.same_body(will):
+        kind = "replaced"
+        details.append(_became("component", before.component, after.component))
+    elif not was.same_body(will):
+        kind = "replaced"
+        details.append(f"component {after.component} is declared otherwise")
+    then, now = old.parameters_of(before.role), new.parameters_of(after.role)
+    for name in sorted({*then, *now}):
+        if name in then and name in now and then[name] == now[name]:
+            continue
+        declared = will.parameters.get(name)
+        in_place = kind != "replaced" and name in then and name in now and declared is not None and declared.changeable
+        details.append(
+            _became(f"parameter {name}", then.get(name), now.get(name)) + (", set in place" if in_place else "")
+        )
+        if not in_place:
+            kind = "replaced"
+        elif kind == "rewired":
+            kind = "set"
+    wiring = list(_wiring(before, after))
+    if wiring and kind == "set":
+        kind = "rewired"
+    if details or wiring:
+        yield Difference(subject, kind, (*details, *wiring))
+
+
+def _wiring(before: Node, after: Node) -> Iterator[str]:
+    for port in sorted({*before.attachments, *after.attachments}):
+        then, now = before.attachments.get(port, ()), after.attachments.get(port, ())
+        for topic in sorted({*then, *now}):
+            if topic not in now:
+                yield f"{port} is detached from {topic}"
+            elif topic not in then:
+                yield f"{port} is attached to {topic}"
+
+
+def _rest(old: Specification, new: Specification) -> Iterator[Difference]:
+    before, after = [str(c) for c in old.constraints], [str(c) for c in new.constraints]
+    for constraint in before:
+        if constraint not in after:
+            yield Difference(f"constraint `{constraint}`", "removed")
+    for constraint in after:
+        if constraint not in before:
+            yield Difference(f"constraint `{constraint}`", "added")
+    if details := tuple(_named("step", dict(old.timing), dict(new.timing))):
+        yield Difference("timing", "changed", details)
+
+
+def _named(what: str, before: dict[str, Any], after: dict[str, Any]) -> Iterator[str]:
+    for name in dict.fromkeys([*before, *after]):
+        if name not in before:
+            yield f"{what} {name}: added" + (f", {after[name]}" if after[name] != "" else "")
+        elif name not in after:
+            yield f"{what} {name}: removed"
+        elif before[name] != after[name]:
+            yield _became(f"{what} {name}", before[name], after[name])
+
+
+def _became(what: str, before: object, after: object) -> str:
+    told = ["not stated" if value is None else str(value) for value in (before, after)]
+    return f"{what}: {told[0]} -> {told[1]}"

@@ -1,0 +1,119 @@
+"""The component-and-connector view: what it shows, and that Graphviz takes it."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+
+from midstride.generate.drawing import to_dot, to_mermaid
+from midstride.generate.view import Edge, view
+from midstride.lang import load, load_text
+from midstride.model.specification import Specification
+from midstride.testing.strategies import specifications
+
+SAMPLE = load(Path(__file__).parents[1] / "lang" / "seeds" / "patrol.stride").require()
+needs_graphviz = pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not installed")
+
+
+def fleet(groups: int, each: int) -> Specification:
+    """Chains of nodes in namespaces, each fed by the last topic of the one before."""
+    text = [
+        "system fleet\ncontract D = std_msgs/msg/String\n",
+        "environment { guarantee s on /source : D }\ntopic /source : D\ncomponent C { input in : D   output out   functionality f { uses in   produces out\n",
+        "mode normal { assume in   guarantee out : D }   mode off { } } }\n",
+    ]
+    last = "/source"
+    for group in range(groups):
+        text.append(f"namespace g{group} {{\n")
+        for number in range(each):
+            text.append(f"topic t{number} : D\nnode n{number} : C {{ in <- {last}   out -> t{number} }}\n")
+            last = f"/g{group}/t{number}"
+        text.append("}\n")
+    return load_text("".join(text)).require()
+
+
+def test_the_papers_figure_1() -> None:
+    """Boxes for components with their ports, a connector for each topic, the environment beside them."""
+    drawn = view(SAMPLE)
+    boxes = {box.title: box for box in drawn.boxes}
+    assert set(boxes) == {
+        "lidar",
+        "detector : ObstacleDetector",
+        "controller : MotorController",
+        "camera_device",
+        "localization",
+    }
+    detector = boxes["detector : ObstacleDetector"]
+    assert [port.name for port in detector.inputs] == ["scan"]
+    assert [port.name for port in detector.outputs] == ["out"]
+    assert detector.lines == ("detect",)
+    assert {topic.name for topic in drawn.topics} == {"/scan", "/obstacles", "/cmd_vel", "/odom"}
+    assert Edge("node detector", "topic /obstacles", start_port="out") in drawn.edges
+    assert Edge("topic /obstacles", "node controller", end_port="obstacles") in drawn.edges
+    assert Edge("environment camera_device", "node detector", relies=True) in drawn.edges
+    assert Edge("environment localization", "topic /odom") in drawn.edges
+    assert len(drawn.edges) == 7
+
+
+def test_the_papers_figure_3_has_contracts() -> None:
+    drawn = view(SAMPLE, annotate=True)
+    boxes = {box.id: box for box in drawn.boxes}
+    assert boxes["node controller"].inputs[0].note == "sensor_msgs/Range @ 5 Hz"
+    assert "  stop: guarantees cmd : geometry_msgs/Twist @ 20 Hz" in boxes["node controller"].lines
+    assert {topic.name: topic.note for topic in drawn.topics}[
+        "/cmd_vel"
+    ] == "geometry_msgs/Twist @ 10 Hz, at most 1 publisher"
+
+
+def test_many_nodes_are_drawn_by_namespace() -> None:
+    drawn = view(fleet(10, 15))
+    groups = [box for box in drawn.boxes if box.kind == "group"]
+    assert [box.title for box in groups] == [f"g{n}" for n in range(10)]
+    assert groups[0].lines == ("15 nodes", "14 topics inside")
+    assert groups[9].lines == ("15 nodes", "15 topics inside")
+    assert {topic.name for topic in drawn.topics} == {"/source", *(f"/g{n}/t14" for n in range(9))}
+    assert len(view(fleet(10, 15), collapse=False).boxes) == 151
+    assert len(view(fleet(2, 3)).boxes) == 7
+
+
+def test_names_of_any_kind_are_quoted() -> None:
+    """No name can break the drawing's language."""
+    text = to_dot(view(load_text("system graph\nresource r\ncomponent end { }\nnode node_1 : end").require()))
+    assert text.startswith('digraph "graph" {\n')
+
+
+@needs_graphviz
+@pytest.mark.parametrize("annotate", [False, True])
+def test_graphviz_draws_it(annotate: bool) -> None:
+    for specification in (SAMPLE, fleet(3, 4), fleet(10, 15)):
+        drawn = view(specification, annotate=annotate)
+        done = subprocess.run(["dot", "-Tsvg"], input=to_dot(drawn).encode(), capture_output=True, check=True)
+        assert done.stderr == b""
+        svg = ElementTree.fromstring(done.stdout)
+        shown = {element.text for element in svg.iter("{http://www.w3.org/2000/svg}text")}
+        assert {topic.name for topic in drawn.topics} <= shown
+        assert len(re.findall(rb'class="edge"', done.stdout)) == len(drawn.edges)
+
+
+def test_mermaid_has_every_box_and_edge() -> None:
+    drawn = view(SAMPLE)
+    text = to_mermaid(drawn)
+    assert text.startswith("flowchart LR\n")
+    assert len(re.findall(r"-->|-\.->", text)) == len(drawn.edges)
+    assert text.count(":::") == len(drawn.boxes) + len(drawn.topics)
+
+
+@given(specifications())
+def test_any_system_can_be_drawn(specification: Specification) -> None:
+    for annotate in (False, True):
+        drawn = view(specification, annotate=annotate)
+        ends = {box.id for box in drawn.boxes} | {topic.id for topic in drawn.topics}
+        assert all({edge.start, edge.end} <= ends for edge in drawn.edges)
+        to_dot(drawn)
+        to_mermaid(drawn)

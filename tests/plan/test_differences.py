@@ -1,0 +1,109 @@
+"""How two specifications differ, told in the model's words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+
+from midstride.lang import load_text
+from midstride.model.specification import Specification
+from midstride.plan.differences import differences
+from midstride.testing.strategies import specifications
+
+FOLDER = Path(__file__).parents[1] / "lang" / "seeds"
+TEXT = (FOLDER / "patrol.stride").read_text(encoding="utf-8")
+
+
+def changed(*replacements: tuple[str, str]) -> list[str]:
+    text = TEXT
+    for old, new in replacements:
+        assert old in text
+        text = text.replace(old, new)
+    before, after = (load_text(t, str(FOLDER / "patrol.stride")).require() for t in (TEXT, text))
+    return [str(difference) for difference in differences(before, after)]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        (
+            "node detector   : ObstacleDetector {",
+            "node detector   : ObstacleDetector { parameters { threshold = 0.5 }",
+            ["node detector: set\n  parameter threshold: 0.4 -> 0.5, set in place"],
+        ),
+        (
+            "node detector   : ObstacleDetector {",
+            'node detector   : ObstacleDetector { parameters { model = "big.onnx" }',
+            ["node detector: replaced\n  parameter model: small.onnx -> big.onnx"],
+        ),
+        (
+            "node detector   : ObstacleDetector",
+            "node detector   : StereoDetector",
+            ["node detector: replaced\n  component: ObstacleDetector -> StereoDetector"],
+        ),
+        (
+            "out -> /obstacles }",
+            "}",
+            ["node detector: rewired\n  out is detached from /obstacles"],
+        ),
+        (
+            "limit detector.detect below baseline 2 s",
+            "limit detector.detect below baseline 3 s",
+            [
+                "constraint `limit detector.detect below baseline 2 s`: removed",
+                "constraint `limit detector.detect below baseline 3 s`: added",
+            ],
+        ),
+        (
+            "{ publishers <= 1 }",
+            "",
+            ["topic /cmd_vel: changed\n  publishers: at most 1 -> any number"],
+        ),
+        (
+            "resource gpu_memory = 8192",
+            "resource gpu_memory = 4096",
+            ["resource gpu_memory: changed\n  capacity: 8192 -> 4096"],
+        ),
+        ("create 0.5 s", "create 0.6 s", ["timing: changed\n  step create: 0.5 -> 0.6"]),
+        (
+            "control weight 10",
+            "control weight 11",
+            [
+                "component MotorController: changed\n  functionality control: weight: 10 -> 11",
+                "node controller: replaced\n  component MotorController is declared otherwise",
+            ],
+        ),
+    ],
+)
+def test_each_difference_in_its_words(old: str, new: str, told: list[str]) -> None:
+    assert changed((old, new)) == told
+
+
+def test_blanks_and_names_of_contracts_are_no_difference() -> None:
+    assert (
+        changed(
+            ("contract Camera =", "contract Colour ="), ("assume Camera", "assume Colour"), ("  input", "\n  input")
+        )
+        == []
+    )
+
+
+def test_another_contract_is_another_topic() -> None:
+    (told,) = changed(
+        ("topic /odom      : nav_msgs/msg/Odometry @ 50 Hz", "topic /odom : nav_msgs/msg/Odometry @ 40 Hz")
+    )
+    assert told.startswith(
+        "topic /odom: changed\n  contract: nav_msgs/msg/Odometry @ 50 Hz -> nav_msgs/msg/Odometry @ 40 Hz\n"
+    )
+
+
+@given(specifications(), specifications())
+def test_there_is_a_difference_iff_they_differ(one: Specification, other: Specification) -> None:
+    assert differences(one, one) == []
+    differ = bool(differences(one, other))
+    assert differ == bool(differences(other, one))
+    if not differ:
+        assert one.nodes == other.nodes
+        assert one.connectors == other.connectors
