@@ -178,8 +178,9 @@ def test_changes_are_told_on_parameter_events(tmp_path: Path) -> None:
                         told.setdefault(f"{event.node} {parameter.name}", []).append(parameter.value.string_value)
 
                 bare.node.create_subscription(ParameterEvent, "/parameter_events", heard, 100)
-                starting = asyncio.ensure_future(r.start("tuned", TUNED))
-                await bare.until(starting.done)
+                await r.launch("tuned", TUNED)  # and nobody welcomes it until it was heard here
+                await bare.until(lambda: "/tuned midstride.announcement" in told)
+                await r.link.change("tuned", "welcome", manager="a test")
                 await r.modes("tuned", work="normal")
                 await bare.until(lambda: "normal" in told.get("/tuned midstride.mode.work", []))
                 announced = json.loads(told["/tuned midstride.announcement"][0])

@@ -9,12 +9,19 @@ from pathlib import Path
 
 import pytest
 
+from midstride.backends import common
 from midstride.backends.ros2 import launching, names
 from midstride.backends.ros2.tuning import PROFILES, RANGE, TRANSPORTS, Tuning, choose
 from midstride.errors import StartFailed
 from midstride.runtime.backend import Launch
 
 HERE = Path.cwd()
+
+
+def command(arguments: list[str], directory: Path, environment: dict[str, str]) -> tuple[str, ...]:
+    return common.command(arguments, directory, environment, lambda: sys.executable)
+
+
 UNTUNED = Tuning("rmw_fastrtps_cpp")
 TUNED = choose({RANGE: "LOCALHOST"}, "rmw_fastrtps_cpp", 3)
 
@@ -25,7 +32,7 @@ def launch(**fields: object) -> Launch:
 
 @pytest.mark.parametrize("program", ["python", "python3"])
 def test_python_is_the_one_that_the_manager_runs_in(program: str) -> None:
-    assert launching.command([program, "-m", "camera", "--fast"], HERE, {"PATH": "/nowhere"}) == (
+    assert command([program, "-m", "camera", "--fast"], HERE, {"PATH": "/nowhere"}) == (
         sys.executable,
         "-m",
         "camera",
@@ -38,13 +45,13 @@ def test_another_program_is_found_on_the_path_or_in_the_folder(tmp_path: Path) -
     program.parent.mkdir()
     program.write_text("#!/bin/sh\n")
     with pytest.raises(StartFailed, match=r"cannot start `camera -v`: there is no program camera"):
-        launching.command(["camera", "-v"], tmp_path, {"PATH": str(program.parent)})
+        command(["camera", "-v"], tmp_path, {"PATH": str(program.parent)})
     program.chmod(0o755)
-    assert launching.command(["camera", "-v"], tmp_path, {"PATH": str(program.parent)}) == (str(program), "-v")
-    assert launching.command(["./bin/camera"], tmp_path, {"PATH": ""}) == (f"{tmp_path}/./bin/camera",)
-    assert launching.command([str(program)], HERE, {"PATH": ""}) == (str(program),)
+    assert command(["camera", "-v"], tmp_path, {"PATH": str(program.parent)}) == (str(program), "-v")
+    assert command(["./bin/camera"], tmp_path, {"PATH": ""}) == (f"{tmp_path}/./bin/camera",)
+    assert command([str(program)], HERE, {"PATH": ""}) == (str(program),)
     with pytest.raises(StartFailed, match="no program"):
-        launching.command(["./camera"], tmp_path, {"PATH": str(program.parent)})
+        command(["./camera"], tmp_path, {"PATH": str(program.parent)})
 
 
 def test_a_component_is_told_who_it_is() -> None:

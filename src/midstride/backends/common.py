@@ -7,10 +7,10 @@ import json
 import os
 import shutil
 import signal
-from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 from midstride.errors import StartFailed, Unreachable
 from midstride.runtime.backend import Launch
@@ -103,12 +103,15 @@ class Children:
             self._guardian.release(process.pid)
         process.close()
 
-    async def while_running(self, instance: str, what: str, work: Awaitable[T]) -> T:
+    async def while_running(self, instance: str, what: str, work: Coroutine[Any, Any, T]) -> T:
         """What ``work`` comes to. Raises Unreachable as soon as the process of ``instance`` has ended."""
-        working = asyncio.ensure_future(work)
         gone = self._gone.get(instance)
         if gone is None:  # nobody's process here: it was started elsewhere
-            return await working
+            return await work
+        if gone.is_set():
+            work.close()
+            raise Unreachable(f"the process of {instance} has ended")
+        working = asyncio.ensure_future(work)
         waiting = asyncio.ensure_future(gone.wait())
         try:
             await asyncio.wait({working, waiting}, return_when=asyncio.FIRST_COMPLETED)

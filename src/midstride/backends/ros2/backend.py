@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -22,6 +23,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
+from midstride.backends import common
+from midstride.backends.common import Children
 from midstride.backends.ros2 import events, launching, names, tuning
 from midstride.backends.ros2.calls import Caller
 from midstride.backends.ros2.spinning import Spinner
@@ -59,12 +62,9 @@ class Ros2Backend:
         self.clock: Clock = self._own_clock
         self.tuning = tuning.Tuning("", untuned=("discovery: left as it comes, as it was asked for",))
         self._logs = logs
-        self._guardian = guardian
         self._tuned = tuned
         self._use_sim_time = use_sim_time
-        self._processes: dict[str, Process] = {}
-        self._elsewhere: set[str] = set()
-        self._gone: dict[str, asyncio.Event] = {}
+        self._children = Children(guardian, self._exited)
         self._ended: dict[str, float] = {}
         self._opened = 0.0
         self._context: Any = None
@@ -113,9 +113,7 @@ class Ros2Backend:
         )
 
     async def close(self) -> None:
-        for process in self._processes.values():
-            process.close()
-        self._processes.clear()
+        self._children.close()
         if self._context is None:
             return
         context, self._context = self._context, None
@@ -128,78 +126,44 @@ class Ros2Backend:
 
     async def start(self, launch: Launch) -> Handle:
         full_name = names.full(launch.instance, launch.namespace)
-        command = launching.command(launch.arguments, launch.directory, os.environ)
+        command = common.command(launch.arguments, launch.directory, os.environ, lambda: sys.executable)
         await self._must_be_free(launch.instance, full_name)
         environment = launching.environment(launch, command[0], self.tuning, os.environ)
         log = self._log_of(launch)
         process = spawn(command, launch.directory, environment, log)
-        if self._guardian is not None:
-            self._guardian.watch(process.pid, process.started)
-        self._take(launch.instance, process)
+        self._children.take(launch.instance, process)
         return Handle(launch.instance, process.pid, process.started, str(log))
 
     async def adopt(self, handle: Handle) -> bool:
         instance, full_name = handle.instance, names.full(handle.instance)
-        if instance in self._processes:
+        if instance in self._children:
             return True
         if handle.pid is None or handle.started is None:
-            if not await self._caller.ready(full_name, _FIND):
-                return False
-            self._elsewhere.add(instance)
-            return True
+            return await self._caller.ready(full_name, _FIND)
         log = None if handle.log is None else Path(handle.log)
         process = find(handle.pid, handle.started, ENV_INSTANCE, instance, log)
         if process is None:
             return False
-        self._take(instance, process)
+        self._children.take(instance, process)
         if not await self._caller.ready(full_name, _FIND) and process.running:
             raise Unreachable(f"{instance} runs (process {handle.pid}), but its control service is not to be found")
         return process.running
 
     async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-        gone = self._gone.get(instance)
-        if gone is not None and gone.is_set():
-            raise Unreachable(f"the process of {instance} has ended")
-        calling = asyncio.ensure_future(self._caller.call(names.full(instance), command, timeout))
-        waiting = None if gone is None else asyncio.ensure_future(gone.wait())
-        try:
-            await asyncio.wait(
-                {calling} if waiting is None else {calling, waiting}, return_when=asyncio.FIRST_COMPLETED
-            )
-            if calling.done():
-                return calling.result()
-            raise Unreachable(f"the process of {instance} ended before it answered `{command.op}`")
-        finally:
-            calling.cancel()
-            if waiting is not None:
-                waiting.cancel()
+        calling = self._caller.call(names.full(instance), command, timeout)
+        return await self._children.while_running(instance, command.op, calling)
 
     async def end(self, instance: str, grace: float) -> None:
-        process = self._processes.get(instance)
-        if process is None:
-            return
-        process.on_exit(None)
-        await process.end(grace)
-        self._forget(instance, process)
+        if await self._children.end(instance, grace):
+            self._forget(instance)
 
-    def _take(self, instance: str, process: Process) -> None:
-        self._processes[instance] = process
-        self._gone[instance] = asyncio.Event()
-        process.on_exit(lambda status: self._exited(instance, process, status))
-
-    def _exited(self, instance: str, process: Process, status: int | None) -> None:
-        self._forget(instance, process)
+    def _exited(self, instance: str, status: int | None, process: Process) -> None:
+        self._forget(instance)
         self._on_event(Exited(instance, status, tail(process.log)))
 
-    def _forget(self, instance: str, process: Process) -> None:
-        if self._processes.get(instance) is process:
-            del self._processes[instance]
-            self._gone[instance].set()
-            self._ended[names.full(instance)] = time.monotonic()
-            self._caller.forget(names.full(instance))
-        if self._guardian is not None:
-            self._guardian.release(process.pid)
-        process.close()
+    def _forget(self, instance: str) -> None:
+        self._ended[names.full(instance)] = time.monotonic()
+        self._caller.forget(names.full(instance))
 
     def _log_of(self, launch: Launch) -> Path:
         folder = self._logs or _log_folder() / "midstride" / launch.token[:12]

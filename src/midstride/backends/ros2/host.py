@@ -11,7 +11,6 @@ from __future__ import annotations
 import asyncio
 import json
 import os
-import signal
 import sys
 import time
 from collections.abc import Awaitable, Callable, Coroutine
@@ -26,6 +25,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from midstride.backends.common import ending_on_signals
 from midstride.backends.ros2 import endpoints, events, names, own, qos
 from midstride.backends.ros2.calls import Caller
 from midstride.backends.ros2.door import Door
@@ -95,7 +95,6 @@ class Ros2Host:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._door: Door | None = None
         self._shown: dict[str, Any] = {}
-        self._interrupted = False
         self._failure: NodeError | None = None
         self._clock = self._data_node.get_clock()
         self._simulated = bool(self._clock.ros_time_is_active)
@@ -245,18 +244,15 @@ class Ros2Host:
         self._control.start()
         task = asyncio.ensure_future(main())
         heartbeat = asyncio.ensure_future(self._beat(task))
-        handlers = self._catch_signals(task)
-        try:
-            await task
-        except asyncio.CancelledError:
-            if not self._interrupted and self._failure is None:
-                raise
-        finally:
-            heartbeat.cancel()
-            for number, handler in handlers.items():
-                self._loop.remove_signal_handler(number)
-                signal.signal(number, handler)
-            await self._door.answered(_LAST_ANSWERS)
+        with ending_on_signals(task) as signals:
+            try:
+                await task
+            except asyncio.CancelledError:
+                if not signals and self._failure is None:
+                    raise
+            finally:
+                heartbeat.cancel()
+                await self._door.answered(_LAST_ANSWERS)
 
     async def _beat(self, main: asyncio.Future[None]) -> None:
         """Keeps the loop awake for signals; at first, looks for another node of the same name."""
@@ -269,29 +265,6 @@ class Ros2Host:
                     self._failure = error
                     main.cancel()
             await asyncio.sleep(_HEARTBEAT)
-
-    def _catch_signals(self, main: asyncio.Future[None]) -> dict[signal.Signals, Any]:
-        """SIGTERM and SIGINT end ``main`` in order; the second one of them ends the process at once.
-
-        Returns what was in their place.
-        """
-        loop = asyncio.get_running_loop()
-        caught = (signal.SIGTERM, signal.SIGINT)
-        before = {number: signal.getsignal(number) for number in caught}
-
-        def interrupt() -> None:
-            self._interrupted = True
-            for number in caught:
-                loop.remove_signal_handler(number)
-                signal.signal(number, signal.SIG_DFL)
-            main.cancel()
-
-        try:
-            for number in caught:
-                loop.add_signal_handler(number, interrupt)
-        except (ValueError, RuntimeError):  # not in the main thread: whoever started that one deals with signals
-            return {}
-        return before
 
     def _must_be_alone(self, deadline: float, others: int) -> None:
         """Raises NodeError where more than ``others`` nodes of our name are in the graph by ``deadline``."""

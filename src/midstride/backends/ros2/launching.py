@@ -1,42 +1,20 @@
-"""What a component's process is started with: its command and its environment."""
+"""The environment that a component's process is started with."""
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
+from midstride.backends import common
 from midstride.backends.ros2 import tuning
 from midstride.backends.ros2.tuning import Tuning
-from midstride.errors import StartFailed
 from midstride.runtime.backend import Launch
-from midstride.wire.messages import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
 
-_OURS: Final = ("python", "python3")
 # Set by the ROS wheels in an interpreter that they have started anew with their libraries' paths.
 _BOOTSTRAPPED: Final = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
-
-
-def command(arguments: Sequence[str], directory: Path, environment: Mapping[str, str]) -> tuple[str, ...]:
-    """The command with its program found. Raises StartFailed, naming what cannot be found.
-
-    ``python`` and ``python3`` mean the interpreter that the manager runs in: there ROS and Midstride
-    can be imported, whatever comes first on the PATH. Any other one is asked for by its path.
-    """
-    program, *rest = arguments
-    if program in _OURS:
-        return (sys.executable, *rest)
-    if "/" in program:
-        found = shutil.which(os.path.join(directory, program))
-    else:
-        found = shutil.which(program, path=environment.get("PATH"))
-    if found is None:
-        raise StartFailed(f"cannot start `{' '.join(arguments)}`: there is no program {program} that can be run")
-    return (found, *rest)
 
 
 def environment(launch: Launch, program: str, chosen: Tuning, base: Mapping[str, str]) -> dict[str, str]:
@@ -46,16 +24,7 @@ def environment(launch: Launch, program: str, chosen: Tuning, base: Mapping[str,
         _leave_own_wheels(result)
     _drop_ros1(result)
     result.update(_variables(program, chosen, base))
-    result.update(
-        {
-            ENV_BACKEND: "ros2",
-            ENV_INSTANCE: launch.instance,
-            ENV_NAMESPACE: launch.namespace,
-            ENV_TOKEN: launch.token,
-            ENV_PARAMETERS: json.dumps(launch.parameters),
-            "PYTHONUNBUFFERED": "1",
-        }
-    )
+    result.update(common.identity(launch, "ros2"))
     return result
 
 
