@@ -112,9 +112,9 @@ def suggestion(wrong: str, known: Iterable[str]) -> str:
     """``did you mean `x`?`` for a near miss, else what is known, else nothing."""
     names = sorted(set(known))
     near = difflib.get_close_matches(wrong, names, n=1, cutoff=0.6)
-    if not near:  # a case or a slash apart is near as well
-        bare = {name.strip("/").lower().replace("_", ""): name for name in names}
-        near = [bare[key] for key in (wrong.strip("/").lower().replace("_", ""),) if key in bare]
+    if not near:  # a beginning, and what differs in case or slashes alone, are near as well
+        bare = _bare(wrong)
+        near = [name for name in names if len(bare) > 2 and _bare(name).startswith(bare)]
     if near:
         return f"did you mean `{near[0]}`?"
     if not names:
@@ -123,17 +123,22 @@ def suggestion(wrong: str, known: Iterable[str]) -> str:
     return f"known: {shown}" + (", …" if len(names) > 8 else "")
 
 
+def _bare(name: str) -> str:
+    return name.strip("/").lower().replace("_", "")
+
+
 def independent(form: Iterable[Problem], names: Iterable[Problem]) -> list[Problem]:
     """Both, without the unknown names that only follow from a declaration that could not be read."""
     found = list(form)
     unread = {fault.subject for fault in found if fault.code == "E001"}
     strayed = {fault.subject for fault in found if fault.code == "E002"}
+    lacking = {fault.subject for fault in found if fault.code == "E003"}
 
     def doubtful(declared: tuple[str, ...]) -> bool:
         if any(declared[:length] in unread for length in range(len(declared) + 1)):
             return True  # the whole section, or what it lies in
-        if any(subject[:-1] == declared for subject in unread):
-            return True  # one of its entries
+        if declared[:-1] in lacking or any(subject[:-1] == declared for subject in unread):
+            return True  # the section itself, or one of its entries
         return any(
             subject[:-1] == declared[:-1] and difflib.SequenceMatcher(None, subject[-1], declared[-1]).ratio() > 0.6
             for subject in strayed  # the section itself, misspelt

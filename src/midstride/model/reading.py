@@ -103,8 +103,7 @@ class Reader:
             if key in known:
                 found[key] = reader
             else:
-                absent = [name for name in known if name not in self.value]
-                self.fault("E002", f"{what} has no key `{key}`", suggestion(key, absent or known), at=(key,))
+                self.fault("E002", f"{what} has no key `{key}`", suggestion(key, known), at=(key,))
         for key in required:
             if key not in found:
                 self.fault("E003", f"{what} needs the key `{key}`")
