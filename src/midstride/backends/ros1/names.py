@@ -13,10 +13,6 @@ MANAGER: Final = "/midstride_manager_"
 # The type of the command service, whose classes genpy makes from its definition.
 COMMAND_TYPE: Final = "midstride/Command"
 COMMAND_DEFINITION: Final = "string request\n---\nstring reply\n"
-# What a subscriber asks of a publisher at the end of its message definition, which is a comment to everybody else;
-# and the field of the publisher's connection header by which it grants it, and names itself.
-NUMBERED: Final = "# midstride: numbered"
-GRANTED: Final = "midstride"
 
 
 def split(instance: str, namespace: str = "") -> tuple[str, str]:

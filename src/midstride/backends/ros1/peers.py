@@ -18,10 +18,16 @@ from typing import Any
 
 
 class Peer:
-    """Takes the place of rospy's transport of one subscriber in rospy's lists. ``numbered``: it asked for numbers."""
+    """Takes the place of rospy's transport of one subscriber in rospy's lists.
 
-    def __init__(self, transport: Any, numbered: bool, depth: int, control: asyncio.AbstractEventLoop) -> None:
+    ``numbered``: it asked for numbers; ``compatible``: it requests no more than is offered.
+    """
+
+    def __init__(
+        self, transport: Any, numbered: bool, compatible: bool, depth: int, control: asyncio.AbstractEventLoop
+    ) -> None:
         self.numbered = numbered
+        self.compatible = compatible
         self.gone = threading.Event()
         self._transport = transport
         self._socket: socket.socket = transport.socket

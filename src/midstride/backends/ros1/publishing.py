@@ -1,10 +1,10 @@
 """The publishers of a component: rospy's, with numbers and source times where a subscriber asks for them.
 
 A message of ROS 1 carries no number and no time of publication (semantics.md section 7 wants both). But
-connections begin with headers to which either side may add: a Midstride subscriber asks, a Midstride
-publisher grants, and each message on that connection ends with some bytes more, beyond the message's own
-length. Every other subscriber gets exactly what rospy would send. The header's answer also names the
-publisher anew each time, so that two of one name, one after the other, are told apart.
+connections begin with headers (:mod:`.asking`): where a subscriber asks, each message on that connection
+ends with some bytes more, beyond the message's own length. Every other subscriber gets exactly what rospy
+would send. The header also names the publisher anew each time, so that two of one name, one after the
+other, are told apart.
 
 To rospy a node has one connection to each subscriber of a topic, however many of its outputs are
 attached there: so the trailer says which of them wrote.
@@ -27,7 +27,7 @@ from rospy.impl.registration import get_topic_manager
 from rospy.msg import serialize_message
 from rospy.topics import _PublisherImpl, _TopicImpl
 
-from midstride.backends.ros1 import names
+from midstride.backends.ros1 import asking
 from midstride.backends.ros1.peers import Peer
 from midstride.backends.ros1.registrar import Registrar
 from midstride.errors import NodeError
@@ -70,29 +70,46 @@ def prepare() -> None:
     ).start()
 
 
+def _joining_header() -> dict[str, str]:
+    header: dict[str, str] = getattr(_joining, "header", {})
+    return header
+
+
 class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
     """What rospy keeps of a topic that this node publishes; shared by the outputs that are attached to it."""
 
-    def __init__(self, topic: str, type_: Any, latched: bool, control: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, topic: str, type_: Any, offered: QoS, control: asyncio.AbstractEventLoop) -> None:
+        self._headers: dict[str, str] = {}
+        self._endpoint = uuid.uuid4().hex
+        self._offered = offered
         super().__init__(topic, type_)
         self.registered = False
         self.given_up = False
-        self.is_latch = latched  # said in connection headers; what is held for late joiners is each port's
-        self.headers = {names.GRANTED: uuid.uuid4().hex}
+        self.is_latch = offered.is_transient_local  # said in headers; what is held for late joiners is each port's
         self.ports: tuple[PortPublisher, ...] = ()
         self.indices = count()
         self._control = control
         self._buffer = io.BytesIO()
 
+    @property
+    def headers(self) -> dict[str, str]:
+        """The fields that rospy adds to the header of the connection it is about to answer."""
+        return {**self._headers, **asking.grant(_joining_header(), self._endpoint, self._offered)}
+
+    @headers.setter
+    def headers(self, headers: dict[str, str] | None) -> None:
+        self._headers = headers or {}
+
     def add_connection(self, transport: Any) -> bool:
         """rospy, in the thread of a new connection: its header has been answered."""
-        asked = getattr(_joining, "header", {}).get("message_definition", "")
+        requested = asking.asked(_joining_header())
         depth = max((port.depth for port in self.ports), default=1)
-        peer = Peer(transport, asked.rstrip().endswith(names.NUMBERED), depth, self._control)
+        compatible = requested is None or not requested.unmet_by(self._offered)
+        peer = Peer(transport, requested is not None, compatible, depth, self._control)
         with self.publock:
             if not _TopicImpl.add_connection(self, peer):
                 return False
-            for port in self.ports:
+            for port in self.ports if compatible else ():
                 if port.held is not None:
                     peer.write(self._frame(port, *port.held, held=True)[peer.numbered])
         return True
@@ -107,7 +124,8 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
                 if port.latched:
                     port.held = (message, number, source)
                 for peer in peers:
-                    peer.write(numbered if peer.numbered else plain)
+                    if peer.compatible:
+                        peer.write(numbered if peer.numbered else plain)
             port.sent = number
 
     def _frame(
@@ -131,7 +149,8 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         return True
 
     def connected(self) -> int:
-        return sum(not peer.gone.is_set() for peer in self.connections)
+        """Subscribers that are there, and request no more than is offered."""
+        return sum(peer.compatible and not peer.gone.is_set() for peer in self.connections)
 
     async def drained(self, timeout: float) -> bool:
         """Whether every subscriber's machine has all that was written, within ``timeout`` seconds."""
@@ -173,7 +192,7 @@ class PortPublisher:
         with manager.lock:
             found = manager.pubs.get(name)
             if found is None:
-                found = NumberedTopic(name, type_, self.latched, registrar.loop)
+                found = NumberedTopic(name, type_, stated, registrar.loop)
                 manager.pubs[name] = found
                 manager.topics.add(name)
                 registrar.join(found)

@@ -11,7 +11,7 @@ import rospy
 from rospy.impl.registration import get_topic_manager
 from rospy.topics import _SubscriberImpl
 
-from midstride.backends.ros1 import names
+from midstride.backends.ros1 import asking
 from midstride.backends.ros1.data import DataSide
 from midstride.backends.ros1.publishing import TRAILER
 from midstride.backends.ros1.registrar import Registrar
@@ -26,7 +26,7 @@ _PLAUSIBLE: Final = 1_000_000_000
 Info: TypeAlias = tuple[int | None, int | None, str | None, int | None]
 
 
-def frame_of(type_: Any) -> type:
+def frame_of(type_: Any, qos: QoS) -> type:
     """A message class for rospy that reads a message and keeps what follows it, and asks publishers for that."""
 
     def deserialize(frame: Any, data: bytes) -> Any:
@@ -42,7 +42,7 @@ def frame_of(type_: Any) -> type:
             "__init__": lambda frame: None,
             "_type": type_._type,
             "_md5sum": type_._md5sum,
-            "_full_text": f"{type_._full_text}\n{names.NUMBERED}",
+            "_full_text": asking.ask(type_._full_text, qos),
             "_has_header": False,
             "deserialize": deserialize,
         },
@@ -52,8 +52,8 @@ def frame_of(type_: Any) -> type:
 class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
     """What rospy keeps of a topic that this node subscribes to; shared by the inputs that are attached to it."""
 
-    def __init__(self, topic: str, type_: Any, now: Callable[[], int]) -> None:
-        super().__init__(topic, frame_of(type_))
+    def __init__(self, topic: str, type_: Any, qos: QoS, now: Callable[[], int]) -> None:
+        super().__init__(topic, frame_of(type_, qos))
         self.registered = False
         self.given_up = False
         self.ports: tuple[PortSubscription, ...] = ()
@@ -74,7 +74,7 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
 
     def read(self, frame: Any, connection: Any) -> tuple[Info, bool]:
         """What is known of a message, and whether it was held for late joiners."""
-        publisher = connection.header.get(names.GRANTED)
+        publisher = asking.publisher_of(connection.header)
         if publisher is not None:
             number, source, index, held = TRAILER.unpack(frame.tail)
             return (source, number, f"{publisher}.{index}", None), bool(held)
@@ -87,8 +87,11 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
         return (None, header.seq, caller, stamp if abs(self._now() - stamp) < _PLAUSIBLE else None), False
 
     def connected(self) -> int:
-        """Publishers whose header has been read."""
-        return sum(bool(connection.header) and not connection.done for connection in self.connections)
+        """Publishers that have answered, and offer what is requested."""
+        return sum(
+            bool(connection.header) and asking.is_compatible(connection.header) and not connection.done
+            for connection in self.connections
+        )
 
     async def leave(self) -> None:
         self.close()
@@ -119,7 +122,7 @@ class PortSubscription:
         with manager.lock:
             found = manager.subs.get(name)
             if found is None:
-                found = FramedTopic(name, type_, now)
+                found = FramedTopic(name, type_, stated, now)
                 manager.subs[name] = found
                 manager.topics.add(name)
                 registrar.join(found)

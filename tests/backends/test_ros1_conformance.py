@@ -1,0 +1,31 @@
+"""ROS 1 passes what every back end must pass."""
+
+from __future__ import annotations
+
+import uuid
+from pathlib import Path
+
+import pytest
+
+from midstride.runtime import guardian
+from midstride.runtime.guardian import Guardian
+from midstride.testing.conformance import CHECKS, Check
+from tests.backends.ros1_support import own_master_uri
+from tests.backends.ros2_support import run
+
+pytestmark = pytest.mark.ros1
+
+# The checks' own token is the same in every run, and another run may be going on.
+OURS = "MIDSTRIDE_TEST_RUN"
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))
+def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from midstride.backends.ros1 import create_backend
+
+    this = uuid.uuid4().hex
+    monkeypatch.setenv(OURS, this)
+    with own_master_uri(), Guardian(OURS, this) as guarding:
+        backend = create_backend(logs=tmp_path / "logs", guardian=guarding)
+        run(check(backend, tmp_path), 100)
+        assert guardian.left({}, OURS, this) - {guarding.pid} == set()
