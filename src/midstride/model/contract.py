@@ -147,7 +147,7 @@ class Interval:
         return Interval(low, high, low_open, not high_closed)
 
     def __str__(self) -> str:
-        if self.low == self.high:
+        if self.low == self.high and not self.is_empty:
             return f"= {self.low:g}"
         if math.isinf(self.low) and not math.isinf(self.high):
             return f"{'<' if self.high_open else '<='} {self.high:g}"
@@ -244,6 +244,11 @@ class Predicate:
                 if isinstance(values, Interval) and values.low == values.high and not values.is_empty:
                     sets[path] = OneOf.of([values.low])
             object.__setattr__(self, "fields", tuple(sorted(sets.items(), key=lambda entry: entry[0])))
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no message at all is like this: a field whose constraints contradict each other."""
+        return any(values.is_empty for _, values in self.fields)
 
     def constraint(self, path: str) -> ValueSet | None:
         """The set of values the field at ``path`` is constrained to, or None."""

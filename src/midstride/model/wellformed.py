@@ -13,7 +13,7 @@ from fractions import Fraction
 
 from midstride.model.component import Component, NamedInputs, PortRef, value_fits, value_kind
 from midstride.model.configuration import exact
-from midstride.model.contract import explain, satisfies
+from midstride.model.contract import Contract, Predicate, explain, satisfies
 from midstride.model.declared import component_rules, number_problems, predicate_problems
 from midstride.model.names import Path, component_names, specification_names
 from midstride.model.problems import Problem
@@ -129,8 +129,9 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
                 yield from _unfit(specification, PortRef(node.role, port), component, topic, (*where, str(index)))
     if all(port in component.ports() for port in node.attachments):  # else one of them may be misspelt
         for port in component.ports():
-            if not node.attachments.get(port):
-                kind = "output" if port in component.outputs else "input"
+            output = component.has_output(port)
+            if not node.attachments.get(port) and not (output and component.find_owner(port) is None):
+                kind = "output" if output else "input"
                 message = f"{kind} {node.role}.{port} is attached to no topic"
                 yield Problem("W030", (*path, "attachments", port), message, "attach it, or take it out")
     for name, value in node.parameters.items():
@@ -146,17 +147,22 @@ def _unfit(
     specification: Specification, port: PortRef, component: Component, topic: str, path: Path
 ) -> Iterator[Problem]:
     """An attachment is judged as ``attach`` judges it: the normal mode of an output, the assumption of an input."""
-    needed = specification.connectors[topic].guarantee
+    topic_guarantee = specification.connectors[topic].guarantee
     if port.port in component.inputs:
-        clauses = explain(needed, component.inputs[port.port])
-        message = f"{topic} does not satisfy what {port} assumes: {', '.join(clauses)}"
+        offered: Contract = topic_guarantee
+        needed = component.inputs[port.port]
+        told = f"{topic} does not satisfy what {port} assumes"
     else:
         owner = component.find_owner(port.port)
         if owner is None or not owner.modes:
             return
-        clauses = explain(owner.modes[0].guarantee(port.port), needed)
-        message = f"{port} in mode {owner.modes[0].name} does not satisfy {topic}: {', '.join(clauses)}"
+        offered, needed = owner.modes[0].guarantee(port.port), topic_guarantee
+        told = f"{port} in mode {owner.modes[0].name} does not satisfy {topic}"
+    if any(isinstance(contract, Predicate) and contract.is_empty for contract in (offered, needed)):
+        return  # told already
+    clauses = explain(offered, needed)
     if clauses:
+        message = f"{told}: {', '.join(clauses)}"
         yield Problem("E020", path, message, "strengthen what is offered, or weaken what is needed")
 
 
