@@ -18,6 +18,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "graph": ("design", "draw components and what connects them"),
     "impact": ("design", "what falls if a node is removed or crashes"),
     "diff": ("design", "how two specifications differ"),
+    "generate": ("generate", "skeletons of the nodes, launch and package files"),
     "plan": ("plan", "show the plan for a change, what it disrupts and why"),
     "export": ("files", "print a specification as JSON"),
     "up": ("up", "start a system and its manager, and watch it"),

@@ -1,0 +1,121 @@
+"""``generate``: node skeletons, a launch file and package files from a specification."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Final
+
+import click
+
+from midstride.cli.app import json_option
+from midstride.errors import MidstrideError, SpecificationError
+
+if TYPE_CHECKING:
+    from midstride.generate.merge import Merged
+    from midstride.generate.project import Generated
+    from midstride.lang import Loaded
+
+# What was written last, so that an edited copy of the specification is known for one.
+RECORD: Final = ".midstride-generated.json"
+
+
+@click.command("generate")
+@click.argument("file", type=click.Path(path_type=Path))
+@click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), metavar="DIR")
+@click.option("--ros", type=click.Choice(["1", "2"]), default="2", show_default=True, help="Which ROS's package files.")
+@json_option
+def generate_command(file: Path, output: Path, ros: str) -> int:
+    """Write the skeleton of each node of FILE into DIR, with a launch file and package files around them.
+
+    The nodes run as they are: `midstride up DIR/FILE`. What you write into them survives the next time; only the marked
+    block in each is written anew.
+    """
+    from midstride.cli.files import must_exist
+    from midstride.cli.output import print_json, wants_json
+    from midstride.generate.merge import digest
+    from midstride.generate.project import project
+    from midstride.lang import load
+    from midstride.lang.messages import installed
+
+    must_exist(file)
+    loaded = load(file, messages=installed())
+    specification = loaded.require()
+    sources = _sources(file, loaded)
+    made = project(specification, file.name, sources, 1 if ros == "1" else 2)
+    record = _record(output)
+    done: list[tuple[str, str, str]] = []
+    for generated in made.files:
+        path = output / generated.path
+        merged = _merge(generated, _existing(path), record)
+        if merged.text is not None:
+            _write(path, merged.text, generated.executable)
+        if generated.kind == "copy" and (merged.text is not None or not merged.note):
+            record[str(generated.path)] = digest(generated.text)
+        done.append((str(generated.path), "written" if merged.text is not None else "kept", merged.note))
+    _write(output / RECORD, json.dumps(record, indent=2, sort_keys=True) + "\n", False)
+    if wants_json():
+        files = [{"file": name, "state": state, "note": note or None} for name, state, note in done]
+        print_json({"folder": str(output), "files": files, "skipped": made.skipped})
+        return 0
+    for name, state, note in done:
+        if state == "written" or note:
+            click.echo(f"{state} {output / name}" + (f" ({note})" if note else ""))
+    for component, reason in made.skipped.items():
+        click.echo(f"no skeleton for {component}: {reason}")
+    click.echo(f"Start it with `midstride up {output / file.name}`.")
+    return 0
+
+
+def _sources(file: Path, loaded: Loaded) -> dict[PurePosixPath, str]:
+    """The files of the specification, relative to the folder of ``file``. Raises SpecificationError for one outside."""
+    sources: dict[PurePosixPath, str] = {}
+    folder = os.path.abspath(file.parent)
+    for source in loaded.files:
+        relative = os.path.relpath(os.path.abspath(source.path or file), folder)
+        if relative.startswith(".."):
+            raise SpecificationError(
+                f"{source.name} lies outside of {folder}, and would not be found from a copy of {file}"
+            )
+        sources[PurePosixPath(relative)] = source.text
+    return sources
+
+
+def _merge(generated: Generated, existing: str | None, record: dict[str, str]) -> Merged:
+    from midstride.generate.merge import merge_component, merge_copy, merge_empty, merge_whole
+
+    if generated.kind == "component":
+        return merge_component(existing, generated.text)
+    if generated.kind == "whole":
+        return merge_whole(existing, generated.text)
+    if generated.kind == "empty":
+        return merge_empty(existing)
+    return merge_copy(existing, generated.text, record.get(str(generated.path)))
+
+
+def _existing(path: Path) -> str | None:
+    try:
+        return path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        return None
+    except (OSError, UnicodeDecodeError) as error:
+        raise MidstrideError(f"{path} cannot be read: {error}") from None
+
+
+def _write(path: Path, text: str, executable: bool) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        if executable:
+            path.chmod(path.stat().st_mode | 0o111)
+    except OSError as error:
+        raise MidstrideError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def _record(output: Path) -> dict[str, str]:
+    try:
+        found = json.loads((output / RECORD).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return {str(path): str(value) for path, value in found.items()} if isinstance(found, dict) else {}

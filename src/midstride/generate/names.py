@@ -1,0 +1,61 @@
+"""Names in generated code: what a program is called by its command, and attributes that collide with nothing."""
+
+from __future__ import annotations
+
+import keyword
+import re
+import shlex
+from collections.abc import Iterable
+from pathlib import PurePosixPath
+from typing import Final
+
+_INTERPRETER: Final = re.compile(r"(/usr/bin/(env )?)?python3?(\.\d+)?")
+_WORD: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+def program_path(run: str) -> PurePosixPath | None:
+    """The file that a command runs, relative to the system's folder; None for what is no Python program in it.
+
+    ``python3 -m patrol.detector`` runs ``patrol/detector.py``, ``python3 talker.py`` runs ``talker.py``.
+    """
+    try:
+        words = shlex.split(run)
+    except ValueError:
+        return None
+    if words[:1] == ["/usr/bin/env"]:
+        words = words[1:]
+    if len(words) < 2 or not _INTERPRETER.fullmatch(words[0]):
+        return None
+    words = [word for word in words[1:] if word not in {"-u", "-O", "-B"}]
+    if len(words) >= 2 and words[0] == "-m":
+        parts = words[1].split(".")
+        if not all(_WORD.fullmatch(part) and not keyword.iskeyword(part) for part in parts):
+            return None
+        return PurePosixPath(*parts[:-1], f"{parts[-1]}.py")
+    path = PurePosixPath(words[0]) if words else PurePosixPath()
+    if path.suffix != ".py" or path.is_absolute() or ".." in path.parts:
+        return None
+    return path
+
+
+def snake(name: str) -> str:
+    """``ObstacleDetector`` as ``obstacle_detector``."""
+    return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower()
+
+
+class Attributes:
+    """Hands out attribute names: the wished one, or one with underscores and a hint behind it."""
+
+    def __init__(self, taken: Iterable[str]) -> None:
+        self._taken = set(taken)
+
+    def take(self, wished: str, hint: str = "") -> str:
+        name = re.sub(r"[^A-Za-z0-9_]", "_", wished)
+        if keyword.iskeyword(name) or keyword.issoftkeyword(name) or name.startswith("__"):
+            name = f"{name.lstrip('_') or 'name'}_"
+        if name in self._taken and hint:
+            name = f"{name.rstrip('_')}_{hint}"
+        while name in self._taken:
+            name += "_"
+        self._taken.add(name)
+        return name

@@ -1,0 +1,148 @@
+"""All the files of a generated project, by path: skeletons, launch file, package files, the specification itself."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import PurePosixPath
+from typing import Any, Final, Literal
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from midstride.generate.merge import BEGIN, END, marked
+from midstride.generate.names import program_path, snake
+from midstride.generate.skeleton import Skeleton, skeleton
+from midstride.model.component import Component
+from midstride.model.specification import Specification
+
+Kind = Literal["component", "whole", "copy", "empty"]
+
+
+@dataclass(frozen=True, slots=True)
+class Generated:
+    """A file, and how it meets what is there already: see :mod:`midstride.generate.merge`."""
+
+    path: PurePosixPath
+    text: str
+    kind: Kind
+    executable: bool = False
+
+
+@dataclass(slots=True)
+class Project:
+    """The files, and for each component that got none the reason."""
+
+    files: list[Generated] = field(default_factory=list)
+    skipped: dict[str, str] = field(default_factory=dict)
+
+
+_COMMENT: Final = {".xml": ("<!-- ", " -->")}
+
+
+def project(
+    specification: Specification, file: str, sources: Mapping[PurePosixPath, str], ros: Literal[1, 2] = 2
+) -> Project:
+    """The project of a system whose specification is in ``file``; ``sources`` are its files, by path beside it."""
+    return _Project(specification, file, sources, ros).build()
+
+
+class _Project:
+    def __init__(
+        self, specification: Specification, file: str, sources: Mapping[PurePosixPath, str], ros: Literal[1, 2]
+    ) -> None:
+        self.specification = specification
+        self.file = file
+        self.sources = sources
+        self.ros = ros
+        self.result = Project()
+        self.programs: dict[PurePosixPath, str] = {}
+        self.packages: set[str] = set()
+        self.templates = Environment(
+            loader=PackageLoader("midstride.generate"),
+            trim_blocks=True,
+            lstrip_blocks=True,
+            keep_trailing_newline=True,
+            undefined=StrictUndefined,
+            autoescape=False,
+        )
+        self.templates.filters["repr"] = repr
+
+    def build(self) -> Project:
+        for name in sorted(self.specification.components):
+            self._component(self.specification.components[name])
+        for path, text in self.sources.items():
+            self.result.files.append(Generated(path, text, "copy"))
+        self._package_files()
+        return self.result
+
+    def _component(self, component: Component) -> None:
+        path = None if component.run is None else program_path(component.run)
+        if component.run is None:
+            self.result.skipped[component.name] = "it has no `run`: it is started elsewhere"
+        elif path is None:
+            self.result.skipped[component.name] = f"`{component.run}` runs no Python file of this folder"
+        elif path in self.programs:
+            self.result.skipped[component.name] = f"it runs {path}, as {self.programs[path]} does"
+        else:
+            self.programs[path] = component.name
+            made = skeleton(component, self._node(component.name), self.specification.environment)
+            self.packages.update(made.packages)
+            self.result.files.append(Generated(path, self._skeleton(made), "component"))
+            for parent in path.parents:
+                init = parent / "__init__.py"
+                if parent != PurePosixPath(".") and all(other.path != init for other in self.result.files):
+                    self.result.files.append(Generated(init, "", "empty"))
+
+    def _node(self, component: str) -> str:
+        """The name of a node of the component; its own, spelt as a node's, where it has none."""
+        for role in self.specification.roles():
+            if self.specification.nodes[role].component == component:
+                return role.rpartition("/")[2]
+        return snake(component)
+
+    def _skeleton(self, made: Skeleton) -> str:
+        template = self.templates.get_template("component.py.j2")
+        return template.render(c=made, system=self.specification.name, file=self.file, begin=BEGIN, end=END)
+
+    # -- package files ---------------------------------------------------------------------------------------
+
+    def _package_files(self) -> None:
+        system = self.specification.name
+        package = snake(system)
+        folders = sorted({str(path.parent).replace("/", ".") for path in self.programs if len(path.parts) > 1})
+        context: dict[str, Any] = {
+            "system": system,
+            "package": package,
+            "file": self.file,
+            "ros": self.ros,
+            "dependencies": sorted(self.packages),
+            "packages": folders,
+            "modules": sorted(path.stem for path in self.programs if len(path.parts) == 1),
+            "programs": sorted(str(path) for path in self.programs),
+            "specifications": self._by_folder(),
+        }
+        if self.ros == 2:
+            self._whole("package.xml", "package2.xml.j2", context)
+            self._whole("setup.py", "setup.py.j2", context)
+            self._whole(f"launch/{system}.launch.py", "launch.py.j2", context)
+            self.result.files.append(Generated(PurePosixPath(f"resource/{package}"), "", "empty"))
+        else:
+            self._whole("package.xml", "package1.xml.j2", context)
+            self._whole("setup.py", "setup.py.j2", context)
+            self._whole("CMakeLists.txt", "CMakeLists.txt.j2", context)
+            self._whole(f"launch/{system}.launch", "launch.xml.j2", context)
+            self._whole("up.sh", "up.sh.j2", context, executable=True)
+
+    def _by_folder(self) -> list[tuple[str, list[str]]]:
+        """The specification's files by folder (``""`` or ``/parts``), as installing wants them."""
+        folders: dict[str, list[str]] = {}
+        for path in self.sources:
+            folder = "" if len(path.parts) == 1 else f"/{path.parent}"
+            folders.setdefault(folder, []).append(str(path))
+        return sorted(folders.items())
+
+    def _whole(self, path: str, template: str, context: dict[str, Any], executable: bool = False) -> None:
+        suffix = ".xml" if path.endswith((".xml", ".launch")) else PurePosixPath(path).suffix
+        text = self.templates.get_template(template).render(mark="@MARK@", **context)
+        before, after = _COMMENT.get(suffix, ("# ", ""))
+        self.result.files.append(Generated(PurePosixPath(path), marked(text, before, after), "whole", executable))

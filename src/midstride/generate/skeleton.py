@@ -1,0 +1,273 @@
+"""What stands in the skeleton of a component: imports, declarations, the wiring of modes, a method for each mode."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Final
+
+from midstride.errors import SpecificationError
+from midstride.generate.names import Attributes
+from midstride.model.component import Component, EnvironmentGuarantee, Functionality, Mode, NamedInputs
+from midstride.model.contract import Interval, OneOf, Predicate, QoS, Scalar, ValueSet, satisfies
+
+# Attributes of the skeleton's own.
+_OWN: Final = ("component", "wire", "start")
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """A method of the skeleton: a mode, or what is called when a parameter changes."""
+
+    name: str
+    arguments: str
+    about: str
+    body: tuple[str, ...]
+
+
+@dataclass(slots=True)
+class Skeleton:
+    """All that the template of a component needs, as lines of Python."""
+
+    name: str
+    node: str
+    midstride: list[str] = field(default_factory=list)
+    imports: list[str] = field(default_factory=list)
+    declarations: list[str] = field(default_factory=list)
+    wiring: list[str] = field(default_factory=list)
+    methods: list[Method] = field(default_factory=list)
+    packages: list[str] = field(default_factory=list)
+
+
+def skeleton(component: Component, node: str, environment: tuple[EnvironmentGuarantee, ...] = ()) -> Skeleton:
+    """The skeleton of ``component``, whose node is called ``node`` where nobody names it.
+
+    Raises SpecificationError for an output that no mode gives a type.
+    """
+    return _Builder(component, node, environment).build()
+
+
+class _Builder:
+    def __init__(self, component: Component, node: str, environment: tuple[EnvironmentGuarantee, ...]) -> None:
+        self.component = component
+        self.environment = environment
+        self.result = Skeleton(component.name, node)
+        self.names = Attributes(_OWN)
+        self.used = {"Component"}
+        self.classes: dict[str, str] = {}  # the name in the code of each message type
+        self.ports: dict[str, str] = {}
+        self.functionalities: dict[str, str] = {}
+
+    def build(self) -> Skeleton:
+        result, component = self.result, self.component
+        self._import_types()
+        for name in component.input_order:
+            self.ports[name] = self.names.take(name, "input")
+            arguments = [repr(name), *self._stated(component.inputs[name])]
+            result.declarations.append(f"{self.ports[name]} = self.component.create_input({', '.join(arguments)})")
+        for name in component.outputs:
+            self.ports[name] = self.names.take(name, "output")
+            type_, qos = self._endpoint(name)
+            arguments = [repr(name), self.classes[type_], *self._qos(qos)]
+            result.declarations.append(f"{self.ports[name]} = self.component.create_output({', '.join(arguments)})")
+        self._parameters()
+        for functionality in component:
+            self._functionality(functionality)
+        result.midstride = sorted(self.used, key=lambda name: (name[0].islower(), name))
+        return result
+
+    def _endpoint(self, output: str) -> tuple[str, QoS]:
+        endpoint = self.component.output_endpoint(output)
+        if endpoint is None:
+            owner = self.component.owner(output)
+            raise SpecificationError(
+                f"output {output} of {self.component.name} has no type: no mode of {owner.name} guarantees anything"
+            )
+        return endpoint
+
+    # -- types ---------------------------------------------------------------------------------------------
+
+    def _import_types(self) -> None:
+        types = {self.component.inputs[name].type for name in self.component.input_order}
+        types |= {self._endpoint(output)[0] for output in self.component.outputs}
+        names: dict[str, list[str]] = {}
+        for type_ in sorted(types):
+            names.setdefault(type_.rpartition("/")[2], []).append(type_)
+        modules: dict[str, list[str]] = {}
+        for name, alike in names.items():
+            for type_ in alike:
+                package = type_.partition("/")[0]
+                own = name in {"Component", self.component.name, f"{self.component.name}Base"} or len(alike) > 1
+                called = f"{package.title().replace('_', '')}{name}" if own else name
+                self.classes[type_] = called
+                modules.setdefault(package, []).append(name if called == name else f"{name} as {called}")
+        for package, imported in sorted(modules.items()):
+            self.result.imports.append(f"from {package}.msg import {', '.join(imported)}")
+            self.result.packages.append(package)
+
+    def _stated(self, predicate: Predicate) -> Iterator[str]:
+        """An input's assumption as arguments."""
+        yield self.classes[predicate.type]
+        if predicate.rate is not None:
+            yield f"rate={predicate.rate:g}"
+        yield from self._qos(predicate.qos)
+        if predicate.fields:
+            yield f"where={self._where(predicate.fields)}"
+
+    def _qos(self, qos: QoS) -> Iterator[str]:
+        stated = [f"{name}={value!r}" for name in QoS.__slots__ if (value := getattr(qos, name)) is not None]
+        if stated:
+            self.used.add("QoS")
+            yield f"qos=QoS({', '.join(stated)})"
+
+    def _where(self, fields: tuple[tuple[str, ValueSet], ...]) -> str:
+        return "{" + ", ".join(f"{path!r}: {self._values(values)}" for path, values in fields) + "}"
+
+    def _values(self, values: ValueSet) -> str:
+        if isinstance(values, OneOf):
+            members = [repr(value) for value in values.values]
+            return members[0] if len(members) == 1 else "{" + ", ".join(members) + "}"
+        low, high = values.low, values.high
+        if values.low_open or values.high_open:
+            if "from midstride.model.contract import Interval" not in self.result.imports:
+                self.result.imports.insert(0, "from midstride.model.contract import Interval")
+            ends = [f'float("{end}")' if math.isinf(end) else repr(end) for end in (low, high)]
+            return f"Interval({ends[0]}, {ends[1]}, low_open={values.low_open}, high_open={values.high_open})"
+        helper = "at_most" if math.isinf(low) else "at_least" if math.isinf(high) else "between"
+        self.used.add(helper)
+        told = {"at_most": f"{high:g}", "at_least": f"{low:g}", "between": f"{low:g}, {high:g}"}
+        return f"{helper}({told[helper]})"
+
+    # -- parameters ------------------------------------------------------------------------------------------
+
+    def _parameters(self) -> None:
+        for name, parameter in sorted(self.component.parameters.items()):
+            attribute = self.names.take(name, "parameter")
+            change = ""
+            if parameter.changeable:
+                method = self.names.take(f"{attribute}_changed")
+                change = f", on_change=self.{method}"
+                about = f"Called when `{name}` is set in place; what it raises refuses the change."
+                self.result.methods.append(Method(method, "self, value: object", about, ()))
+            created = f"self.component.parameter({name!r}, {parameter.value!r}{change})"
+            self.result.declarations.append(f"{attribute} = {created}")
+
+    # -- functionalities ---------------------------------------------------------------------------------------
+
+    def _functionality(self, functionality: Functionality) -> None:
+        attribute = self.functionalities[functionality.name] = self.names.take(functionality.name, "functionality")
+        arguments = [repr(functionality.name)]
+        if functionality.inputs:
+            arguments.append(f"inputs={self._ports(functionality.inputs)}")
+        if functionality.outputs:
+            arguments.append(f"outputs={self._ports(functionality.outputs)}")
+        if functionality.weight not in {0, 1}:  # the author's API knows no weight of 0, and the manager takes its own
+            arguments.append(f"weight={functionality.weight:g}")
+        created = f"self.component.create_functionality({', '.join(arguments)})"
+        self.result.declarations.append(f"{attribute} = {created}")
+        for index, mode in enumerate(functionality.modes):
+            self._mode(functionality, attribute, index, mode)
+
+    def _ports(self, names: tuple[str, ...]) -> str:
+        return "[" + ", ".join(f"self.{self.ports[name]}" for name in names) + "]"
+
+    def _mode(self, functionality: Functionality, attribute: str, index: int, mode: Mode) -> None:
+        guarantees = [(name, mode.guarantees[name]) for name in functionality.outputs if name in mode.guarantees]
+        rates = [guarantee.rate for _, guarantee in guarantees if guarantee.rate is not None]
+        assumed = list(self._assumed(functionality, mode))
+        inputs = [name for names in assumed for name in names]
+        method = self.names.take(f"{functionality.name}_{mode.name}")
+        body = tuple(line for name, guarantee in guarantees for line in self._write(name, guarantee))
+        about = self._about(functionality, mode)
+        called = f"self.{method}"
+        if rates or not inputs:
+            self.result.methods.append(Method(method, "self", about, body))
+        elif len(dict.fromkeys(inputs)) == 1:
+            type_ = self.classes[self.component.inputs[inputs[0]].type]
+            self.result.methods.append(Method(method, f"self, message: {type_}", about, body))
+        else:
+            entries = []
+            for name in dict.fromkeys(inputs):
+                handler = self.names.take(f"{method}_{name}")
+                type_ = self.classes[self.component.inputs[name].type]
+                told = f"{about[:-1]}: a message on `{name}`."
+                self.result.methods.append(Method(handler, f"self, message: {type_}", told, body))
+                entries.append(f"self.{self.ports[name]}: self.{handler}")
+            called = "{" + ", ".join(entries) + "}"
+        arguments = [called]
+        if rates:
+            arguments.append(f"rate={max(rates):g}")
+        if assumed:
+            arguments.append(f"inputs=[{', '.join(self._alternatives(names) for names in assumed)}]")
+        if guarantees:
+            arguments.append(f"outputs={self._ports(tuple(name for name, _ in guarantees))}")
+        promised = [(name, guarantee) for name, guarantee in guarantees if guarantee.fields]
+        if promised:
+            self.used.add("guarantee")
+            entries = [f"self.{self.ports[n]}: guarantee(where={self._where(g.fields)})" for n, g in promised]
+            arguments.append(f"guarantees={{{', '.join(entries)}}}")
+        self.result.wiring.append(self._set(attribute, functionality, index, mode, arguments))
+
+    def _set(self, attribute: str, functionality: Functionality, index: int, mode: Mode, arguments: list[str]) -> str:
+        target = f"self.{attribute}"
+        if index == functionality.last_mode:
+            named = [] if mode.name == "degraded" else [f"name={mode.name!r}"]
+            return f"{target}.set_degraded_mode({', '.join([*arguments, *named])})"
+        if index == 0:
+            named = [] if mode.name == "normal" else [f"name={mode.name!r}"]
+            return f"{target}.set_normal_mode({', '.join([*arguments, *named])})"
+        return f"{target}.set_mode({', '.join([repr(mode.name), *arguments])})"
+
+    def _assumed(self, functionality: Functionality, mode: Mode) -> Iterator[tuple[str, ...]]:
+        """The inputs of each assumption. What the environment gives is no one's input."""
+        for assumption in mode.assumptions:
+            if isinstance(assumption, NamedInputs):
+                yield assumption.inputs
+                continue
+            if any(offer.topic is None and satisfies(offer.guarantee, assumption) for offer in self.environment):
+                continue
+            alike = tuple(n for n in functionality.inputs if satisfies(self.component.inputs[n], assumption))
+            if alike:
+                yield alike
+
+    def _alternatives(self, names: tuple[str, ...]) -> str:
+        if len(names) == 1:
+            return f"self.{self.ports[names[0]]}"
+        self.used.add("any_of")
+        return f"any_of({', '.join(f'self.{self.ports[name]}' for name in names)})"
+
+    def _about(self, functionality: Functionality, mode: Mode) -> str:
+        assumed = ", ".join(str(assumption) for assumption in mode.assumptions) or "nothing"
+        text = f"{mode.name}, of {functionality.name}: assumes {assumed}."
+        return text.replace("\\", "/").replace('"', "'")
+
+    def _write(self, output: str, guarantee: Predicate) -> Iterator[str]:
+        """Lines that write a message which keeps the guarantee."""
+        type_ = self.classes[guarantee.type]
+        if not guarantee.fields:
+            yield f"self.{self.ports[output]}.write({type_}())"
+            return
+        message = f"{self.ports[output]}_message"
+        yield f"{message} = {type_}()"
+        for path, values in guarantee.fields:
+            yield f"{message}.{path} = {_some(values)!r}"
+        yield f"self.{self.ports[output]}.write({message})"
+
+
+def _some(values: ValueSet) -> Scalar:
+    """One of the values; a whole number where there is one, since fields may be."""
+    if isinstance(values, OneOf):
+        return values.values[0]
+    return _whole(values)
+
+
+def _whole(interval: Interval) -> Scalar:
+    candidates: list[float] = [0.0]
+    for end in (interval.low, interval.high):
+        if math.isfinite(end):
+            candidates += [math.ceil(end), math.floor(end), end, end + 1, end - 1]
+    if math.isfinite(interval.low) and math.isfinite(interval.high):
+        candidates.append((interval.low + interval.high) / 2)
+    found = next((value for value in candidates if value in interval), interval.low)
+    return int(found) if found == int(found) else found
