@@ -380,6 +380,30 @@ def test_endpoints_that_are_no_ports_are_listed(tmp_path: Path) -> None:
     run(scenario())
 
 
+def test_ros_actions_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """No package with a ROS action's type is part of the test environment, so rclpy's own answer is planted."""
+    from rclpy import action
+
+    from midstride.backends.ros2.own import endpoints
+
+    with Bare("acting") as bare:
+
+        def planted(name: str) -> Any:
+            def of(node: Any, of_name: str, of_namespace: str) -> list[tuple[str, list[str]]]:
+                assert (node, of_name, of_namespace) == (bare.node, "acting", "/")
+                return [(name, ["some_msgs/action/Some"])]
+
+            return of
+
+        assert endpoints(bare.node, set()) == []
+        monkeypatch.setattr(action, "get_action_server_names_and_types_by_node", planted("/acting/dock"))
+        monkeypatch.setattr(action, "get_action_client_names_and_types_by_node", planted("/go"))
+        assert endpoints(bare.node, set()) == [
+            {"kind": "ROS action", "name": "/acting/dock"},
+            {"kind": "ROS action", "name": "/go"},
+        ]
+
+
 def test_what_the_authors_own_callbacks_raise_does_not_take_the_component_down(tmp_path: Path) -> None:
     async def scenario() -> None:
         from std_msgs.msg import String

@@ -98,10 +98,8 @@ def endpoints(node: Any, ports: Collection[int]) -> list[dict[str, str]]:
         name = _service_name(node, service)
         if not name.endswith(_SERVICES_OF_ROS):
             found["service", name] = None
-    for waitable in node.waitables:
-        action = getattr(waitable, "_action_name", None)
-        if action is not None:
-            found["ROS action", _absolute(node, action)] = None
+    for name in _actions(node):
+        found["ROS action", name] = None
     return [{"kind": kind, "name": name} for kind, name in sorted(found)]
 
 
@@ -110,8 +108,11 @@ def _service_name(node: Any, service: Any) -> str:
     return str(name) if name else str(node.resolve_service_name(service.srv_name))
 
 
-def _absolute(node: Any, name: str) -> str:
-    """The full name of a ROS action: rclpy keeps what the author wrote."""
-    from rclpy.expand_topic_name import expand_topic_name
+def _actions(node: Any) -> list[str]:
+    """Served or called; the graph knows them, for rclpy keeps no list. One's own ends are in it at once."""
+    from rclpy import action
 
-    return str(expand_topic_name(name, node.get_name(), node.get_namespace()))
+    of_this_node = node, node.get_name(), node.get_namespace()
+    served = action.get_action_server_names_and_types_by_node(*of_this_node)
+    called = action.get_action_client_names_and_types_by_node(*of_this_node)
+    return [name for name, _ in (*served, *called)]
