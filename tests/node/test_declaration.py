@@ -261,7 +261,7 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
     (lambda p: Component("empty").declaration(), "has no functionality"),
     (lambda p: any_of(p.scan), "at least two inputs"),
     (lambda p: any_of(p.scan, p.out), "is not an input"),  # type: ignore[arg-type]
-    (lambda p: approximate(0), "is not a rate"),
+    (lambda p: approximate(0), "a number of seconds greater than 0"),
     (lambda p: approximate(1, queue=0), "at least one message"),
     (lambda p: p.comp.parameter("midstride.mode", 1), "cannot be the name"),
     (lambda p: p.comp.parameter("p", None), "no value of a ROS parameter"),  # type: ignore[arg-type]

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
+import socket
 import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -42,7 +43,7 @@ def stage(example: Example, backend: str) -> Iterator[Stage]:
     with ExitStack() as stack:
         folder = stack.enter_context(_folder())
         workspace = Workspace(folder)
-        _own_network(folder)
+        _own_network(folder, backend)
         os.environ[_MARK] = token
         guardian = stack.enter_context(Guardian(_MARK, token)) if backend != "sim" else None
         platform: Backend = (
@@ -85,8 +86,11 @@ def _sweep(root: Path) -> None:
             shutil.rmtree(left, ignore_errors=True)
 
 
-def _own_network(folder: Path) -> None:
+def _own_network(folder: Path, backend: str) -> None:
     """A ROS network apart from whatever runs on this machine, unless the user has chosen one."""
+    if backend == "ros1" and "ROS_MASTER_URI" not in os.environ:
+        with socket.create_server(("127.0.0.1", 0)) as door:
+            os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{door.getsockname()[1]}"
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_LOG_DIR", str(folder / "ros-log"))

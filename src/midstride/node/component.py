@@ -9,6 +9,7 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from midstride.errors import NodeError
@@ -22,6 +23,7 @@ from midstride.node.contracts import (
     check_name,
     check_qos,
     check_rate,
+    check_seconds,
     check_type,
     check_weight,
     field_constraints,
@@ -38,6 +40,17 @@ from midstride.node.surroundings import find, host_factory
 F = TypeVar("F", bound=Callable[..., Any])
 
 
+@dataclass(slots=True)
+class Hooks:
+    """What the author wants called besides modes."""
+
+    setup: Callable[[Any], None] | None = None
+    stop: Callable[[], Any] | None = None
+    stop_timeout: float = 2.0
+    export_state: Callable[[], bytes] | None = None
+    import_state: Callable[[bytes], None] | None = None
+
+
 class Component:
     """A node of the system: declare ports and functionalities, then ``start()``.
 
@@ -52,11 +65,7 @@ class Component:
         self.outputs: dict[str, Output] = {}
         self.functionalities: dict[str, Functionality] = {}
         self.parameters: dict[str, Parameter] = {}
-        self.setup: Callable[[Any], None] | None = None
-        self.stop: Callable[[], Any] | None = None
-        self.stop_timeout = 2.0
-        self.export_state: Callable[[], bytes] | None = None
-        self.import_state: Callable[[bytes], None] | None = None
+        self.hooks = Hooks()
         self.logger: Any = logging.getLogger(f"midstride.{name}")
         self._started = False
 
@@ -113,7 +122,8 @@ class Component:
     ) -> Parameter:
         """A ROS parameter. Its ``value`` is the one in force; ``on_change(value)`` makes it changeable in place.
 
-        What ``on_change`` raises refuses the change.
+        What ``on_change`` raises refuses the change. Before ``start()`` the value is the manager's
+        where the manager gave one, else the default.
         """
         self._declaring(f"parameter {name}")
         check_parameter(name, default)
@@ -131,17 +141,17 @@ class Component:
 
         In the simulator, which has no ROS node, it is called with None.
         """
-        self.setup = self._hook("on_setup", fn)
+        self.hooks.setup = self._hook("on_setup", fn)
         return fn
 
     def on_export_state(self, fn: F) -> F:
         """``fn() -> bytes``: what a replacement of this component should know."""
-        self.export_state = self._hook("on_export_state", fn)
+        self.hooks.export_state = self._hook("on_export_state", fn)
         return fn
 
     def on_import_state(self, fn: F) -> F:
         """``fn(state: bytes)``: take up what the replaced component knew."""
-        self.import_state = self._hook("on_import_state", fn)
+        self.hooks.import_state = self._hook("on_import_state", fn)
         return fn
 
     def on_stop(self, fn: F, timeout: float = 2.0) -> F:
@@ -149,8 +159,8 @@ class Component:
 
         The component ends after ``timeout`` seconds even if it has not returned.
         """
-        self.stop = self._hook("on_stop", fn)
-        self.stop_timeout = check_rate(timeout, "on_stop(timeout=)") or 0.0
+        self.hooks.stop = self._hook("on_stop", fn)
+        self.hooks.stop_timeout = check_seconds(timeout, "on_stop(timeout=)")
         return fn
 
     # -- running -----------------------------------------------------------------------------------

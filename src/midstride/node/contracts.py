@@ -65,6 +65,16 @@ def check_rate(rate: object, where: str) -> float | None:
     return float(rate)
 
 
+def check_seconds(seconds: object, where: str) -> float:
+    if (
+        isinstance(seconds, bool)
+        or not isinstance(seconds, (int, float))
+        or not (math.isfinite(seconds) and seconds > 0)
+    ):
+        raise NodeError(f"{where}: {seconds!r} is no duration; write a number of seconds greater than 0")
+    return float(seconds)
+
+
 def check_weight(weight: object, where: str) -> None:
     if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not (math.isfinite(weight) and weight > 0):
         raise NodeError(f"{where}: weight={weight!r}; write a number greater than 0")

@@ -20,6 +20,8 @@ from midstride.wire.messages import Command, Reply
 # How long making the acquaintance of a peer may take (s), and one attempt at it.
 MEET_TIMEOUT: Final = 5.0
 MEET_ATTEMPT: Final = 0.5
+# How many cuts that are over can still be asked about, or cancelled.
+REMEMBERED: Final = 50
 
 
 class Handovers:
@@ -142,6 +144,8 @@ class Handovers:
 
     def _begin(self, cut: str, side: OldSide | NewSide) -> None:
         self._sides[cut] = side
+        for old in [cut for cut, earlier in self._sides.items() if earlier.finished.is_set()][:-REMEMBERED]:
+            del self._sides[old]
         task = asyncio.get_running_loop().create_task(side.run())
         self._tasks.add(task)
         task.add_done_callback(self._ended)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from midstride.errors import NodeError
-from midstride.node.contracts import Guarantee, check_name, check_rate
+from midstride.node.contracts import Guarantee, check_name, check_rate, check_seconds
 from midstride.node.ports import AnyOf, Input, Output
 
 Function: TypeAlias = Callable[..., Any]
@@ -31,9 +31,9 @@ def approximate(slop: float, queue: int = 10) -> Approximate:
     The time of a message is its ``header.stamp`` where it has one, else that of its publication.
     ``queue`` messages of each input wait for their partners; the oldest go first.
     """
-    seconds = check_rate(slop, "approximate()")
-    if seconds is None or not queue >= 1:
-        raise NodeError(f"approximate({slop!r}, queue={queue!r}): write seconds, and a queue of at least one message")
+    seconds = check_seconds(slop, "approximate()")
+    if not queue >= 1:
+        raise NodeError(f"approximate(queue={queue!r}): write a queue of at least one message")
     return Approximate(seconds, int(queue))
 
 

@@ -89,8 +89,8 @@ class Operations:
         for parameter in self._component.parameters.values():
             value = self._host.parameter(parameter.name, parameter.value, parameter.change)
             parameter.begin_with(value)
-        if self._component.setup is not None:
-            self._component.setup(self._host.ros_node)
+        if self._component.hooks.setup is not None:
+            self._component.hooks.setup(self._host.ros_node)
 
     def begin(self) -> None:
         """Data side: every functionality into its last mode."""
@@ -106,15 +106,15 @@ class Operations:
     async def end(self) -> None:
         """No call any more, the author's last word, then the endpoints; each in bounded time, whatever fails."""
         self._handovers.close()
-        timeout = self._component.stop_timeout
+        timeout = self._component.hooks.stop_timeout
         try:
             await self._data.run(self._leave_all, timeout)
             await self._idle(timeout)
         except CommandRefused as error:
             self._host.logger.error(f"{self._host.instance} ends although {error}")
-        if self._component.stop is not None:
+        if self._component.hooks.stop is not None:
             try:
-                if not await self._data.drive(self._component.stop, timeout):
+                if not await self._data.drive(self._component.hooks.stop, timeout):
                     self._host.logger.error(f"on_stop did not return within {timeout:g} s")
             except CAUGHT as error:
                 self._host.logger.error(f"on_stop raised: {told_by(error)}")
@@ -220,7 +220,7 @@ class Operations:
         return {"from": before}
 
     async def _export_state(self, arguments: Arguments) -> dict[str, Any]:
-        export = self._component.export_state
+        export = self._component.hooks.export_state
         if export is None:
             return {"state": None}
         state = await self._users(export, "on_export_state", arguments)
@@ -229,7 +229,7 @@ class Operations:
         return {"state": base64.b64encode(state).decode("ascii")}
 
     async def _import_state(self, arguments: Arguments) -> dict[str, Any]:
-        take_up = self._component.import_state
+        take_up = self._component.hooks.import_state
         if take_up is None:
             raise CommandRefused("the component takes no state: it has no on_import_state")
         try:

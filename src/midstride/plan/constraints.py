@@ -66,7 +66,7 @@ def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints:
                 first_breach[keep] = f"step {number} ({step.describe()}) takes it below"
     for constraint in asked:
         if isinstance(constraint, Limit):
-            seconds = meter.seconds.get(constraint.functionality, 0.0)
+            seconds = meter.seconds(constraint.functionality)
             if seconds > constraint.seconds + _EPSILON:
                 first_breach[constraint] = f"it would be below its baseline for {seconds:g} s"
         elif isinstance(constraint, Order):

@@ -112,6 +112,11 @@ class Core:
             self.draft.create(self.creates.pop(name))
         return bool(ready)
 
+    def is_relieved(self, name: str) -> bool:
+        """Whether a component that leaves has been replaced already, and nothing rests on its outputs any more."""
+        new = self.draft.change.replaced.get(name)
+        return new in self.draft.s.instances and new not in self.swaps
+
     def room(self, resource: str, amount: float) -> bool:
         s = self.draft.s
         return s.held.get(resource, 0.0) + amount <= s.world.capacity(resource) + _EPSILON

@@ -136,10 +136,22 @@ def instances_touched(action: Action) -> list[str]:
     return []
 
 
-class Meter:
-    """Follows a plan: the disruption so far, who stands below the baseline now, and who ever did."""
+@dataclass(frozen=True, slots=True)
+class Moved:
+    """By how many levels a role's functionality stood below its baseline before a step, and stands after it."""
 
-    __slots__ = ("below", "disruption", "fallen", "levels", "seconds")
+    ref: FunctionalityRef
+    before: int
+    after: int
+
+
+class Meter:
+    """Follows a plan: the disruption so far, who stands below the baseline now, and who ever did.
+
+    A step costs what it moves, however many stand below: the loss that stands is kept as a sum.
+    """
+
+    __slots__ = ("_clock", "_since", "_spent", "_standing", "below", "disruption", "fallen", "levels")
 
     def __init__(self, levels: Levels) -> None:
         self.levels = levels
@@ -148,26 +160,56 @@ class Meter:
         standing = dict.fromkeys(change.start.instances[ref.component].role for ref in change.pending)
         self.below: dict[FunctionalityRef, int] = levels.fallen(change.start, standing)
         self.fallen: dict[FunctionalityRef, None] = dict.fromkeys(self.below)
-        self.seconds: dict[FunctionalityRef, float] = dict.fromkeys(self.below, 0.0)
+        self._clock = 0.0
+        self._since: dict[FunctionalityRef, float] = dict.fromkeys(self.below, 0.0)
+        self._spent: dict[FunctionalityRef, float] = {}
+        self._standing = sum(loss * levels.weight(ref) for ref, loss in self.below.items())
 
     def copy(self) -> Meter:
         twin = Meter.__new__(Meter)
         twin.levels, twin.disruption = self.levels, self.disruption
-        twin.below, twin.fallen, twin.seconds = dict(self.below), dict(self.fallen), dict(self.seconds)
+        twin._clock, twin._standing = self._clock, self._standing
+        twin.below, twin.fallen = dict(self.below), dict(self.fallen)
+        twin._since, twin._spent = dict(self._since), dict(self._spent)
         return twin
 
-    def step(self, action: Action, seconds: float, after: Configuration) -> None:
-        """Take note of an action that has led to ``after``."""
-        change = self.levels.change
-        now = dict(self.below)
-        for role in dict.fromkeys(change.role_of(name) for name in instances_touched(action)):
+    def step(self, action: Action, seconds: float, after: Configuration) -> list[Moved]:
+        """Take note of an action that has led to ``after``; what it moves, in a stable order."""
+        moved = self._moved(action, after)
+        weight = self.levels.weight
+        during = self._standing + sum(weight(each.ref) * max(0, each.after - each.before) for each in moved)
+        if isinstance(action, (Create, Remove)):
+            self.disruption = round(self.disruption + during * seconds, DIGITS)
+        self._standing += sum(weight(each.ref) * (each.after - each.before) for each in moved)
+        begin, self._clock = self._clock, self._clock + seconds
+        for each in moved:
+            if not each.after:
+                del self.below[each.ref]
+                self._spent[each.ref] = self._spent.get(each.ref, 0.0) + self._clock - self._since.pop(each.ref)
+                continue
+            self.below[each.ref] = each.after
+            self.fallen[each.ref] = None
+            self._since.setdefault(each.ref, begin)
+        if not self.below:
+            self._standing = 0.0
+        return moved
+
+    def _moved(self, action: Action, after: Configuration) -> list[Moved]:
+        moved = []
+        for role in dict.fromkeys(self.levels.change.role_of(name) for name in instances_touched(action)):
+            below = self.levels.below(after, role)
             for counted in self.levels.counted(role):
-                now.pop(counted.ref, None)
-            now.update(self.levels.below(after, role))
-        during = {ref: max(self.below.get(ref, 0), now.get(ref, 0)) for ref in {**self.below, **now}}
-        for ref, loss in during.items():
-            self.seconds[ref] = round(self.seconds.get(ref, 0.0) + seconds, DIGITS)
-            if isinstance(action, (Create, Remove)):
-                self.disruption = round(self.disruption + loss * self.levels.weight(ref) * seconds, DIGITS)
-        self.below = now
-        self.fallen.update(dict.fromkeys(now))
+                before, now = self.below.get(counted.ref, 0), below.get(counted.ref, 0)
+                if before != now:
+                    moved.append(Moved(counted.ref, before, now))
+        return moved
+
+    @property
+    def standing(self) -> float:
+        """The weighted levels that are missing now."""
+        return self._standing
+
+    def seconds(self, ref: FunctionalityRef) -> float:
+        """How long a functionality has been below its baseline, the steps that took it there and back included."""
+        open_since = self._since.get(ref, self._clock)
+        return round(self._spent.get(ref, 0.0) + self._clock - open_since, DIGITS)

@@ -10,7 +10,7 @@ from midstride.model.action import Degrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Judge
-from midstride.plan.disruption import Levels, Meter
+from midstride.plan.disruption import DIGITS, Levels, Meter
 from midstride.plan.step import Step
 
 if TYPE_CHECKING:
@@ -57,18 +57,15 @@ def falls(plan: Plan) -> tuple[Fall, ...]:
 
     def close(ref: FunctionalityRef, until: int | None) -> None:
         because = _because(plan.steps, configurations, ref, begun[ref])
-        seconds = round(meter.seconds.get(ref, 0.0) - spent[ref], 9)
+        seconds = round(meter.seconds(ref) - spent[ref], DIGITS)
         found.append(Fall(ref, begun.pop(ref), until, seconds, because))
 
     for index, step in enumerate(plan.steps):
-        was, counted = meter.below, dict(meter.seconds)
-        meter.step(step.action, step.seconds, configurations[index + 1])
-        for ref in sorted(meter.below):
-            if ref not in was:
-                begun[ref], spent[ref] = index + 1, counted.get(ref, 0.0)
-        for ref in sorted(was):
-            if ref not in meter.below:
-                close(ref, index + 1)
+        for moved in meter.step(step.action, step.seconds, configurations[index + 1]):
+            if not moved.before:
+                begun[moved.ref], spent[moved.ref] = index + 1, meter.seconds(moved.ref) - step.seconds
+            elif not moved.after:
+                close(moved.ref, index + 1)
     for ref in sorted(begun):
         close(ref, None)
     return tuple(sorted(found, key=lambda fall: (fall.since, fall.functionality)))

@@ -24,8 +24,9 @@ from midstride.plan.plan import Plan
 from midstride.plan.schedule import makespan
 from midstride.plan.step import Step
 
-# How many ways to go on are tried in all before the first that offers itself is taken.
+# How many ways to go on are tried in all; after that, of each choice only the first few, and no choice twice.
 _TRIALS: Final = 600
+_FEW: Final = 6
 
 Key = tuple[bool, float, int, float, int]
 
@@ -76,13 +77,10 @@ def _relevant(change: Change, found: Found | None, constraints: Iterable[Constra
 def _find(change: Change, levels: Levels, constraints: Sequence[Constraint]) -> Found | None:
     """The best plan found under ``constraints``, perhaps one that breaks some; None where the orders leave none."""
     # Raising somebody above where both ends have it costs steps, and may help others only in a conflict.
-    found = _search(change, levels, constraints, _as_far_as_needed(change))
+    found = _search(change, levels, constraints, _as_far_as_needed(change), None)
     if found is not None and found.is_free:
         return found
-    further = _search(change, levels, constraints, None)
-    if found is None or further is None:
-        return found or further
-    return min(found, further, key=lambda each: each.key)
+    return _search(change, levels, constraints, None, found)
 
 
 def _as_far_as_needed(change: Change) -> Ceiling:
@@ -94,10 +92,14 @@ def _as_far_as_needed(change: Change) -> Ceiling:
     return ceiling
 
 
-def _search(change: Change, levels: Levels, constraints: Sequence[Constraint], ceiling: Ceiling | None) -> Found | None:
-    """Depth first through the core, the cheapest way first, as far as the number of trials allows."""
+def _search(
+    change: Change, levels: Levels, constraints: Sequence[Constraint], ceiling: Ceiling | None, best: Found | None
+) -> Found | None:
+    """Depth first through the core, the cheapest way first, as far as the number of trials allows.
+
+    ``best`` is what has been found before, and what comes back where nothing better is.
+    """
     orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
-    best: Found | None = None
     trials = _TRIALS
     stack = [Core(Draft(change, levels, ceiling), orders)]
     stack[0].advance()
@@ -114,22 +116,23 @@ def _search(change: Change, levels: Levels, constraints: Sequence[Constraint], c
                 break
             continue
         ways: list[Core] = []
-        for move in moves(core):
+        for move in moves(core)[: None if trials > 0 else _FEW]:
             way = core.copy()
             way.play(move)
             way.advance()
             ways.append(way)
             trials -= 1
-            if trials <= 0:
-                break
-        stack.extend(sorted(ways, key=_promise, reverse=True))
+        ways.sort(key=_promise)
+        stack.extend(ways[: None if trials > 0 else 1][::-1])
     return best
 
 
 def _promise(core: Core) -> tuple[float, float, int]:
-    meter = core.draft.meter
-    standing = sum(loss * meter.levels.weight(ref) for ref, loss in meter.below.items())
-    return meter.disruption, standing, len(core.draft.steps)
+    """What a way has cost and will at least have cost, roughly, once what has fallen on it stands again."""
+    change, meter = core.draft.change, core.draft.meter
+    roles = {ref.component for ref in meter.below}
+    awaited = [change.seconds("create", i.component) for i in core.creates.values() if i.role in roles]
+    return meter.disruption + meter.standing * max(awaited, default=0.0), meter.standing, len(core.draft.steps)
 
 
 def _cannot_beat(core: Core, best: Found) -> bool:

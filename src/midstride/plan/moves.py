@@ -6,13 +6,12 @@ room, a least set of components to remove for it, a slot of a capped topic to ta
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from midstride.model.action import Swap
-from midstride.model.configuration import Instance
 from midstride.plan.change import Attachment
 
 if TYPE_CHECKING:
@@ -23,6 +22,9 @@ _EPSILON: Final = 1e-9
 # Sets of components to remove for one that needs room are looked for up to this size, among so many.
 _SET_SIZE: Final = 3
 _SET_FROM: Final = 10
+
+# What is missing of each resource that is short.
+Need: TypeAlias = tuple[tuple[str, float], ...]
 
 Kind: TypeAlias = Literal["create", "remove", "attach", "detach", "exchange", "finish", "hand over", "part"]
 
@@ -49,7 +51,8 @@ def moves(core: Core) -> list[Move]:
             *_parts(core, turn),
         ]
     )
-    return list(found)
+    fallen = {ref.component for ref in core.draft.meter.below}
+    return sorted(found, key=lambda move: _reluctance(core, move, fallen))
 
 
 def _hand_overs(core: Core, turn: Turn) -> Iterator[Move]:
@@ -59,6 +62,8 @@ def _hand_overs(core: Core, turn: Turn) -> Iterator[Move]:
 
 
 def _creations(core: Core, turn: Turn) -> Iterator[Move]:
+    s = core.draft.s
+    known: dict[Need, list[tuple[str, ...]]] = {}
     for name, instance in core.creates.items():
         if instance.role not in turn:
             continue
@@ -67,39 +72,41 @@ def _creations(core: Core, turn: Turn) -> Iterator[Move]:
         if not short:
             yield Move("create", (name,))
             continue
-        for names in _making_room(core, short, instance, turn):
-            yield Move("remove", names)
+        need: Need = tuple((r, s.held.get(r, 0.0) + holds[r] - s.world.capacity(r)) for r in short)
+        if need not in known:  # what needs the same room is made room for in the same ways
+            known[need] = _making_room(core, need, turn)
+            yield from (Move("remove", names) for names in known[need])
 
 
-def _making_room(core: Core, short: Sequence[str], instance: Instance, turn: Turn) -> Iterator[tuple[str, ...]]:
-    """The least sets of components whose removal makes room for ``instance``."""
-    s, change = core.draft.s, core.draft.change
-    need = {
-        resource: s.held.get(resource, 0.0) + instance.component.holds[resource] - s.world.capacity(resource)
-        for resource in short
-    }
-    holders = [
-        name
-        for name in core.removes
-        if change.role_of(name) in turn and any(resource in s.component(name).holds for resource in short)
-    ]
+def _making_room(core: Core, need: Need, turn: Turn) -> list[tuple[str, ...]]:
+    """The least sets of components whose removal gives back what is needed."""
+    s, role_of = core.draft.s, core.draft.change.role_of
 
     def enough(names: Iterable[str]) -> bool:
         given = [s.component(name).holds for name in names]
-        return all(sum(h.get(r, 0.0) for h in given) + _EPSILON >= amount for r, amount in need.items())
+        return all(sum(h.get(r, 0.0) for h in given) + _EPSILON >= amount for r, amount in need)
 
-    found: list[tuple[str, ...]] = []
-    for size in range(1, _SET_SIZE + 1):
-        for names in combinations(holders[:_SET_FROM], size):
-            if enough(names) and not any(set(less) <= set(names) for less in found):
-                found.append(names)
-    if not found and enough(holders):
+    holders = [
+        name
+        for name in core.removes
+        if role_of(name) in turn and any(resource in s.component(name).holds for resource, _ in need)
+    ]
+    holders.sort(key=core.is_relieved, reverse=True)
+    found = [(name,) for name in holders if enough((name,))]
+    alone = {name for (name,) in found}
+    several = [name for name in holders if name not in alone][:_SET_FROM]
+    sets: list[tuple[str, ...]] = []
+    for size in range(2, _SET_SIZE + 1):
+        for names in combinations(several, size):
+            if enough(names) and not any(set(less) <= set(names) for less in sets):
+                sets.append(names)
+    if not found and not sets and enough(holders):
         least = list(holders)
         for name in holders:
             rest = [other for other in least if other != name]
             least = rest if enough(rest) else least
-        found.append(tuple(least))
-    yield from found
+        sets.append(tuple(least))
+    return [*found, *sets]
 
 
 def _attachments(core: Core, turn: Turn) -> Iterator[Move]:
@@ -136,3 +143,17 @@ def _parts(core: Core, turn: Turn) -> Iterator[Move]:
         live = new in core.draft.s.instances and core.draft.change.role_of(new) in turn
         if live and not core.fits(new, swaps, turn):
             yield Move("part", (new,))
+
+
+def _reluctance(core: Core, move: Move, fallen: set[str]) -> int:
+    """How late a move is tried: first what makes good, then what costs nothing, last what breaks."""
+    match move.kind:
+        case "create":
+            return 0 if core.creates[move.names[0]].role in fallen else 2
+        case "remove":
+            return 1 if all(core.is_relieved(name) for name in move.names) else 3 + len(move.names)
+        case "attach" | "exchange":
+            return 1
+        case "finish" | "detach":
+            return 2
+    return 3

@@ -161,9 +161,8 @@ def _falling(change: Change, steps: Sequence[Step], levels: Levels) -> set[int]:
     """The steps by which something falls below its baseline, or further below it."""
     meter, s, found = Meter(levels), change.start, set()
     for index, step in enumerate(steps):
-        before, s = meter.below, step.action.effect(s)
-        meter.step(step.action, step.seconds, s)
-        if any(loss > before.get(ref, 0) for ref, loss in meter.below.items()):
+        s = step.action.effect(s)
+        if any(moved.after > moved.before for moved in meter.step(step.action, step.seconds, s)):
             found.add(index)
     return found
 

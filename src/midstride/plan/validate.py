@@ -7,7 +7,7 @@ costs are worked out anew, slowly and straight from the definition. The verdict 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -144,25 +144,40 @@ def _role_end(s: Configuration, instance: Instance, target: Configuration, wante
 # -- the costs -------------------------------------------------------------------------------------------
 
 
-def _levels(s: Configuration, start: Specification, target: Specification) -> Levels:
-    """The level of every role's functionality that both have: section 6, word for word."""
-    found: Levels = {}
+@dataclass(frozen=True, slots=True)
+class _Counted:
+    """A functionality that a role has in both, the outputs without which it is not served, and its worst level."""
+
+    ref: FunctionalityRef
+    needed: tuple[str, ...]
+    worst: int
+
+
+def _counted(start: Specification, target: Specification) -> Iterator[_Counted]:
     for role in sorted(set(start.nodes) & set(target.nodes)):
         old, new = start.component_of(role), target.component_of(role)
+        before, after = start.nodes[role].attachments, target.nodes[role].attachments
         for name in sorted(set(old.functionalities) & set(new.functionalities)):
             was, will = old.functionalities[name], new.functionalities[name]
-            needed = [
-                output
-                for output in set(was.outputs) & set(will.outputs)
-                if start.nodes[role].attachments.get(output) and target.nodes[role].attachments.get(output)
-            ]
-            level = max(len(was.modes), len(will.modes))
-            for instance in s.instances_of(role):
-                if name not in instance.component.functionalities:
-                    continue
-                if all(s.attached_to(PortRef(instance.name, output)) for output in needed):
-                    level = min(level, s.modes[FunctionalityRef(instance.name, name)])
-            found[FunctionalityRef(role, name)] = level
+            outputs = sorted(set(was.outputs) & set(will.outputs))
+            needed = tuple(output for output in outputs if before.get(output) and after.get(output))
+            yield _Counted(FunctionalityRef(role, name), needed, max(len(was.modes), len(will.modes)))
+
+
+def _levels(s: Configuration, every: Iterable[_Counted]) -> Levels:
+    """The level of every role's functionality that both have: section 6, word for word."""
+    found: Levels = {}
+    for counted in every:
+        role, name = counted.ref
+        found[counted.ref] = min(
+            (
+                s.modes[FunctionalityRef(instance.name, name)]
+                for instance in s.instances_of(role)
+                if name in instance.component.functionalities
+                and all(s.attached_to(PortRef(instance.name, output)) for output in counted.needed)
+            ),
+            default=counted.worst,
+        )
     return found
 
 
@@ -171,7 +186,8 @@ class _Ledger:
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
-        self.start, self.target = plan.change.specification, plan.change.target
+        self.target = plan.change.target
+        self.counted = tuple(_counted(plan.change.specification, self.target))
         at_start, at_end = self._now(best(plan.change.origin)), self._now(initial(self.target))
         self.baseline = {ref: max(level, at_end[ref]) for ref, level in at_start.items()}
         self.levels = self._now(plan.change.start)
@@ -187,7 +203,7 @@ class _Ledger:
         self.broken: dict[str, None] = {}
 
     def _now(self, s: Configuration) -> Levels:
-        return _levels(s, self.start, self.target)
+        return _levels(s, self.counted)
 
     def _below(self, ref: FunctionalityRef, levels: Levels) -> int:
         return max(0, levels[ref] - self.baseline[ref])

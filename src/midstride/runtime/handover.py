@@ -52,7 +52,10 @@ class Cut:
     def resume_after(self, declared: float | None) -> float:
         """How long the old side waits for the new one's first write (s)."""
         period = self.period if self.period is not None else declared
-        return RESUME_WITHOUT_RATE if period is None else max(RESUME_PERIODS * period, RESUME_AT_LEAST)
+        if period is None:
+            return RESUME_WITHOUT_RATE
+        # It then writes in its next slot: one period less, and the silence is what is stated.
+        return max((RESUME_PERIODS - 1) * period, RESUME_AT_LEAST)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import selectors
-from asyncio import events
 from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
@@ -77,15 +76,12 @@ def run(main: Coroutine[Any, Any, T]) -> T:
     """``asyncio.run`` in virtual time."""
     loop = VirtualLoop()
     try:
-        asyncio.set_event_loop(loop)
         return loop.run_until_complete(main)
     finally:
         try:
             _cancel_all(loop)
             loop.run_until_complete(loop.shutdown_asyncgens())
         finally:
-            asyncio.set_event_loop(None)
-            events._set_running_loop(None)
             loop.close()
 
 
