@@ -32,6 +32,9 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 _NEEDS = {"ros2": "rclpy", "ros1": "rospy"}
 
+# What ROS's own Python warns of when it is imported is not ours to mend.
+_NOT_OURS = ("ignore:module 'sre_:DeprecationWarning", "ignore:.*pkg_resources.*:UserWarning")
+
 
 def _missing(marker: str) -> bool:
     """Whether tests of this marker cannot run here, and need not."""
@@ -43,5 +46,9 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     missing = {marker: _missing(marker) for marker in _NEEDS}
     for item in items:
         for marker, module in _NEEDS.items():
-            if missing[marker] and item.get_closest_marker(marker):
+            if not item.get_closest_marker(marker):
+                continue
+            for warning in _NOT_OURS:
+                item.add_marker(pytest.mark.filterwarnings(warning))
+            if missing[marker]:
                 item.add_marker(pytest.mark.skip(reason=f"no {module} can be imported here"))

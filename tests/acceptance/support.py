@@ -1,0 +1,96 @@
+"""Whole systems on real ROS 2: the specification of benchmarks/swap.py, a bare recorder, and an end for everything."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import signal
+import subprocess
+import sys
+import uuid
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from midstride.model.specification import Specification
+from midstride.runtime import guardian
+from midstride.runtime.guardian import Guardian
+from midstride.runtime.manager import Manager
+from midstride.runtime.measure import Row
+from midstride.runtime.workspace import Workspace
+
+ROOT = Path(__file__).resolve().parents[2]
+BENCHMARKS = ROOT / "benchmarks"
+NODES = BENCHMARKS / "_swap_nodes.py"
+PERIOD = 0.02
+RUN = "MIDSTRIDE_TEST_RUN"
+
+
+def benchmark(name: str) -> ModuleType:
+    """A benchmark as a module: its nodes and its specification serve here too."""
+    spec = importlib.util.spec_from_file_location(f"benchmark_{name}", BENCHMARKS / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def swap_specification() -> Specification:
+    specification: Specification = benchmark("swap").specification()
+    return specification
+
+
+@contextlib.contextmanager
+def ended() -> Iterator[str]:
+    """Every process started inside is ended, whoever started it: they all carry one token."""
+    token = uuid.uuid4().hex
+    before = os.environ.get(RUN)
+    with Guardian(RUN, token):
+        os.environ[RUN] = token
+        try:
+            yield token
+        finally:
+            if before is None:
+                del os.environ[RUN]
+            else:
+                os.environ[RUN] = before
+    assert guardian.left({}, RUN, token) == set()
+
+
+class Recorder:
+    """A process of bare rclpy that records ``/swap``; it knows nothing of Midstride."""
+
+    def __init__(self, folder: Path) -> None:
+        from midstride.backends.ros2.tuning import tuned_environment
+
+        self._path = folder / "recorded.json"
+        self._process = subprocess.Popen(
+            [sys.executable, str(NODES), "recorder", str(self._path)], env=tuned_environment(dict(os.environ))
+        )
+
+    def stop(self) -> list[Row]:
+        self._process.send_signal(signal.SIGTERM)
+        assert self._process.wait(timeout=20) == 0
+        return [Row(*row) for row in json.loads(self._path.read_text())]
+
+
+@contextlib.asynccontextmanager
+async def managed(
+    folder: Path, specification: Specification, directory: Path = BENCHMARKS
+) -> AsyncIterator[tuple[Manager, Any]]:
+    """A manager with its system up; down again in the end."""
+    from midstride import backends
+
+    folder.mkdir(exist_ok=True)
+    backend: Any = backends.make("ros2", logs=folder / "logs")
+    manager = Manager(specification, backend, Workspace(folder), directory)
+    try:
+        await manager.up()
+        yield manager, backend
+    finally:
+        await manager.down()
+        await manager.close()

@@ -1,0 +1,140 @@
+"""The measure is true: a recorder outside agrees with it, and what is planted shows."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import os
+import signal
+import statistics
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.plan.request import Request
+from midstride.runtime.manager import Manager
+from midstride.runtime.measure import Observation, Row, SwapReport, report
+from tests.acceptance.support import NODES, PERIOD, Recorder, ended, managed, swap_specification
+from tests.backends.ros2_support import Rig, rig, run, until_async
+
+pytestmark = pytest.mark.ros2
+SWAPS = 5
+
+
+def other(manager: Manager, strategy: str = "minimal") -> Request:
+    now = manager.specification.nodes["source"].component
+    return Request(replace=(("source", "Source" if now == "OtherSource" else "OtherSource"),), strategy=strategy)
+
+
+def longest_gap(rows: list[Row], begun: int, over: int) -> float:
+    times = [row.received for row in rows if begun <= row.received <= over]
+    return max(later - earlier for earlier, later in itertools.pairwise(times)) / 1e9
+
+
+@pytest.mark.parametrize(
+    ("strategy", "within"),
+    [
+        # One gap stands out, and both saw it between the same two messages.
+        ("paper", 0.002),
+        # No gap stands out: the longest is the machine's own jitter, of which each process has its own.
+        ("minimal", PERIOD / 2),
+    ],
+)
+def test_a_bare_recorder_agrees_with_the_report(strategy: str, within: float, tmp_path: Path) -> None:
+    windows: list[tuple[int, int]] = []
+    swaps: list[dict[str, Any]] = []
+
+    async def main() -> list[Row]:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
+            recorder = Recorder(tmp_path)
+            await asyncio.sleep(1.5)  # the recorder is to be there before the first window, not only from its midst on
+            for _ in range(SWAPS):
+                begun = time.monotonic_ns()
+                outcome = await manager.change(other(manager, strategy))
+                assert outcome["outcome"] == "done", outcome["because"]
+                windows.append((begun - int(20 * PERIOD * 1e9), time.monotonic_ns()))
+                swaps.extend(outcome["swaps"])
+            return recorder.stop()
+
+    with ended():
+        rows = run(main(), 100)
+    assert len(swaps) == SWAPS
+    apart = []
+    for (begun, over), swap in zip(windows, swaps, strict=True):
+        apart.append(abs(longest_gap(rows, begun, over) - swap["gap"]))
+        inside = [row for row in rows if begun <= row.received <= over]
+        publishers = {row.publisher for row in inside}
+        assert len(publishers) == 2 or None in publishers
+        # Numbers without a hole: what the report calls lost, told by somebody else.
+        for publisher in publishers - {None}:
+            numbers = [row.number for row in inside if row.publisher == publisher and row.number is not None]
+            assert numbers == list(range(min(numbers), max(numbers) + 1))
+        assert (swap["lost"], swap["duplicates"]) == (0, 0)
+    # Of each message the two processes are told at moments of their own: the least disturbed half must agree.
+    assert statistics.median_low(sorted(apart)[:3]) <= within, apart
+
+
+def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Path) -> None:
+    async def main() -> dict[str, Any]:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
+            changing = asyncio.ensure_future(manager.change(other(manager)))
+            async for event in manager.subscribe():
+                if event["kind"] == "step_done" and event["step"].get("action") == "handover":
+                    break
+            pid = (await manager.peek("source_2"))["pid"]
+            os.kill(pid, signal.SIGSTOP)
+            await asyncio.sleep(0.3)
+            os.kill(pid, signal.SIGCONT)
+            outcome = await changing
+            assert outcome["outcome"] == "done", outcome["because"]
+            swap: dict[str, Any] = outcome["swaps"][0]
+            return swap
+
+    with ended():
+        swap = run(main())
+    assert swap["missed"] >= 14
+    assert swap["gap_periods"] >= 14
+
+
+async def planted(folder: Path, order: tuple[str, ...]) -> SwapReport:
+    """Two sources on one topic, the second behind its gate; the gates are moved in ``order``, 60 ms apart."""
+    async with rig(folder) as r:
+        script = NODES.read_text()
+        for name in ("first", "second"):
+            await r.start(name, script, "source", name)
+        await r.start("sink", script, "sink")
+        await r.attach("sink", "in", "/swap")
+        await r.attach("first", "out", "/swap", peers=1)
+        await r.attach("second", "out", "/swap", gate="closed", peers=1)
+        for name in ("first", "second"):
+            await r.modes(name, talk="normal")
+        await r.modes("sink", listen="normal")
+        begun = (await r.link.change("sink", "record", inputs=["in"], on=True))["now"]
+        await until_async(lambda: heard(r, 25))
+        for gate in order:
+            name = "first" if gate == "close" else "second"
+            await r.link.change(name, "gate", port="out", topic="/swap", gate="open" if gate == "open" else "closed")
+            await r.backend.clock.sleep(3 * PERIOD)
+        count = len((await r.link.read("sink", "records", input="in"))["rows"])
+        await until_async(lambda: heard(r, count + 25))
+        seen = await r.link.read("sink", "records", input="in")
+        rows = [Row(*row) for row in seen["rows"]]
+        begun += int(20 * PERIOD * 1e9)
+        return report(Observation("/swap", "sink.in", rows, begun, seen["now"], PERIOD, PERIOD))
+
+
+async def heard(r: Rig, count: int) -> bool:
+    return len((await r.link.read("sink", "records", input="in"))["rows"]) >= count
+
+
+def test_a_planted_open_then_close_shows_duplicates(tmp_path: Path) -> None:
+    seen = run(planted(tmp_path, ("open", "close")))
+    assert seen.duplicates is not None and seen.duplicates >= 2
+
+
+def test_a_planted_close_then_open_shows_missed(tmp_path: Path) -> None:
+    seen = run(planted(tmp_path, ("close", "open")))
+    assert seen.missed is not None and seen.missed >= 2
+    assert seen.duplicates == 0
