@@ -17,7 +17,7 @@ from midstride.backends.simulator import loop
 from midstride.cli import example as examples
 from midstride.cli.listening import excerpt, parse
 from midstride.cli.performance import perform
-from tests.cli.conftest import ROOT, Midstride, alive
+from tests.cli.conftest import ROOT, Midstride, alive, nothing_lost
 
 EVERY = ("filter", "obstacle", "talker")
 
@@ -131,9 +131,9 @@ def test_on_ros_2(midstride: Midstride, name: str) -> None:
     assert done.status == 0, done.out + done.err
     for act in done.json["acts"]:
         assert act["outcome"] == "done"
-        if act["plan"]["strategy"] == "minimal":
-            assert [(swap["lost"], swap["duplicates"]) for swap in act["swaps"]] == [(0, 0)] * len(act["swaps"])
-            assert act["fallen"] == {}
+        if any(step["action"] == "handover" for step in act["plan"]["steps"]):
+            assert nothing_lost(act["swaps"]), act["swaps"]
+            assert not any(act["fallen"].values())
 
 
 @pytest.mark.ros2

@@ -6,12 +6,14 @@ import json
 import os
 import re
 import signal
+import socket
 import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
 
 from tests.cli.conftest import EXAMPLES, Midstride, alive, running
@@ -275,6 +277,19 @@ def test_a_component_that_does_not_come_up(
     told_json = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "--json")
     assert (told_json.status, told_json.json["error"]["kind"]) == (1, "StepFailed")
     assert not (midstride.runtime / "midstride" / "talker" / "state.json").exists()
+
+
+def test_the_api_over_tcp_where_it_is_asked_for(midstride: Midstride) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as door:
+        port = door.getsockname()[1]
+    up = midstride("up", TALKER, "--backend", "sim", "-d", "--http", str(port))
+    assert up.status == 0, up.err
+    token_file = midstride.runtime / "midstride" / "talker" / "token"
+    assert up.out.splitlines()[-1] == f"API: http://127.0.0.1:{port}/api/v1, token in {token_file}"
+    token = token_file.read_text()
+    assert httpx.get(f"http://127.0.0.1:{port}/api/v1/status").status_code == 401
+    answer = httpx.get(f"http://127.0.0.1:{port}/api/v1/status", headers={"Authorization": f"Bearer {token}"})
+    assert answer.json()["valid"]
 
 
 def test_several_systems(talker: Midstride) -> None:

@@ -155,6 +155,7 @@ def test_every_snippet_runs(page: Path) -> None:
 
 
 @pytest.mark.ros2
+@pytest.mark.long
 def test_the_readme_runs_on_ros_2() -> None:
     play(ROOT / "README.md", "ros2")
 
