@@ -18,10 +18,12 @@ from midstride.model.component import (
     Resource,
 )
 from midstride.model.contract import Predicate
+from midstride.model.rules import violations
 from midstride.model.specification import Constraint, Node, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
+from midstride.plan.validate import replay
 
 TYPE = "std_msgs/msg/String"
 NEED = Predicate(TYPE, 10.0)
@@ -134,3 +136,15 @@ def changed(start: Specification, target: Specification, strategy: str) -> Plan:
 def told(plan: Plan) -> list[str]:
     """The steps in words."""
     return [step.describe() for step in plan.steps]
+
+
+def sound(plan: Plan) -> Plan:
+    """The plan, once its replay has found nothing and every configuration on the way is valid."""
+    assert str(replay(plan)) == f"the plan holds: {len(plan.steps)} steps replayed"
+    for s in plan.configurations():
+        assert violations(s) == []
+    return plan
+
+
+def fallen(plan: Plan) -> list[str]:
+    return [str(ref) for ref in plan.fallen]
