@@ -28,7 +28,7 @@ from midstride.backends.ros1.data import DataSide
 from midstride.backends.ros1.door import Door
 from midstride.backends.ros1.master import Master
 from midstride.backends.ros1.publishing import NumberedTopic, PortPublisher
-from midstride.backends.ros1.registrar import Registrar
+from midstride.backends.ros1.registrar import Registrar, managers
 from midstride.backends.ros1.subscribing import FramedTopic, PortSubscription
 from midstride.backends.ros1.timers import GridTimer, RosClock
 from midstride.errors import BackendError, NodeError
@@ -210,9 +210,15 @@ class Ros1Host:
         self._ended.set()
         if not self._data.stop(_JOIN):
             self._logger.error(f"user code has not returned for {_JOIN:g} s; the process leaves without it")
+        connecting = managers()
         leaving = threading.Thread(target=rospy.signal_shutdown, args=("the component has ended",), daemon=True)
         leaving.start()
-        leaving.join(_LEAVE)
+        deadline = time.monotonic() + _LEAVE
+        while leaving.is_alive() and time.monotonic() < deadline:
+            for manager in connecting:  # it looks twice a second whether it is over, and rospy waits for that
+                with manager.cond:
+                    manager.cond.notify_all()
+            leaving.join(0.01)
 
 
 def _named(given: list[str], name: str) -> str:

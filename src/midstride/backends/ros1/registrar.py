@@ -105,8 +105,12 @@ class Registrar(Generic[T]):
                 await self._master.ask(f"unregister{self._kind}", node, topic.resolved_name, uri)
 
 
+def managers() -> list[Any]:
+    """rospy's threads that connect to publishers (one, once it has started)."""
+    return [found for found in get_registration_listeners().listeners if isinstance(found, RegManager)]
+
+
 def _connect(topic: str, publishers: list[str]) -> None:
     """Have rospy connect to the publishers of a topic to which it is not connected yet."""
-    for listener in get_registration_listeners().listeners:
-        if isinstance(listener, RegManager):
-            listener.publisher_update(topic, publishers)
+    for manager in managers():
+        manager.publisher_update(topic, publishers)
