@@ -25,7 +25,8 @@ def fleet(groups: int, each: int) -> Specification:
     """Chains of nodes in namespaces, each fed by the last topic of the one before."""
     text = [
         "system fleet\ncontract D = std_msgs/msg/String\n",
-        "environment { guarantee s on /source : D }\ntopic /source : D\ncomponent C { input in : D   output out   functionality f { uses in   produces out\n",
+        "environment { guarantee s on /source : D }\ntopic /source : D\n",
+        "component C { input in : D   output out   functionality f { uses in   produces out\n",
         "mode normal { assume in   guarantee out : D }   mode off { } } }\n",
     ]
     last = "/source"

@@ -14,6 +14,8 @@ from midstride.model.contract import Interval, OneOf, Predicate, QoS, Scalar, Va
 
 # Attributes of the skeleton's own.
 _OWN: Final = ("component", "wire", "start")
+# Names that a skeleton imports; a class that would hide one of them is called otherwise.
+_IMPORTED: Final = ("Component", "QoS", "Interval", "any_of", "at_least", "at_most", "between", "guarantee")
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,8 @@ class _Builder:
     def __init__(self, component: Component, node: str, environment: tuple[EnvironmentGuarantee, ...]) -> None:
         self.component = component
         self.environment = environment
-        self.result = Skeleton(component.name, node)
+        name = f"{component.name}Node" if component.name in _IMPORTED else component.name
+        self.result = Skeleton(name, node)
         self.names = Attributes(_OWN)
         self.used = {"Component"}
         self.classes: dict[str, str] = {}  # the name in the code of each message type
@@ -98,7 +101,7 @@ class _Builder:
         for name, alike in names.items():
             for type_ in alike:
                 package = type_.partition("/")[0]
-                own = name in {"Component", self.component.name, f"{self.component.name}Base"} or len(alike) > 1
+                own = name in {*_IMPORTED, self.result.name, f"{self.result.name}Base"} or len(alike) > 1
                 called = f"{package.title().replace('_', '')}{name}" if own else name
                 self.classes[type_] = called
                 modules.setdefault(package, []).append(name if called == name else f"{name} as {called}")

@@ -1,0 +1,284 @@
+"""Skeletons: what they declare is what the specification says, and what users write in them survives."""
+
+from __future__ import annotations
+
+import ast
+import sys
+import types
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+
+from midstride.errors import SpecificationError
+from midstride.generate.merge import BEGIN, END, merge_component, merge_copy, merge_whole
+from midstride.generate.names import program_path, snake
+from midstride.generate.project import project
+from midstride.lang import load, load_text
+from midstride.model.component import Component
+from midstride.model.specification import Specification
+from midstride.runtime.registration import mismatches
+from midstride.testing.strategies import components
+
+SEEDS = Path(__file__).parents[1] / "lang" / "seeds"
+SAMPLE = load(SEEDS / "patrol.stride").require()
+
+
+def message_module(package: str, *names: str) -> types.ModuleType:
+    """Message classes with whatever fields they are asked for."""
+
+    def attributes(self: object, name: str) -> Any:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return type("Field", (), {"__getattr__": attributes})()
+
+    module = types.ModuleType(f"{package}.msg")
+    for name in names:
+        members = {"__msgtype__": f"{package}/msg/{name}", "__getattr__": attributes}
+        setattr(module, name, type(name, (), members))
+    return module
+
+
+@pytest.fixture
+def messages(monkeypatch: pytest.MonkeyPatch) -> None:
+    for package, names in {
+        "demo_msgs": "AB",
+        "sensor_msgs": ("LaserScan", "Range"),
+        "geometry_msgs": ("Twist",),
+        "std_msgs": ("String",),
+        "other_msgs": ("String",),
+    }.items():
+        monkeypatch.setitem(sys.modules, package, types.ModuleType(package))
+        monkeypatch.setitem(sys.modules, f"{package}.msg", message_module(package, *names))
+
+
+def skeletons(specification: Specification) -> dict[str, str]:
+    files = project(specification, "s.stride", {}).files
+    return {str(file.path): file.text for file in files if file.kind == "component"}
+
+
+def registered(text: str, name: str) -> Component:
+    """What a program of that text would register: the user's class, wired."""
+    namespace: dict[str, Any] = {"__name__": "generated"}
+    exec(compile(text, "generated.py", "exec"), namespace)
+    made = namespace[name]()
+    made.wire()
+    for method in ast.walk(ast.parse(text)):
+        assert (
+            not isinstance(method, ast.FunctionDef)
+            or ast.get_docstring(method) is not None
+            or method.name == "__init__"
+        )
+    found: Component = made.component.declaration()
+    return found
+
+
+@pytest.mark.usefixtures("messages")
+@pytest.mark.parametrize("name", sorted(SAMPLE.components))
+def test_the_samples_skeletons_keep_its_promises(name: str) -> None:
+    paths = {
+        "Lidar": "lidar",
+        "ObstacleDetector": "detector",
+        "StereoDetector": "stereo",
+        "MotorController": "controller",
+    }
+    text = skeletons(SAMPLE)[f"patrol/{paths[name]}.py"]
+    assert mismatches(SAMPLE.components[name], registered(text, name)) == []
+
+
+@pytest.mark.usefixtures("messages")
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(components())
+def test_any_components_skeleton_keeps_its_promises(component: Component) -> None:
+    if any(component.output_endpoint(output) is None for output in component.outputs):
+        with pytest.raises(SpecificationError, match="has no type"):
+            skeletons(of(component))
+        return
+    (text,) = skeletons(of(component)).values()
+    assert mismatches(component, registered(text, component.name)) == []
+
+
+def of(component: Component) -> Specification:
+    from dataclasses import replace
+
+    from immutables import Map
+
+    return Specification("s", components=Map({component.name: replace(component, run="python3 node.py")}))
+
+
+@pytest.mark.usefixtures("messages")
+def test_awkward_names_and_types() -> None:
+    specification = load_text(
+        """system s
+        component Component {
+          run "python3 -u -m a.b.c --verbose"
+          parameters { start = 1, changeable class = "x", a.b = [1, 2] }
+          input in : std_msgs/msg/String
+          input wire : other_msgs/msg/String @ 2 Hz
+          output out
+          functionality in {
+            uses in, wire
+            produces out
+            mode normal { assume in   assume wire   guarantee out : std_msgs/msg/String where data in {"a", "b"} }
+            mode for { assume in or wire   guarantee out : std_msgs/msg/String where data = "a" }
+            mode degraded { }
+          }
+          functionality lone { uses in   mode a { assume in }   mode b { } }
+        }
+        """.replace('where data = "a" }', 'where data in {"a", "b"} }')
+    ).require()
+    (path,) = skeletons(specification)
+    assert path == "a/b/c.py"
+    text = skeletons(specification)[path]
+    assert mismatches(specification.components["Component"], registered(text, "ComponentNode")) == []
+
+
+@pytest.mark.parametrize(
+    ("run", "path"),
+    [
+        ("python3 -m patrol.detector", "patrol/detector.py"),
+        ("python3 talker.py --loud", "talker.py"),
+        ("/usr/bin/env python3 -u nodes/talker.py", "nodes/talker.py"),
+        ("python3.11 -B talker.py", "talker.py"),
+        ("ros2 run pkg node", None),
+        ("python3 -c 'print(1)'", None),
+        ("python3 /abs/talker.py", None),
+        ("python3 ../talker.py", None),
+        ("python3 -m a.class", None),
+        ("./talker", None),
+        ("python3 'unclosed", None),
+    ],
+)
+def test_which_file_a_command_runs(run: str, path: str | None) -> None:
+    assert program_path(run) == (None if path is None else PurePosixPath(path))
+
+
+def test_names_in_snake_case() -> None:
+    assert [snake(name) for name in ("ObstacleDetector", "HTTPServer", "Lidar2D", "a")] == [
+        "obstacle_detector",
+        "http_server",
+        "lidar2_d",
+        "a",
+    ]
+
+
+def test_components_that_get_no_skeleton_are_told_why() -> None:
+    text = (
+        'system s\ncomponent A { }\ncomponent B { run "./b" }\ncomponent C { run "python3 c.py" }\ncomponent D like C\n'
+    )
+    made = project(load_text(text).require(), "s.stride", {})
+    assert made.skipped == {
+        "A": "it has no `run`: it is started elsewhere",
+        "B": "`./b` runs no Python file of this folder",
+        "D": "it runs c.py, as C does",
+    }
+
+
+# -- what the user wrote -----------------------------------------------------------------------------------
+
+OLD = load_text(
+    """system s
+    component Talker {
+      run "python3 talker.py"
+      output out
+      functionality talk { produces out
+        mode normal { guarantee out : std_msgs/msg/String @ 10 Hz }   mode silent { } }
+    }
+    """
+).require()
+NEW = load_text(
+    """system s
+    component Talker {
+      run "python3 talker.py"
+      output out
+      functionality talk { produces out   mode normal { guarantee out : std_msgs/msg/String @ 10 Hz }
+        mode rarely { guarantee out : std_msgs/msg/String @ 1 Hz }   mode silent { } }
+    }
+    """
+).require()
+
+
+def test_the_block_is_written_anew_and_the_rest_survives() -> None:
+    (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
+    mine = old.replace(
+        'assumes nothing."""\n        self.out.write(String())\n\n    def talk_silent',
+        'assumes nothing."""\n        self.out.write(String(data="mine"))\n\n    def helper(self) -> int:\n'
+        "        return 1  # kept\n\n    def talk_silent",
+    )
+    head, _, tail = mine.partition(END)
+    mine = "# a header of mine\n" + head + END + tail.replace('"""Yours', '# a note\n    """Yours') + "\nprint('bye')\n"
+    assert mine.count("mine") >= 2
+    merged = merge_component(mine, new)
+    assert merged.text is not None
+    assert merged.note == "new: talk_rarely"
+    assert "self.talk.set_mode('rarely'" in merged.text
+    for line in mine.partition(END)[2].split("\n"):
+        assert line in merged.text.partition(END)[2].split("\n")
+    assert merged.text.startswith("# a header of mine\n")
+    assert merged.text.count("def talk_rarely") == 2
+    assert merge_component(merged.text, new).text is None
+    compile(merged.text, "merged.py", "exec")
+
+
+def test_a_file_without_marks_or_that_is_no_python_is_left_to_the_user() -> None:
+    (new,) = skeletons(NEW).values()
+    (old,) = skeletons(OLD).values()
+    assert merge_component("print('all mine')\n", new) == merge_component(new.replace(BEGIN, ""), new)
+    assert merge_component("print('all mine')\n", new).text is None
+    broken = merge_component(old + "def (:\n", new)
+    assert broken.text is not None
+    assert broken.text.endswith("def (:\n")
+    assert "no methods were added" in broken.note
+    renamed = merge_component(old.replace("class Talker(", "class Mine("), new)
+    assert "no class Talker" in renamed.note
+
+
+def test_other_files_are_the_users_once_edited() -> None:
+    (old,) = [file.text for file in project(OLD, "s.stride", {}).files if file.path.name == "setup.py"]
+    (new,) = [file.text for file in project(NEW, "t.stride", {}, ros=1).files if file.path.name == "setup.py"]
+    assert merge_whole(None, new).text == new
+    assert merge_whole(old, old).text is None
+    assert merge_whole(old, new).text == new
+    edited = merge_whole(old.replace("0.1.0", "0.2.0"), new)
+    assert (edited.text, edited.note) == (None, "edited, left as it is")
+    assert merge_copy("a", "b", None).text is None
+
+
+def test_the_launch_file_is_a_launch_file() -> None:
+    """Where there is no ROS, the modules it asks for are stood in for; what it starts is what is looked at."""
+    (text,) = [file.text for file in project(OLD, "s.stride", {}).files if file.path.name == "s.launch.py"]
+
+    class Thing:
+        def __init__(self, *given: Any, **named: Any) -> None:
+            self.given, self.named = given, named
+
+    stand_ins = {
+        "launch": {"LaunchDescription": Thing},
+        "launch.actions": {"ExecuteProcess": Thing, "OpaqueFunction": Thing, "RegisterEventHandler": Thing},
+        "launch.event_handlers": {"OnShutdown": Thing},
+    }
+    before = {name: sys.modules.get(name) for name in stand_ins}
+    try:
+        for name, members in stand_ins.items():
+            sys.modules[name] = types.ModuleType(name)
+            vars(sys.modules[name]).update(members)
+        namespace: dict[str, Any] = {"__file__": "/ws/share/s/launch/s.launch.py"}
+        exec(compile(text, "s.launch.py", "exec"), namespace)
+        described = namespace["generate_launch_description"]()
+    finally:
+        for name, module in before.items():
+            if module is None:
+                del sys.modules[name]
+            else:
+                sys.modules[name] = module
+    assert described.given[0][0].named["cmd"] == ["midstride", "up", "/ws/share/s/s.stride"]
+
+
+@pytest.mark.ros2
+def test_the_launch_file_can_be_imported_where_ros_launch_is() -> None:
+    launch = pytest.importorskip("launch", reason="ROS's launch is not installed here")
+    (text,) = [file.text for file in project(OLD, "s.stride", {}).files if file.path.name == "s.launch.py"]
+    namespace: dict[str, Any] = {"__file__": "/ws/share/s/launch/s.launch.py"}
+    exec(compile(text, "s.launch.py", "exec"), namespace)
+    assert isinstance(namespace["generate_launch_description"](), launch.LaunchDescription)
