@@ -8,7 +8,14 @@ import pytest
 from immutables import Map
 
 from midstride.model.action import Create, Handover
-from midstride.model.component import EnvironmentGuarantee, FunctionalityRef, NamedInputs, Parameter
+from midstride.model.component import (
+    EnvironmentGuarantee,
+    Functionality,
+    FunctionalityRef,
+    Mode,
+    NamedInputs,
+    Parameter,
+)
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change import Change
@@ -422,6 +429,26 @@ def test_what_stands_lower_than_it_could_is_raised() -> None:
     )
     assert told(plan) == ["upgrade filter.work from degraded to normal", "upgrade sink.work from degraded to normal"]
     assert fallen(plan) == ["filter.work", "sink.work"]
+
+
+def test_what_the_new_environment_keeps_down_is_told_as_fallen() -> None:
+    """A camera has failed, the eye has gone down by itself; the target gives it up and adds another source."""
+    image = Predicate("sensor_msgs/msg/Image", 30.0)
+    see = component("Eye", functionality("see", ["in"], assumes=[Predicate(image.type, 15.0)]), needs={"in": image})
+    source = Functionality("work", (Mode("normal", (), Map({"out": image})), Mode("degraded")), (), ("out",))
+    start = system(
+        [see, component("Source", source)],
+        {"eye": ("Eye", {"in": "/image"})},
+        environment=[EnvironmentGuarantee("camera", image)],
+        topics={"/image": image},
+    )
+    target = replace(start.with_node(Node("source", "Source", Map({"out": ("/image",)}))), environment=())
+    s = initial(start).with_modes({FunctionalityRef("eye", "see"): 1})
+    plan = sound(STRATEGIES["minimal"](Change.between(s, start, target)))
+    assert fallen(plan) == ["eye.see"]
+    assert plan.falls[0].because == "it stands below when the plan begins"
+    # While the source comes (1 s) the eye is a level below what it was when its camera still worked.
+    assert plan.disruption == pytest.approx(1.0)
 
 
 def test_more_environment_raises_who_waited_for_it() -> None:

@@ -32,8 +32,9 @@ class Change:
     ``start`` is the running configuration in the world that holds throughout the plan: the
     target's caps, capacities and environment. ``baseline`` is ``best`` of it in the world it was
     found in, ``final`` ``best`` of the target. ``pending`` are the functionalities of ``start`` that
-    could stand better than they do. ``measured`` says how long steps took in earlier runs (s), by
-    kind (``attach``) or by kind and component (``create Talker``).
+    could stand better than they do, ``lowered`` those that stand lower than in ``baseline``.
+    ``measured`` says how long steps took in earlier runs (s), by kind (``attach``) or by kind and
+    component (``create Talker``).
     """
 
     specification: Specification
@@ -49,6 +50,7 @@ class Change:
     attached: tuple[Attachment, ...] = ()
     parameters: tuple[tuple[str, Map[str, ParameterValue]], ...] = ()
     pending: tuple[FunctionalityRef, ...] = ()
+    lowered: tuple[FunctionalityRef, ...] = ()
     identities: Map[str, str] = field(default_factory=Map)
     renamed: tuple[Instance, ...] = ()
     measured: Map[str, float] = field(default_factory=Map)
@@ -146,6 +148,7 @@ class Change:
             attached=tuple(difference.attached),
             parameters=tuple(difference.parameters),
             pending=tuple(difference.pending),
+            lowered=tuple(difference.lowered),
             identities=Map(difference.identities),
             renamed=tuple(difference.renamed),
             measured=Map(measured or {}),

@@ -38,6 +38,7 @@ class Difference:
     attached: list[tuple[PortRef, str]] = field(default_factory=list)
     parameters: list[tuple[str, Map[str, ParameterValue]]] = field(default_factory=list)
     pending: list[FunctionalityRef] = field(default_factory=list)
+    lowered: list[FunctionalityRef] = field(default_factory=list)
     renamed: list[Instance] = field(default_factory=list)
     _names: set[str] = field(default_factory=set)
 
@@ -216,6 +217,7 @@ def between(configuration: Configuration, specification: Specification, target: 
     baseline = raised if start.world == configuration.world else best(configuration)
     difference = Difference(specification, target, start, baseline, start, identities)
     difference.pending = sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index)
+    difference.lowered = sorted(ref for ref, index in baseline.modes.items() if start.modes[ref] != index)
     for role in sorted({*target.nodes, *start.players}):
         difference.compare(role)
     difference.conclude()

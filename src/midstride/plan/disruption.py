@@ -157,7 +157,7 @@ class Meter:
         self.levels = levels
         self.disruption = 0.0
         change = levels.change
-        standing = dict.fromkeys(change.start.instances[ref.component].role for ref in change.pending)
+        standing = dict.fromkeys(change.start.instances[ref.component].role for ref in change.lowered)
         self.below: dict[FunctionalityRef, int] = levels.fallen(change.start, standing)
         self.fallen: dict[FunctionalityRef, None] = dict.fromkeys(self.below)
         self._clock = 0.0
