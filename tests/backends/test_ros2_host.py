@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -15,6 +16,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.ros2 import tuning
+from midstride.errors import BackendError
 from midstride.wire.messages import ENV_TOKEN, Command
 from tests.backends.ros2_support import LISTENER, TALKER, Bare, Rig, alive, rig, run, until
 
@@ -264,6 +266,21 @@ def test_the_second_signal_ends_it_at_once(tmp_path: Path) -> None:
             await until(lambda: r.exits)
             assert time.monotonic() - begun < 2.0
             assert r.exits[0].status == -signal.SIGINT
+
+    run(scenario())
+
+
+def test_a_component_that_shuts_ros_down_says_so_and_ends(tmp_path: Path) -> None:
+    source = TALKER.replace("    global count\n", "    __import__('rclpy').shutdown()\n    global count\n")
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", source)
+            with contextlib.suppress(BackendError):  # whether the answer still gets out is chance
+                await r.modes("talker", talk="normal")
+            await until(lambda: r.exits, 30.0)
+            assert r.exits[0].status == 1
+            assert "rclpy was shut down from within the component" in r.exits[0].log_tail
 
     run(scenario())
 

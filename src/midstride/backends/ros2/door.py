@@ -13,6 +13,7 @@ reply never waits for user code.
 from __future__ import annotations
 
 import asyncio
+import json
 import time
 from collections.abc import Awaitable, Callable, Coroutine, Mapping
 from typing import Any, Final
@@ -23,7 +24,7 @@ from rclpy.exceptions import ParameterNotDeclaredException, ParameterUninitializ
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 
-from midstride.backends.ros2.names import COMMAND, PREFIX, STANDARD
+from midstride.backends.ros2.names import COMMAND, PREFIX, STANDARD, STATE
 from midstride.errors import CommandRefused
 from midstride.wire.messages import Command, Reply
 
@@ -197,3 +198,19 @@ def _listed(name: str, prefixes: list[str], depth: int) -> bool:
         if name.startswith(f"{prefix}.") and (depth == 0 or name[len(prefix) + 1 :].count(".") < depth):
             return True
     return False
+
+
+def parameters_of(state: dict[str, Any]) -> dict[str, Any]:
+    """The component's state as parameters: the whole as JSON, and what people look for by name."""
+    shown: dict[str, Any] = {
+        STATE: json.dumps(state),
+        f"{PREFIX}revision": int(state.get("revision", 0)),
+        f"{PREFIX}waiting": str(state.get("waiting") or ""),
+    }
+    for name, functionality in state.get("functionalities", {}).items():
+        shown[f"{PREFIX}mode.{name}"] = str(functionality["mode"])
+        shown[f"{PREFIX}because.{name}"] = str(functionality.get("because") or "")
+    for port, topics in state.get("ports", {}).items():
+        told = [f"{topic}: {view['gate'] or 'attached'}" for topic, view in topics.items()]
+        shown[f"{PREFIX}gate.{port}"] = ", ".join(told)
+    return shown

@@ -28,7 +28,7 @@ from rclpy.task import Future
 from midstride.backends.common import ending_on_signals
 from midstride.backends.ros2 import endpoints, events, names, own, qos
 from midstride.backends.ros2.calls import Caller
-from midstride.backends.ros2.door import Door
+from midstride.backends.ros2.door import Door, parameters_of
 from midstride.backends.ros2.spinning import Spinner
 from midstride.backends.ros2.timers import GridTimer
 from midstride.errors import NodeError
@@ -71,7 +71,11 @@ class Ros2Host:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self._full_name = names.full(node_name, inside)
-        self._must_be_alone(time.monotonic() + (0.0 if managed else _LOOK), others=0)
+        try:
+            self._must_be_alone(time.monotonic() + (0.0 if managed else _LOOK), others=0)
+        except NodeError:
+            self._leave_ros()
+            raise
         given = _given_parameters()
         pinned = ["--ros-args", "-r", f"__node:={node_name}", "-r", f"__ns:={inside}"] if managed else None
         self._data_node = Node(
@@ -92,7 +96,6 @@ class Ros2Host:
         self._caller = Caller(self._control_node, self._control.executor, self._control_group)
         self._parameters = own.OwnParameters(self._data_node, given)
         self._ports: set[int] = set()
-        self._loop: asyncio.AbstractEventLoop | None = None
         self._door: Door | None = None
         self._shown: dict[str, Any] = {}
         self._failure: NodeError | None = None
@@ -163,7 +166,7 @@ class Ros2Host:
             self._data_node.destroy_timer(timer)
             future.set_result(None)
 
-        timer = self._data_node.create_timer(seconds, over, callback_group=self._data_group)
+        timer = self._data_node.create_timer(max(0.0, seconds), over, callback_group=self._data_group)
         return future  # type: ignore[no-any-return]
 
     def create_publisher(self, topic: str, type_: type, qos_: QoS) -> endpoints.RosPublisher:
@@ -204,7 +207,7 @@ class Ros2Host:
         self._show({names.ANNOUNCEMENT: announcement.to_json()}, again=True)
 
     def publish_state(self, state: dict[str, Any]) -> None:
-        self._show(_shown(state), again=False)
+        self._show(parameters_of(state), again=False)
 
     def _show(self, values: dict[str, Any], again: bool) -> None:
         """Parameters to be read from now on; those that changed, or all, are told on ``/parameter_events``."""
@@ -235,7 +238,6 @@ class Ros2Host:
             raise self._failure
 
     async def _run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
-        self._loop = asyncio.get_running_loop()
         self._door = Door(
             self._control_node, self._data_node, self._control_group, self._control.executor, serve, self.on_data
         )
@@ -255,15 +257,18 @@ class Ros2Host:
                 await self._door.answered(_LAST_ANSWERS)
 
     async def _beat(self, main: asyncio.Future[None]) -> None:
-        """Keeps the loop awake for signals; at first, looks for another node of the same name."""
+        """Keeps the loop awake for signals, and looks whether the component can go on; where not, ends ``main``."""
         looking_until = time.monotonic() + _LOOK
         while True:
-            if time.monotonic() < looking_until and self._failure is None:
-                try:
+            try:
+                if not self._context.ok():
+                    raise NodeError("rclpy was shut down from within the component; leave that to start()")
+                if time.monotonic() < looking_until:
                     self._must_be_alone(0.0, others=1)
-                except NodeError as error:
-                    self._failure = error
-                    main.cancel()
+            except NodeError as error:
+                self._failure = error
+                main.cancel()
+                return
             await asyncio.sleep(_HEARTBEAT)
 
     def _must_be_alone(self, deadline: float, others: int) -> None:
@@ -290,8 +295,13 @@ class Ros2Host:
         if not data_left:
             self.logger.error(f"user code has not returned for {_JOIN:g} s; the process leaves without it")
         if control_left and data_left:
-            self._control_node.destroy_node()
             self._data_node.destroy_node()
+            self._leave_ros()
+        elif self._own_context:
+            self._context.try_shutdown()
+
+    def _leave_ros(self) -> None:
+        self._control_node.destroy_node()
         if self._own_context:
             self._context.try_shutdown()
 
@@ -300,19 +310,3 @@ def _given_parameters() -> dict[str, Any]:
     """What the manager gave. The node is told of all of it, for ROS has parameters of its own (``use_sim_time``)."""
     text = os.environ.get(ENV_PARAMETERS)
     return dict(json.loads(text)) if text else {}
-
-
-def _shown(state: dict[str, Any]) -> dict[str, Any]:
-    """The component's state as parameters: the whole as JSON, and what people look for by name."""
-    shown: dict[str, Any] = {
-        names.STATE: json.dumps(state),
-        f"{names.PREFIX}revision": int(state.get("revision", 0)),
-        f"{names.PREFIX}waiting": str(state.get("waiting") or ""),
-    }
-    for name, functionality in state.get("functionalities", {}).items():
-        shown[f"{names.PREFIX}mode.{name}"] = str(functionality["mode"])
-        shown[f"{names.PREFIX}because.{name}"] = str(functionality.get("because") or "")
-    for port, topics in state.get("ports", {}).items():
-        told = [f"{topic}: {view['gate'] or 'attached'}" for topic, view in topics.items()]
-        shown[f"{names.PREFIX}gate.{port}"] = ", ".join(told)
-    return shown
