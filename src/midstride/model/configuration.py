@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
+from functools import lru_cache
 
 from immutables import Map
 
@@ -62,6 +63,7 @@ class World:
         return 1.0 if declared is None else declared.capacity
 
 
+@lru_cache(maxsize=4096)
 def exact(amount: float) -> Fraction:
     """The number as it is written: sums of such do not depend on their order, and 0.1 + 0.2 is 0.3."""
     return Fraction(repr(amount))

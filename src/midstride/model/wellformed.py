@@ -11,13 +11,14 @@ from collections import deque
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 
+from midstride.model.best import best
 from midstride.model.component import Component, NamedInputs, PortRef, value_fits, value_kind
-from midstride.model.configuration import exact
+from midstride.model.configuration import Configuration, exact
 from midstride.model.contract import Contract, Predicate, explain, satisfies
 from midstride.model.declared import component_rules, number_problems, predicate_problems
 from midstride.model.names import Path, component_names, specification_names
 from midstride.model.problems import Problem
-from midstride.model.specification import Keep, Limit, Node, Order, Specification, initial, structure
+from midstride.model.specification import Keep, Limit, Node, Order, Specification, structure
 from midstride.model.why import reasons_against
 
 
@@ -40,9 +41,10 @@ def check(specification: Specification) -> tuple[Problem, ...]:
     found += _constraint_problems(specification)
     found += _hopeless(specification)
     if named:
-        found += _unsatisfied_topics(specification)
+        whole = structure(specification)
+        found += _unsatisfied_topics(whole)
         if not errors(found):  # what stands in which mode means nothing before the rest is right
-            found += _at_first(specification)
+            found += _at_first(specification, best(whole))
     return _sorted(found)
 
 
@@ -230,10 +232,9 @@ def _hopeless(specification: Specification) -> Iterator[Problem]:
                     yield Problem("W032", (*where, "assumes", str(index)), f"{told}: {because}")
 
 
-def _unsatisfied_topics(specification: Specification) -> Iterator[Problem]:
+def _unsatisfied_topics(s: Configuration) -> Iterator[Problem]:
     """Topics that not even the normal modes of their publishers satisfy. An unfit one among them is told as E020."""
-    s = structure(specification)
-    for name, connector in specification.connectors.items():
+    for name, connector in s.world.connectors.items():
         offers = s.world.publishers_out_of_scope(connector)
         if s.publishers_on(name) or any(satisfies(offer.guarantee, connector.guarantee) for offer in offers):
             continue
@@ -243,9 +244,8 @@ def _unsatisfied_topics(specification: Specification) -> Iterator[Problem]:
         yield Problem("W031", ("topics", name), f"nobody satisfies {name}: {because}", help)
 
 
-def _at_first(specification: Specification) -> Iterator[Problem]:
+def _at_first(specification: Specification, s: Configuration) -> Iterator[Problem]:
     """Functionalities that cannot be at their normal mode at first, and `keep`s that so cannot hold."""
-    s = initial(specification)
     for ref in s.modes:
         if s.modes[ref] > 0:
             reasons = reasons_against(s, ref)

@@ -1,0 +1,166 @@
+"""Cost follows the change, not the system (semantics.md section 5, F5): counted in judgements, so no clock disturbs it.
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from statistics import median
+
+import pytest
+from immutables import Map
+
+from midstride.model import best as best_module
+from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, Swap, Upgrade
+from midstride.model.best import best, lowered, rebalanced
+from midstride.model.component import Component, Connector, EnvironmentGuarantee, PortRef, Resource
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.rules import Judge, violations
+from midstride.model.specification import Node, Specification, structure
+from tests.model.build import at, component, filter_, mode, port, sink, work
+
+REPORTER = component(
+    "Reporter",
+    {},
+    ["out", "diagnostics"],
+    [mode("normal", out=at(10), diagnostics=at(5)), mode("degraded")],
+    holds={"cpu": 0.001},
+)
+
+
+def city(streets: int) -> Specification:
+    """Streets of five components each, alike and apart, save that all report to one topic and share one resource."""
+    connectors = {"/diagnostics": Connector("/diagnostics", at(1))}
+    nodes = {"watch": Node("watch", "Watch", Map({"in": ("/diagnostics",)}))}
+    for street in range(streets):
+        topics = [f"/s{street}/t{number}" for number in range(4)]
+        connectors.update((topic, Connector(topic, at(5))) for topic in topics)
+        outputs = {"out": (topics[0],), "diagnostics": ("/diagnostics",)}
+        nodes[f"s{street}/first"] = Node(f"s{street}/first", "Reporter", Map(outputs))
+        for number in range(3):
+            wiring = {"in": (topics[number],), "out": (topics[number + 1],)}
+            nodes[f"s{street}/f{number}"] = Node(f"s{street}/f{number}", "Filter", Map(wiring))
+        nodes[f"s{street}/last"] = Node(f"s{street}/last", "Sink", Map({"in": (topics[3],)}))
+    kinds = (REPORTER, filter_(), sink(), sink("Watch", 1))
+    return Specification(
+        "city",
+        connectors=Map(connectors),
+        components=Map({kind.name: kind for kind in kinds}),
+        nodes=Map(nodes),
+        environment=tuple(EnvironmentGuarantee(f"e{n}", at(10), f"/s{n}/t3") for n in range(2, streets)),
+        resources=Map({"cpu": Resource("cpu", 0.001 * streets + 1)}),
+    )
+
+
+@contextmanager
+def judgements(patch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
+    """How often each kind of judgement is made inside."""
+    counted: Counter[str] = Counter()
+
+    def counting(name: str, judge: Callable[..., object]) -> Callable[..., object]:
+        def call(*arguments: object) -> object:
+            counted[name] += 1
+            return judge(*arguments)
+
+        return call
+
+    with patch.context() as inside:
+        for kind in (Judge, best_module._Falling):
+            for name in ("mode_satisfied", "input_satisfied", "connector_satisfied", "guarantee"):
+                if name in vars(kind):
+                    inside.setattr(kind, name, counting(name, vars(kind)[name]))
+        yield counted
+
+
+def first_of(s: Configuration) -> PortRef:
+    return PortRef("s1/first", "out")
+
+
+def changes(s: Configuration) -> list[tuple[str, Callable[[], object]]]:
+    """Every kind of change, each to the street number 1 or to a newcomer."""
+    first, topic = first_of(s), "/s1/t0"
+    cut = s.without_attachment(first, topic)
+    fallen = cut.with_modes(rebalanced(cut, list(cut.consumers(topic))))
+    mended = fallen.with_attachment(first, topic)
+    with_new = Create(Instance("new", "new", REPORTER)).apply(s).with_modes({work("new"): 0})
+    all_down = {work(f"s1/{name}"): 1 for name in ("first", "f0", "f1", "f2", "last")}
+    swaps = (
+        Swap(topic, first, port("new.out")),
+        Swap("/diagnostics", PortRef("s1/first", "diagnostics"), port("new.diagnostics")),
+    )
+    taken: list[tuple[Configuration, Action]] = [
+        (s, Create(Instance("new", "new", REPORTER))),
+        (with_new, Remove("new")),
+        (s, Attach(PortRef("s1/last", "in"), "/s2/t0")),
+        (s, Detach(first, topic)),  # refused
+        (s, Detach(PortRef("s1/first", "diagnostics"), "/diagnostics")),
+        (s, Degrade(Map({work("s1/last"): 1}))),
+        (s, Degrade(Map(all_down))),
+        (s.with_modes(all_down), Upgrade(Map(dict.fromkeys(all_down, 0)))),
+        (with_new, Handover(swaps)),
+    ]
+    found: list[tuple[str, Callable[[], object]]] = [
+        ("rebalanced after a detach", lambda: rebalanced(cut, list(cut.consumers(topic)))),
+        ("rebalanced after an attach", lambda: rebalanced(mended, list(mended.consumers(topic)))),
+        ("lowered", lambda: lowered(cut, list(cut.consumers(topic)))),
+    ]
+    for before, action in taken:
+        found.append((f"check of {action.kind}", lambda action=action, before=before: action.check(before)))  # type: ignore[misc]
+        found.append((f"effect of {action.kind}", lambda action=action, before=before: action.effect(before)))  # type: ignore[misc]
+    return found
+
+
+def test_judgements_do_not_depend_on_the_size_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts: list[list[tuple[str, Counter[str]]]] = []
+    for streets in (4, 400):
+        s = best(structure(city(streets)))
+        assert not violations(s)
+        told = []
+        for name, change in changes(s):
+            with judgements(monkeypatch) as counted:
+                change()
+            told.append((name, counted))
+        counts.append(told)
+    small, large = counts
+    assert sum(sum(counted.values()) for _, counted in small) > 50  # something was judged at all
+    for (name, few), (_, many) in zip(small, large, strict=True):
+        # Which of a topic's many publishers is asked first is chance; that only one or two are is not.
+        slack = Counter(guarantee=2)
+        assert all(many[kind] <= few[kind] + slack[kind] for kind in many), (name, few, many)
+
+
+def test_a_topic_of_many_publishers_is_walked_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """All of them fall, one after another; whoever reads it asks every time."""
+    crowd = 300
+    lame = component("Lame", {"in": at(5)}, ["out"], [mode("normal", [at(5)], out=at(5)), mode("degraded")])
+    kinds: dict[str, Component] = {"Lame": lame, "Sink": sink()}
+    nodes = {f"n{number}": Node(f"n{number}", "Lame", Map({"out": ("/t",)})) for number in range(crowd)}
+    nodes |= {f"r{number}": Node(f"r{number}", "Sink", Map({"in": ("/t",)})) for number in range(crowd)}
+    connectors = Map({"/t": Connector("/t", at(5))})
+    s = structure(Specification("crowd", connectors=connectors, components=Map(kinds), nodes=Map(nodes)))
+    with judgements(monkeypatch) as counted:
+        fallen = best(s)
+    assert set(fallen.modes.values()) == {1}
+    assert counted["guarantee"] <= 4 * crowd  # not crowd * crowd
+    assert counted["mode_satisfied"] <= 6 * crowd
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_time_does_not_depend_on_the_size_of_the_system() -> None:
+    """100,000 components beside 1,000: each change within 3x, and under 5 ms."""
+    times: list[dict[str, float]] = []
+    for streets in (200, 20_000):
+        found: dict[str, float] = {}
+        for name, change in changes(best(structure(city(streets)))):
+            samples = []
+            for _ in range(101):
+                start = time.perf_counter()
+                change()
+                samples.append(time.perf_counter() - start)
+            found[name] = median(samples)
+        times.append(found)
+    small, large = times
+    assert all(seconds < 0.005 for seconds in large.values()), large
+    assert all(large[name] < 3 * small[name] + 20e-6 for name in large), (small, large)
