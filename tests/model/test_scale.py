@@ -1,4 +1,4 @@
-"""Cost follows the change, not the system (semantics.md section 5, F5): counted in judgements, so clocks play no part."""
+"""Cost follows the change, not the system (semantics.md section 5, F5): counted in judgements, which no clock sways."""
 
 from __future__ import annotations
 

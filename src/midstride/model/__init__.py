@@ -2,6 +2,7 @@
 
 `contract` (predicates and their satisfaction), `component` (declarations), `configuration` (what is
 live, attached, in which mode), `rules` (validity), `best` (the best modes of a structure), `action`
-(the reconfiguration actions), `specification` (a whole system as declared), `document` (its JSON
-form), `wellformed` (its design-time check).
+(the reconfiguration actions), `why` (chains of reasons), `specification` (a whole system as declared),
+`document` (its JSON form, read by `reading` and `decoding`), `wellformed` (its design-time check, with
+`names` and `declared`), `problems` (the catalogue of what can be wrong).
 """
