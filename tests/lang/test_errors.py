@@ -191,6 +191,7 @@ def test_the_json_form_of_a_diagnostic() -> None:
         "end_column": 9,
         "message": "a file names its system once",
         "help": None,
+        "follows": None,
         "notes": [{"message": "the first one is here", "file": "t.stride", "line": 1, "column": 8}],
     }
 

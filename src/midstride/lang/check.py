@@ -7,11 +7,13 @@ from a part that could not be read is left out.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from immutables import Map
 
 from midstride.lang.components import UNRESOLVED, Components
+from midstride.lang.consequences import Consequences
 from midstride.lang.contracts import Contracts
 from midstride.lang.declarations import Declarations, collect, topic_name
 from midstride.lang.diagnostics import Diagnostic, Note, Reporter, in_order
@@ -149,7 +151,10 @@ class _Building:
         """Report what is wrong with the specification, save what follows from what has been reported."""
         places = Places(self.declarations, self.components.merged, self.nodes.places)
         faulty = self.reporter.has_errors
-        for problem in check_specification(specification):
+        problems = check_specification(specification)
+        unfit_alone = not faulty and {p.code for p in problems if p.severity == "error"} == {"E020"}
+        consequences = Consequences(specification) if unfit_alone else None
+        for problem in problems:
             if problem.code in _OURS or (faulty and problem.code in _CONSEQUENCES) or not problem.subject:
                 continue
             if problem.subject == ("system",) and not specification.name:
@@ -157,8 +162,13 @@ class _Building:
             place = places.of(problem)
             if self._follows(problem, specification, incomplete, place):
                 continue
-            notes = self._contracts_of(problem, specification) if problem.code == "E020" else ()
-            self.reporter.report(problem.code, place, problem.message, help=problem.help or None, notes=notes)
+            notes: Iterable[Note] = ()
+            follows: str | None = None
+            if problem.code == "E020":
+                notes = self._contracts_of(problem, specification)
+                follows = None if consequences is None else consequences.of(problem)
+            help = problem.help or None
+            self.reporter.report(problem.code, place, problem.message, help=help, notes=notes, follows=follows)
 
     def _contracts_of(self, problem: Problem, specification: Specification) -> list[Note]:
         """Where the two contracts of an attachment are stated."""

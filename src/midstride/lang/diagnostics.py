@@ -30,7 +30,10 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """One thing that is wrong. ``span`` is None where no text exists to point at (``file`` names it then)."""
+    """One thing that is wrong. ``span`` is None where no text exists to point at (``file`` names it then).
+
+    ``follows`` tells what it leads to, where that is not plain.
+    """
 
     code: str
     message: str
@@ -38,6 +41,7 @@ class Diagnostic:
     help: str | None = None
     notes: tuple[Note, ...] = ()
     file: str = ""
+    follows: str | None = None
 
     @property
     def severity(self) -> Severity:
@@ -66,6 +70,7 @@ class Diagnostic:
             "end_column": end_column,
             "message": self.message,
             "help": self.help,
+            "follows": self.follows,
             "notes": [_note_json(note) for note in self.notes],
         }
 
@@ -81,6 +86,8 @@ class Diagnostic:
         for note in self.notes:
             note_line, note_column = note.span.source.position(note.span.start)
             parts.append(f"  note: {note.message}: {note.span.source.name}:{note_line}:{note_column}")
+        if self.follows:
+            parts.append(f"  so: {self.follows}")
         if self.help:
             parts.append(f"  help: {self.help}")
         return "\n".join(parts)
@@ -144,6 +151,7 @@ class Reporter:
         help: str | None = None,
         notes: Iterable[Note] = (),
         file: str = "",
+        follows: str | None = None,
     ) -> None:
         """Add a diagnostic; a second one of that code at the same place is the same one told twice."""
         key = (code, span.source.name if span else file + message, span.start if span else 0)
@@ -153,7 +161,7 @@ class Reporter:
             self.dropped = True
             return
         self._seen.add(key)
-        self.found.append(Diagnostic(code, message, span, help, tuple(notes), file))
+        self.found.append(Diagnostic(code, message, span, help, tuple(notes), file, follows))
 
     @property
     def is_full(self) -> bool:
