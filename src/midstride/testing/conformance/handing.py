@@ -120,8 +120,13 @@ async def hands_over_what_messages_drive(backend: Backend, workspace: Path) -> N
         await lab.mode("source", "talk", "degraded")
         await lab.sleep(0.3)
         asked = (await lab.told("source"))["calls"]["talk.normal"]
-        assert await lab.received("sink") == [f"source normal {n}" for n in range(1, asked + 1)]
-        assert (await lab.port("new", "out", "/chatter"))["count"] > 20
+        # Each exactly once. At the cut the new side may be the quicker one: two publishers have no common order.
+        answered = sorted(int(word.rsplit(" ", 1)[1]) for word in await lab.received("sink"))
+        lost = sorted(set(range(1, asked + 1)) - set(answered))
+        twice = sorted(number for number in set(answered) if answered.count(number) > 1)
+        assert not lost and not twice, f"of {asked} questions, not answered: {lost}, answered twice: {twice}"
+        link = await lab.port("new", "out", "/chatter")
+        assert link["count"] > 20, link
 
 
 async def hands_over_a_latched_topic(backend: Backend, workspace: Path) -> None:
