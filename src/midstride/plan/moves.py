@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, permutations
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from midstride.model.action import Swap
@@ -75,7 +75,9 @@ def _creations(core: Core, turn: Turn) -> Iterator[Move]:
         need: Need = tuple((r, s.held.get(r, 0.0) + holds[r] - s.world.capacity(r)) for r in short)
         if need not in known:  # what needs the same room is made room for in the same ways
             known[need] = _making_room(core, need, turn)
-            yield from (Move("remove", names) for names in known[need])
+            for names in known[need]:  # a small set in every order, since the first to go stays away longest
+                orders = permutations(names) if len(names) <= _SET_SIZE else (names,)
+                yield from (Move("remove", order) for order in orders)
 
 
 def _making_room(core: Core, need: Need, turn: Turn) -> list[tuple[str, ...]]:
@@ -91,7 +93,7 @@ def _making_room(core: Core, need: Need, turn: Turn) -> list[tuple[str, ...]]:
         for name in core.removes
         if role_of(name) in turn and any(resource in s.component(name).holds for resource, _ in need)
     ]
-    holders.sort(key=core.is_relieved, reverse=True)
+    holders.sort(key=lambda name: (not core.is_relieved(name), role_of(name) in core.draft.change.target.nodes))
     found = [(name,) for name in holders if enough((name,))]
     alone = {name for (name,) in found}
     several = [name for name in holders if name not in alone][:_SET_FROM]
