@@ -4,7 +4,7 @@ Midstride's hand-over, its `paper` strategy, a lifecycle node deactivated and an
 process killed and another started, and a window in which nothing is swapped (what this machine
 does by itself). A bare recorder outside Midstride records them all; the figures are worked out
 from its rows in the same way for each. Functionality-seconds lost are those of the subscriber that relies on
-the topic: as reported for Midstride, the silence beyond one period for the others.
+the topic: as reported for Midstride, the silence beyond one period for the others. swap_ros1.py does the same on ROS 1.
 """
 
 from __future__ import annotations
@@ -34,9 +34,19 @@ from midstride.plan.request import Request
 from midstride.runtime.measure import Observation, Row, SwapReport, report
 
 HERE = Path(__file__).resolve().parent
-NODES = HERE / "_swap_nodes.py"
 PERIOD = 0.02
 TAIL = 20 * PERIOD
+
+
+@dataclass(frozen=True)
+class Platform:
+    """Where the programs run: by which interpreter, in which environment, and what they send each other."""
+
+    backend: str
+    python: str
+    nodes: Path
+    type: str
+    env: dict[str, str]
 
 
 @dataclass
@@ -57,9 +67,9 @@ class Way:
         return seen
 
 
-def specification() -> Specification:
-    text = "std_msgs/msg/String"
-    run = f"python3 {NODES}"
+def specification(platform: Platform) -> Specification:
+    text = platform.type
+    run = f"python3 {platform.nodes}"
     talk = Functionality(
         "talk", (Mode("normal", (), Map({"out": Predicate(text, 50)})), Mode("degraded")), (), ("out",)
     )
@@ -89,8 +99,9 @@ def specification() -> Specification:
 
 
 @contextmanager
-def program(env: dict[str, str], *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-    process = subprocess.Popen([sys.executable, str(NODES), *arguments], env=env, start_new_session=True)
+def program(platform: Platform, *arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    command = [platform.python, str(platform.nodes), *arguments]
+    process = subprocess.Popen(command, env=platform.env, start_new_session=True)
     try:
         yield process
     finally:
@@ -99,11 +110,11 @@ def program(env: dict[str, str], *arguments: str) -> Iterator[subprocess.Popen[b
 
 
 @contextmanager
-def recorded(way: Way, env: dict[str, str]) -> Iterator[None]:
+def recorded(way: Way, platform: Platform) -> Iterator[None]:
     """The bare recorder runs inside; afterwards the way has its rows."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "rows.json"
-        with program(env, "recorder", str(path)) as process:
+        with program(platform, "recorder", str(path)) as process:
             time.sleep(1.0)
             yield
             process.send_signal(signal.SIGTERM)
@@ -119,13 +130,13 @@ def timed(way: Way, swap: Callable[[], None]) -> None:
     way.windows.append((begun, time.monotonic_ns()))
 
 
-async def midstride(way: Way, strategy: str, swaps: int) -> None:
+async def midstride(way: Way, platform: Platform, strategy: str, swaps: int) -> None:
     from midstride import backends
     from midstride.runtime.manager import Manager
     from midstride.runtime.workspace import Workspace
 
     with tempfile.TemporaryDirectory() as folder:
-        manager = Manager(specification(), backends.make("ros2"), Workspace(Path(folder)), HERE)
+        manager = Manager(specification(platform), backends.make(platform.backend), Workspace(Path(folder)), HERE)
         try:
             await manager.up()
             for index in range(swaps):
@@ -143,7 +154,7 @@ async def midstride(way: Way, strategy: str, swaps: int) -> None:
             await manager.close()
 
 
-def by_lifecycle(way: Way, env: dict[str, str], swaps: int) -> None:
+def by_lifecycle(way: Way, platform: Platform, swaps: int) -> None:
     import rclpy
     from lifecycle_msgs.msg import Transition
     from lifecycle_msgs.srv import ChangeState
@@ -163,7 +174,7 @@ def by_lifecycle(way: Way, env: dict[str, str], swaps: int) -> None:
         if not (future.done() and future.result().success):
             raise SystemExit(f"lifecycle: {name} did not change")
 
-    with program(env, "lifecycle", "first"), program(env, "lifecycle", "second"):
+    with program(platform, "lifecycle", "first"), program(platform, "lifecycle", "second"):
         for name in names:
             clients[name].wait_for_service(timeout_sec=10)
             time.sleep(0.5)
@@ -183,12 +194,12 @@ def by_lifecycle(way: Way, env: dict[str, str], swaps: int) -> None:
     rclpy.shutdown(context=context)
 
 
-def by_killing(way: Way, env: dict[str, str], swaps: int) -> None:
+def by_killing(way: Way, platform: Platform, swaps: int) -> None:
     running: list[subprocess.Popen[bytes]] = []
 
     def start() -> None:
-        command = [sys.executable, str(NODES), "bare", f"bare_{time.monotonic_ns()}"]
-        running.append(subprocess.Popen(command, env=env, start_new_session=True))
+        command = [platform.python, str(platform.nodes), "bare", f"bare_{time.monotonic_ns()}"]
+        running.append(subprocess.Popen(command, env=platform.env, start_new_session=True))
 
     try:
         start()
@@ -208,8 +219,8 @@ def by_killing(way: Way, env: dict[str, str], swaps: int) -> None:
             process.wait()
 
 
-def by_doing_nothing(way: Way, env: dict[str, str], swaps: int) -> None:
-    with program(env, "bare", "steady"):
+def by_doing_nothing(way: Way, platform: Platform, swaps: int) -> None:
+    with program(platform, "bare", "steady"):
         time.sleep(2)
         for _ in range(swaps):
             timed(way, lambda: time.sleep(1))
@@ -239,39 +250,52 @@ def summary(way: Way) -> dict[str, Any]:
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--swaps", type=int, default=200)
-    parser.add_argument("--ways", nargs="*", default=["handover", "paper", "lifecycle", "kill", "none"])
-    parser.add_argument("--out", type=Path, default=HERE / "results" / "swap.json")
-    options = parser.parse_args()
-    from midstride.backends.ros2.tuning import tuned_environment
-
-    os.environ.setdefault("ROS_DOMAIN_ID", "86")
-    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    os.environ.update(tuned_environment(dict(os.environ)))
-    env = dict(os.environ)
-    runs: dict[str, Callable[[Way], None]] = {
-        "handover": lambda way: asyncio.run(midstride(way, "minimal", options.swaps)),
-        "paper": lambda way: asyncio.run(midstride(way, "paper", options.swaps)),
-        "lifecycle": lambda way: by_lifecycle(way, env, options.swaps),
-        "kill": lambda way: by_killing(way, env, options.swaps),
-        "none": lambda way: by_doing_nothing(way, env, options.swaps),
+def ways(platform: Platform, swaps: int) -> dict[str, Callable[[Way], None]]:
+    """What can be done on any platform."""
+    return {
+        "handover": lambda way: asyncio.run(midstride(way, platform, "minimal", swaps)),
+        "paper": lambda way: asyncio.run(midstride(way, platform, "paper", swaps)),
+        "kill": lambda way: by_killing(way, platform, swaps),
+        "none": lambda way: by_doing_nothing(way, platform, swaps),
     }
+
+
+def compare(platform: Platform, chosen: list[str], runs: dict[str, Callable[[Way], None]], out: Path) -> None:
+    """Run each way, print a line of the table for it, and write them all to ``out``."""
     columns = ("way", "swaps", "gap_median", "gap_p99", "gap_max", "missed", "lost", "duplicates")
     print("  ".join(f"{column:>10}" for column in columns) + "  functionality-seconds (median)")
     results = []
-    for name in options.ways:
+    for name in chosen:
         way = Way(name)
-        with recorded(way, env):
+        with recorded(way, platform):
             runs[name](way)
         row = summary(way)
         results.append(row)
         shown = [row[column] for column in columns]
         cells = [f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in shown]
         print("  ".join(f"{cell:>10}" for cell in cells) + f"  {row['functionality_seconds_median']:.3f}", flush=True)
-    options.out.parent.mkdir(exist_ok=True)
-    options.out.write_text(json.dumps({"period": PERIOD, "results": results}, indent=1))
+    out.parent.mkdir(exist_ok=True)
+    out.write_text(json.dumps({"period": PERIOD, "results": results}, indent=1))
+
+
+def options(description: str | None, chosen: list[str], out: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("--swaps", type=int, default=200)
+    parser.add_argument("--ways", nargs="*", default=chosen)
+    parser.add_argument("--out", type=Path, default=HERE / "results" / out)
+    return parser.parse_args()
+
+
+def main() -> None:
+    asked = options(__doc__, ["handover", "paper", "lifecycle", "kill", "none"], "swap.json")
+    from midstride.backends.ros2.tuning import tuned_environment
+
+    os.environ.setdefault("ROS_DOMAIN_ID", "86")
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    os.environ.update(tuned_environment(dict(os.environ)))
+    platform = Platform("ros2", sys.executable, HERE / "_swap_nodes.py", "std_msgs/msg/String", dict(os.environ))
+    runs = {**ways(platform, asked.swaps), "lifecycle": lambda way: by_lifecycle(way, platform, asked.swaps)}
+    compare(platform, asked.ways, runs, asked.out)
 
 
 if __name__ == "__main__":

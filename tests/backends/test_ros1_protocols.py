@@ -1,0 +1,207 @@
+"""The manager's own XML-RPC and TCPROS, and what connection headers say: plain Python, no ROS needed."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import struct
+import threading
+import time
+import xmlrpc.client
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+from midstride.backends import common
+from midstride.backends.ros1 import asking, launching, names, rpc, tcpros
+from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
+from midstride.model.contract import QoS
+from tests.backends.ros2_support import run
+
+
+@contextmanager
+def python_server(**methods: Any) -> Iterator[str]:
+    """Python's own XML-RPC server, as rospy's is built upon it."""
+    with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False, allow_none=False) as server:
+        for name, method in methods.items():
+            server.register_function(method, name)
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_address[1]}/"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+def test_a_call_is_understood_by_pythons_own_server() -> None:
+    def echo(*arguments: Any) -> Any:
+        return [1, "well", list(arguments)]
+
+    with python_server(echo=echo) as uri:
+        answer = run(rpc.call(uri, "echo", "/node", 3, [["TCPROS"]], {"a": 1.5}, "grün & <b>"))
+        assert answer == [1, "well", ["/node", 3, [["TCPROS"]], {"a": 1.5}, "grün & <b>"]]
+
+
+def test_a_method_that_is_refused_says_so_and_is_not_unreachable() -> None:
+    with python_server() as uri, pytest.raises(BackendError, match="getName") as caught:
+        run(rpc.call(uri, "getName", "/node"))
+    assert not isinstance(caught.value, (Unreachable, CallTimeout))
+
+
+def test_nobody_there_is_unreachable_at_once() -> None:
+    async def scenario() -> None:
+        closing = await asyncio.start_server(lambda reader, writer: None, "127.0.0.1")
+        port = closing.sockets[0].getsockname()[1]
+        closing.close()
+        await closing.wait_closed()
+        begun = time.monotonic()
+        with pytest.raises(Unreachable):
+            await rpc.call(f"http://127.0.0.1:{port}/", "getPid", "/node")
+        assert time.monotonic() - begun < 1.0
+
+    run(scenario())
+
+
+@pytest.mark.parametrize("said", [b"", b"SSH-2.0-OpenSSH\r\n\r\n", b"HTTP/1.0 404 Not Found\r\n\r\n", b"\0" * 200_000])
+def test_somebody_else_there_is_unreachable(said: bytes) -> None:
+    async def other(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        writer.write(said)
+        writer.close()
+
+    async def scenario() -> None:
+        async with await asyncio.start_server(other, "127.0.0.1") as server:
+            port = server.sockets[0].getsockname()[1]
+            with pytest.raises(Unreachable):
+                await rpc.call(f"http://127.0.0.1:{port}/", "getPid", "/node")
+
+    run(scenario())
+
+
+def test_a_frozen_peer_is_given_up() -> None:
+    """It accepts and never answers: rospy's own calls would wait for good."""
+
+    async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.read()
+        writer.close()
+
+    async def scenario() -> None:
+        async with await asyncio.start_server(silent, "127.0.0.1") as server:
+            port = server.sockets[0].getsockname()[1]
+            with pytest.raises(CallTimeout):
+                await rpc.call(f"http://127.0.0.1:{port}/", "getPid", "/node", timeout=0.2)
+            with pytest.raises(CallTimeout):
+                await tcpros.call_service(f"rosrpc://127.0.0.1:{port}", "/s", "x", "/node", timeout=0.2)
+
+    run(scenario())
+
+
+def test_the_server_is_understood_by_pythons_own_client() -> None:
+    async def add(caller: str, a: int, b: int) -> Any:
+        return [1, caller, a + b]
+
+    async def scenario() -> None:
+        server = rpc.Server({"add": add})
+        port = await server.open("127.0.0.1")
+
+        def ask() -> None:
+            with xmlrpc.client.ServerProxy(f"http://127.0.0.1:{port}/") as proxy:  # one connection for all of them
+                assert proxy.add("/node", 2, 3) == [1, "/node", 5]
+                with pytest.raises(xmlrpc.client.Fault, match="no method nothing"):
+                    proxy.nothing()
+                with pytest.raises(xmlrpc.client.Fault, match="argument"):
+                    proxy.add("/node")
+                assert proxy.add("/node", 1, 1) == [1, "/node", 2]
+
+        await asyncio.to_thread(ask)
+        await server.close()
+        with pytest.raises(Unreachable):
+            await rpc.call(f"http://127.0.0.1:{port}/", "add", "/node", 1, 1)
+
+    run(scenario())
+
+
+def test_headers_and_strings_are_as_ros_1_packs_them() -> None:
+    packed = tcpros.pack_header({"topic": "/chatter", "note": "a=b"})
+    entries = b"\x0e\0\0\0topic=/chatter\x08\0\0\0note=a=b"
+    assert packed == struct.pack("<I", len(entries)) + entries
+    assert tcpros.unpack_header(packed[4:]) == {"topic": "/chatter", "note": "a=b"}
+    assert tcpros.unpack_string(tcpros.pack_string("grün")) == "grün"
+
+
+@pytest.mark.parametrize("data", [b"\x01", b"\x05\0\0\0ab", b"\x02\0\0\0ab\0"])
+def test_what_is_no_message_of_one_string_is_told(data: bytes) -> None:
+    with pytest.raises(ValueError, match="string"):
+        tcpros.unpack_string(data)
+
+
+def test_what_is_asked_is_a_comment_to_everybody_else() -> None:
+    definition = asking.ask("string data\n", QoS(durability="transient_local", depth=3))
+    assert [line for line in definition.splitlines() if not line.startswith("#")] == ["string data"]
+    assert asking.asked({"message_definition": definition}) == QoS(durability="transient_local", depth=3)
+    for plain in ({}, {"message_definition": "string data"}, {"message_definition": "string data\n# midstride: [3]"}):
+        assert asking.asked(plain) is None
+        assert asking.grant(plain, "endpoint", QoS()) == {}
+
+
+def test_what_is_granted_depends_on_what_is_offered() -> None:
+    header = {"message_definition": asking.ask("", QoS(durability="transient_local"))}
+    granted = asking.grant(header, "endpoint", QoS(durability="transient_local"))
+    assert asking.publisher_of(granted) == "endpoint" and asking.is_compatible(granted)
+    refused = asking.grant(header, "endpoint", QoS())
+    assert asking.publisher_of(refused) == "endpoint" and not asking.is_compatible(refused)
+    assert asking.publisher_of({"callerid": "/bare"}) is None and asking.is_compatible({"callerid": "/bare"})
+
+
+def test_names_of_nodes() -> None:
+    assert names.split("talker") == ("talker", "/")
+    assert names.split("front/camera") == ("camera", "/front")
+    assert names.split("camera", "front") == ("camera", "/front")
+    assert names.full("front/camera") == "/front/camera"
+    assert names.command_service("/front/camera") == "/front/camera/midstride/command"
+    assert names.is_ours("/front/camera/midstride/command") and not names.is_ours("/midstride_of_mine")
+
+
+def test_no_process_of_ros_1_sees_ros_2(tmp_path: Path) -> None:
+    (tmp_path / "two" / "rclpy").mkdir(parents=True)
+    (tmp_path / "own").mkdir()
+    base = {
+        "PYTHONPATH": f"{tmp_path / 'two'}{os.pathsep}{tmp_path / 'own'}",
+        "AMENT_PREFIX_PATH": "/opt/ros/jazzy",
+        "ROS_DISTRO": "jazzy",
+        "ROS_VERSION": "2",
+        "ROS_DOMAIN_ID": "3",
+        "HOME": "/home/robot",
+    }
+    made = launching.environment(base, "http://localhost:11311")
+    assert made["PYTHONPATH"] == str(tmp_path / "own")
+    assert not {"AMENT_PREFIX_PATH", "ROS_DISTRO", "ROS_VERSION", "ROS_DOMAIN_ID"} & set(made)
+    assert (made["HOME"], made["ROS_IP"], made["ROS_MASTER_URI"]) == (
+        "/home/robot",
+        "127.0.0.1",
+        "http://localhost:11311",
+    )
+    sourced = {"ROS_DISTRO": "noetic", "ROS_VERSION": "1", "ROS_HOSTNAME": "robot"}
+    kept = launching.environment(sourced, "http://robot:11311")
+    assert kept["ROS_DISTRO"] == "noetic" and "ROS_IP" not in kept
+
+
+def test_a_master_elsewhere_needs_an_address_of_this_machine() -> None:
+    assert launching.own_host({}, "http://localhost:11311") == "127.0.0.1"
+    assert launching.own_host({"ROS_IP": "10.0.0.2"}, "http://robot:11311") == "10.0.0.2"
+    with pytest.raises(BackendError, match="ROS_IP"):
+        launching.own_host({}, "http://robot:11311")
+
+
+def test_python_in_a_command_is_the_one_that_has_ros_1(tmp_path: Path) -> None:
+    def python() -> str:
+        return "/somewhere/python"
+
+    assert common.command(("python3", "a.py"), tmp_path, os.environ, python) == ("/somewhere/python", "a.py")
+    assert common.command(("/bin/sh", "-c", "x"), tmp_path, os.environ, python)[0] == "/bin/sh"
+    with pytest.raises(StartFailed, match="no program nothing_of_this_name"):
+        common.command(("nothing_of_this_name",), tmp_path, os.environ, python)
