@@ -216,3 +216,15 @@ def test_a_message_driven_output_is_held_to_the_inputs_it_had_to_answer() -> Non
 def test_an_input_that_nobody_answered_is_missed_and_one_answered_twice_is_a_duplicate() -> None:
     assert answers(90, lose=frozenset({89, 90, 91})).missed == 3
     assert answers(90, twice=frozenset({95})).duplicates == 1
+
+
+def test_numberings_that_meet_are_told_apart_by_the_old_ones_last_number() -> None:
+    recorder = Recorder()
+    recorder.numbers["old"] = 5
+    swap(recorder)  # old 6 to 45, new 1 to 40: extend the new one beyond the old one's last number
+    for slot in range(80, 95):
+        recorder.write("new", slot)
+    known = recorder.observe(35, 95, last=45, known=False)
+    assert (known.missed, known.lost, known.duplicates) == (0, 0, 0)
+    unknown = recorder.observe(35, 95, known=False)
+    assert unknown.lost is None and unknown.duplicates is None

@@ -87,7 +87,7 @@ class Attachments:
         if isinstance(link, InputLink):
             assert isinstance(port, Input)
             await self._data.run(lambda: self._unsubscribe(port, link), timeout)
-            return {"acknowledged": None}
+            return {"acknowledged": None, "last": None}
         was_open = link.gate == "open"
         await self._data.run(lambda: link.set_gate(False), timeout)
         acknowledged = await link.publisher.acknowledged(timeout)
@@ -96,7 +96,7 @@ class Attachments:
         except CommandRefused:
             self._host.on_data(lambda: link.set_gate(was_open))
             raise
-        return {"acknowledged": acknowledged}
+        return {"acknowledged": acknowledged, "last": link.count}
 
     async def gate(self, arguments: Arguments) -> dict[str, Any]:
         link = self.link(arguments.text("port"), arguments.text("topic"))

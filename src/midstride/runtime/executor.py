@@ -212,6 +212,8 @@ class Executor:
             peers=0,
             **gate,
         )
+        if reply.get("last"):
+            self.last_numbers[port] = int(reply["last"])
         if reply.get("acknowledged") is None and self.configuration.is_output(port):
             self.tell("note", f"{port}: nobody can tell whether its last messages on {topic} arrived", {})
 

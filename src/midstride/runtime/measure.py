@@ -72,7 +72,7 @@ def report(seen: Observation) -> SwapReport:
     period = seen.guaranteed_period
     rows = _window(seen.rows, seen.begun, seen.ended, period or seen.grid_period)
     gap = _gap(rows, seen.begun, seen.ended) if period else None
-    sides = _sides(rows, seen.begun)
+    sides = _sides(rows, seen.begun, seen.last_number)
     missed = duplicates = None
     grid = seen.grid_period or period
     tail = seen.ended - WINDOW_PERIODS / 2 * (grid or 0.0) * 1e9
@@ -106,7 +106,7 @@ def _gap(rows: Sequence[Row], begun: int, ended: int) -> float:
     return max(later - earlier for earlier, later in itertools.pairwise(times)) / 1e9
 
 
-def _sides(rows: Sequence[Row], begun: int) -> dict[int, str] | None:
+def _sides(rows: Sequence[Row], begun: int, last_number: int | None) -> dict[int, str] | None:
     """The publisher of each row (by its place in ``rows``), told apart by identity or else by numbering."""
     if all(row.publisher is not None for row in rows):
         return {index: str(row.publisher) for index, row in enumerate(rows)}
@@ -118,7 +118,9 @@ def _sides(rows: Sequence[Row], begun: int) -> dict[int, str] | None:
     for index, row in enumerate(rows):
         number = row.number
         assert number is not None
-        nearest = [name for name, tail in tails.items() if 0 < number - tail <= 1000]
+        # The numbering that was there first is the old one's; it is over with the last number the old one tells.
+        over = next(iter(tails), None) if last_number is not None and number > last_number else None
+        nearest = [name for name, tail in tails.items() if 0 < number - tail <= 1000 and name != over]
         exact = [name for name in nearest if tails[name] == number - 1]
         if len(exact) > 1 or (not exact and len(nearest) > 1):
             return None  # two numberings meet: nobody can tell whose this is

@@ -21,7 +21,8 @@ Changing (with the expected revision):
 ``welcome``       {manager} -> State; the component stops announcing itself
 ``attach``        {port, topic, gate: "open"|"closed", peers: n, timeout} -> {}; creates the endpoint, waits until at
                   least ``peers`` compatible endpoints are matched and settled, and only then opens the gate
-``detach``        {port, topic, timeout} -> {"acknowledged": bool|None}; gate closed, drained, endpoint destroyed
+``detach``        {port, topic, timeout} -> {"acknowledged": bool|None, "last": n|None}; gate closed, drained,
+                  endpoint destroyed; ``last`` is the number of an output's last message there
 ``modes``         {modes: {functionality: mode}, timeout, because} -> {"from": {functionality: mode}}; takes effect
                   between two calls of user code; refused (and taken back) if a call does not return in time
 ``set``           {parameters: {name: value}} -> {"from": {name: value}}
