@@ -10,6 +10,7 @@ import pytest
 from midstride.runtime import guardian
 from midstride.runtime.guardian import Guardian
 from midstride.testing.conformance import CHECKS, Check
+from midstride.testing.conformance.walks import walk
 from tests.backends.ros2_support import run
 
 pytestmark = pytest.mark.ros2
@@ -18,13 +19,23 @@ pytestmark = pytest.mark.ros2
 OURS = "MIDSTRIDE_TEST_RUN"
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))
-def test_ros2(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def held(check: Check, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from midstride.backends.ros2 import create_backend
 
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)
     with Guardian(OURS, this) as guarding:
-        backend = create_backend(logs=tmp_path / "logs", guardian=guarding)
-        run(check(backend, tmp_path), 100)
+        backend = create_backend(logs=folder / "logs", guardian=guarding)
+        run(check(backend, folder), 100)
         assert guardian.left({}, OURS, this) - {guarding.pid} == set()
+
+
+@pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))
+def test_ros2(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    held(check, tmp_path, monkeypatch)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(100, 110))
+def test_ros2_does_what_random_sequences_ask(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    held(lambda backend, folder: walk(backend, folder, seed), tmp_path, monkeypatch)
