@@ -19,6 +19,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "impact": ("design", "what falls if a node is removed or crashes"),
     "diff": ("design", "how two specifications differ"),
     "generate": ("generate", "skeletons of the nodes, launch and package files"),
+    "lsp": ("lsp", "the language server, for editors"),
     "plan": ("plan", "show the plan for a change, what it disrupts and why"),
     "export": ("files", "print a specification as JSON"),
     "up": ("up", "start a system and its manager, and watch it"),

@@ -65,6 +65,10 @@ class Contracts:
         for name in self.declared:
             self._named(name, self.declared[name].name.span)
 
+    def named(self, name: str) -> Contract | None:
+        """A named contract that has been resolved; None where it could not be."""
+        return self._resolved.get(name)
+
     def predicate(self, expression: ContractExpression | None, what: str) -> Predicate | None:
         """The predicate an expression states, or None. ``nothing`` is reported: ``what`` cannot be that."""
         contract = self.contract(expression)
@@ -303,3 +307,8 @@ def _values(constraint: FieldConstraint) -> ValueSet:
     if operator in {">", ">="}:
         return Interval(low=number, low_open=operator == ">")
     return Interval(high=number, high_open=operator == "<")
+
+
+def policy_words(name: str) -> tuple[str, ...]:
+    """The values of a QoS policy that has words for values; none for the others."""
+    return _WORDS.get(name, ())

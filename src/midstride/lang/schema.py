@@ -1,7 +1,7 @@
 """The JSON Schema (draft 2020-12) of the JSON form of specifications (:mod:`midstride.model.document`).
 
-It says the form: keys, types of values, ranges, shapes of names. That names are declared and contracts satisfied no schema
-can say: `midstride check` does.
+It says the form: keys, types of values, ranges, shapes of names. That names are declared and contracts satisfied no
+schema can say: `midstride check` does.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ def schema() -> Schema:
                 "nodes": _map(_ref("node"), "the nodes, by name, namespaces in front", f"/?{_TOKEN}(/{_TOKEN})*"),
                 "constraints": {"type": "array", "items": _ref("constraint")},
                 "timing_seconds": _object(
-                    {kind: _NOT_NEGATIVE for kind in DEFAULT_SECONDS}, about="how long steps take, where known"
+                    dict.fromkeys(DEFAULT_SECONDS, _NOT_NEGATIVE), about="how long steps take, where known"
                 ),
             },
             ("system",),

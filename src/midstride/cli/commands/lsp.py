@@ -1,0 +1,24 @@
+"""``lsp``: the language server on standard input and output; an editor starts it."""
+
+from __future__ import annotations
+
+import click
+
+from midstride.cli.app import json_option
+from midstride.errors import MidstrideError
+
+
+@click.command("lsp")
+@click.option("--stdio", is_flag=True, help="Accepted, since editors say it; there is no other way.")
+@json_option
+def lsp_command(stdio: bool) -> int:
+    """Serve the Language Server Protocol on standard input and output. An editor starts this.
+
+    Needs the extra `midstride[lsp]`.
+    """
+    try:
+        from midstride.cli.lsp import make_server
+    except ImportError as error:
+        raise MidstrideError(f"the language server needs pygls ({error}); install `midstride[lsp]`") from None
+    make_server().start_io()
+    return 0

@@ -1,0 +1,201 @@
+"""Every name in the files of a system: what it stands for, where it is declared and where it is used.
+
+For editors: going to a definition, renaming, hovering. A name that stands for nothing is not in the index.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from midstride.lang.check import Resolved
+from midstride.lang.declarations import NodeEntry, topic_name
+from midstride.lang.files import join
+from midstride.lang.source import Source, Span
+from midstride.lang.syntax import (
+    Assumed,
+    ComponentDeclaration,
+    ContractExpression,
+    FunctionalityDeclaration,
+    KeepStatement,
+    LimitStatement,
+    Name,
+    NamedAssumption,
+)
+
+
+class Symbol(NamedTuple):
+    """What a name stands for. ``owner`` is the component of a port, functionality or parameter, and ``C.f`` of a
+    mode."""
+
+    kind: str
+    name: str
+    owner: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Occurrence:
+    """A place where a symbol is named. ``namespace`` is that of relative names there."""
+
+    symbol: Symbol
+    span: Span
+    declares: bool = False
+    namespace: str = ""
+
+
+class Index:
+    """The occurrences of all names of a system."""
+
+    def __init__(self, resolved: Resolved) -> None:
+        self.resolved = resolved
+        self.occurrences = list(_Walk(resolved).all())
+
+    def at(self, source: Source, offset: int) -> Occurrence | None:
+        """What is named at an offset of a source (the place behind the last character counts)."""
+        for occurrence in self.occurrences:
+            span = occurrence.span
+            if span.source.name == source.name and span.start <= offset <= span.end:
+                return occurrence
+        return None
+
+    def declaration(self, symbol: Symbol) -> Occurrence | None:
+        return next((found for found in self.occurrences if found.symbol == symbol and found.declares), None)
+
+    def all_of(self, symbol: Symbol) -> list[Occurrence]:
+        """The places where a symbol is named, each once."""
+        found = {(o.span.source.name, o.span.start): o for o in self.occurrences if o.symbol == symbol}
+        return [found[key] for key in sorted(found)]
+
+
+class _Walk:
+    def __init__(self, resolved: Resolved) -> None:
+        self.resolved = resolved
+        self.declarations = resolved.declarations
+
+    def all(self) -> Iterator[Occurrence]:
+        found = self.declarations
+        for name, contract in found.contracts.items():
+            yield Occurrence(Symbol("contract", name), contract.name.span, True)
+            yield from self._contract(contract.contract)
+        for name, resource in found.resources.items():
+            yield Occurrence(Symbol("resource", name), resource.name.span, True)
+        for name, topic in found.topics.items():
+            within = "" if topic.name.text.startswith("/") else name.removesuffix(topic.name.text).strip("/")
+            yield Occurrence(Symbol("topic", name), topic.name.span, True, within)
+            yield from self._contract(topic.contract)
+        for name, (namespace, offer) in found.offers.items():
+            yield Occurrence(Symbol("guarantee", name), offer.name.span, True)
+            if offer.topic is not None:
+                yield self._topic(namespace, offer.topic, None)
+            yield from self._contract(offer.contract)
+        for component in found.components.values():
+            yield from self._component(component)
+        for entry in found.nodes.values():
+            yield from self._node(entry)
+        for namespace, statement in found.constraints:
+            if isinstance(statement, (KeepStatement, LimitStatement)):
+                yield from self._functionality_name(namespace, statement)
+            else:
+                yield Occurrence(Symbol("node", join(namespace, statement.first.text)), statement.first.span)
+                yield Occurrence(Symbol("node", join(namespace, statement.then.text)), statement.then.span)
+
+    def _contract(self, expression: ContractExpression | None) -> Iterator[Occurrence]:
+        if (
+            expression is not None
+            and expression.base is not None
+            and expression.base.text in self.declarations.contracts
+        ):
+            yield Occurrence(Symbol("contract", expression.base.text), expression.base.span)
+
+    def _topic(self, namespace: str, name: Name, node: str | None) -> Occurrence:
+        return Occurrence(Symbol("topic", topic_name(namespace, name.text, node)), name.span, namespace=namespace)
+
+    # -- components --------------------------------------------------------------------------------------
+
+    def _owner(self, component: str, kind: str, name: str) -> str:
+        """The component that declares a part, which may be one that ``component`` is like."""
+        seen: set[str] = set()
+        current: str | None = component
+        while current is not None and current in self.declarations.components and current not in seen:
+            seen.add(current)
+            declared = self.declarations.components[current]
+            parts: dict[str, set[str]] = {
+                "port": {i.name.text for i in declared.inputs} | {o.text for o in declared.outputs},
+                "functionality": {f.name.text for f in declared.functionalities},
+                "parameter": {p.name.text for p in declared.parameters},
+            }
+            if name in parts[kind]:
+                return current
+            current = None if declared.like is None else declared.like.text
+        return component
+
+    def _part(self, component: str, kind: str, name: Name, declares: bool = False) -> Occurrence:
+        owner = component if declares else self._owner(component, kind, name.text)
+        return Occurrence(Symbol(kind, name.text, owner), name.span, declares)
+
+    def _component(self, declared: ComponentDeclaration) -> Iterator[Occurrence]:
+        own = declared.name.text
+        yield Occurrence(Symbol("component", own), declared.name.span, True)
+        if declared.like is not None:
+            yield Occurrence(Symbol("component", declared.like.text), declared.like.span)
+        for statement in declared.holds:
+            for held in statement:
+                yield Occurrence(Symbol("resource", held.resource.text), held.resource.span)
+        for entry in declared.parameters:
+            yield self._part(own, "parameter", entry.name, True)
+        for port in declared.inputs:
+            yield self._part(own, "port", port.name, True)
+            yield from self._contract(port.contract)
+        for output in declared.outputs:
+            yield self._part(own, "port", output, True)
+        for functionality in declared.functionalities:
+            yield from self._functionality(own, functionality)
+
+    def _functionality(self, own: str, declared: FunctionalityDeclaration) -> Iterator[Occurrence]:
+        yield self._part(own, "functionality", declared.name, True)
+        for port in (*declared.uses, *declared.produces):
+            yield self._part(own, "port", port)
+        for mode in declared.modes:
+            yield Occurrence(Symbol("mode", mode.name.text, f"{own}.{declared.name.text}"), mode.name.span, True)
+            for assumed in mode.assumptions:
+                yield from self._assumption(own, assumed)
+            for guarantee in mode.guarantees:
+                yield self._part(own, "port", guarantee.output)
+                yield from self._contract(guarantee.contract)
+
+    def _assumption(self, own: str, assumed: Assumed) -> Iterator[Occurrence]:
+        if isinstance(assumed, NamedAssumption):
+            for name in assumed.inputs:
+                yield self._part(own, "port", name)
+        elif assumed.base is not None and assumed.base.text in self.declarations.contracts:
+            yield from self._contract(assumed)
+        elif assumed.base is not None and assumed.is_bare_name:
+            yield self._part(own, "port", assumed.base)
+
+    # -- nodes -------------------------------------------------------------------------------------------
+
+    def _node(self, entry: NodeEntry) -> Iterator[Occurrence]:
+        declared = entry.declaration
+        yield Occurrence(Symbol("node", entry.role), declared.name.span, True)
+        if declared.component is None:
+            return
+        yield Occurrence(Symbol("component", declared.component.text), declared.component.span)
+        for attachment in declared.attachments:
+            yield self._part(declared.component.text, "port", attachment.port)
+            for topic in attachment.topics:
+                yield self._topic(entry.namespace, topic, declared.name.text)
+        for parameter in declared.parameters:
+            yield self._part(declared.component.text, "parameter", parameter.name)
+
+    def _functionality_name(self, namespace: str, statement: KeepStatement | LimitStatement) -> Iterator[Occurrence]:
+        role, name = statement.functionality
+        yield Occurrence(Symbol("node", join(namespace, role.text)), role.span)
+        entry = self.declarations.nodes.get(join(namespace, role.text))
+        if entry is None or entry.declaration.component is None:
+            return
+        found = self._part(entry.declaration.component.text, "functionality", name)
+        yield found
+        if isinstance(statement, KeepStatement):
+            owner = f"{found.symbol.owner}.{name.text}"
+            yield Occurrence(Symbol("mode", statement.mode.text, owner), statement.mode.span)

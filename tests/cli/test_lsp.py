@@ -1,0 +1,95 @@
+"""The language server in a session with a client, over standard input and output."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pygls", reason="the extra `lsp` is not installed")
+
+from lsprotocol import types
+from pygls.lsp.client import LanguageClient
+
+from midstride.cli.lsp import _column, _units
+
+PATROL = Path(__file__).parents[1] / "lang" / "seeds" / "patrol.stride"
+
+
+def test_columns_are_counted_in_code_units() -> None:
+    line = 'run "\U0001f916é" x'
+    assert _units(line[:6]) == 7
+    assert _column(line, 7) == 6
+    assert _column(line, 100) == len(line)
+
+
+async def session(folder: Path) -> dict[str, Any]:
+    """Open, break, mend, ask, close: what the server answered."""
+    client = LanguageClient("test", "1")
+    shown: dict[str, list[types.Diagnostic]] = {}
+    arrived = asyncio.Event()
+
+    @client.feature(types.TEXT_DOCUMENT_PUBLISH_DIAGNOSTICS)  # type: ignore[untyped-decorator, unused-ignore]
+    def published(parameters: types.PublishDiagnosticsParams) -> None:
+        shown[parameters.uri] = list(parameters.diagnostics)
+        arrived.set()
+
+    await client.start_io(sys.executable, "-m", "midstride", "lsp", "--stdio")
+    answers: dict[str, Any] = {}
+    started = await client.initialize_async(
+        types.InitializeParams(capabilities=types.ClientCapabilities(), root_uri=folder.as_uri())
+    )
+    answers["capabilities"] = started.capabilities
+    client.initialized(types.InitializedParams())
+    path = folder / "patrol.stride"
+    uri, text = path.as_uri(), path.read_text(encoding="utf-8")
+    item = types.TextDocumentItem(uri, "stride", 1, text)
+    client.text_document_did_open(types.DidOpenTextDocumentParams(item))
+    await asyncio.wait_for(arrived.wait(), 30)
+    answers["clean"] = dict(shown)
+    arrived.clear()
+    broken = text.replace("/obstacles   cmd", "/obstacle   cmd")
+    change = types.TextDocumentContentChangeWholeDocument(broken)
+    version = types.VersionedTextDocumentIdentifier(2, uri)
+    client.text_document_did_change(types.DidChangeTextDocumentParams(version, [change]))
+    await asyncio.wait_for(arrived.wait(), 30)
+    answers["broken"] = shown[uri]
+    document = types.TextDocumentIdentifier(uri)
+    line = next(n for n, content in enumerate(text.split("\n")) if content.startswith("node controller"))
+    spot = types.Position(line, text.split("\n")[line].index("MotorController") + 3)
+    answers["hover"] = await client.text_document_hover_async(types.HoverParams(document, spot))
+    answers["definition"] = await client.text_document_definition_async(types.DefinitionParams(document, spot))
+    answers["rename"] = await client.text_document_rename_async(types.RenameParams(document, spot, "Motor"))
+    answers["completion"] = await client.text_document_completion_async(types.CompletionParams(document, spot))
+    options = types.FormattingOptions(2, True)
+    answers["format"] = await client.text_document_formatting_async(types.DocumentFormattingParams(document, options))
+    await client.shutdown_async(None)
+    client.exit(None)
+    await client.stop()  # type: ignore[no-untyped-call, unused-ignore]
+    answers["uri"] = uri
+    return answers
+
+
+@pytest.mark.filterwarnings("ignore::ResourceWarning", "ignore::pytest.PytestUnraisableExceptionWarning")
+def test_a_session(tmp_path: Path) -> None:
+    for name in ("patrol.stride", "sensors.stride"):
+        (tmp_path / name).write_text((PATROL.parent / name).read_text(encoding="utf-8"), encoding="utf-8")
+    answers = asyncio.run(asyncio.wait_for(session(tmp_path), 60))
+    capabilities = answers["capabilities"]
+    assert capabilities.hover_provider
+    assert capabilities.definition_provider
+    assert capabilities.rename_provider
+    assert capabilities.document_formatting_provider
+    assert answers["clean"][answers["uri"]] == []
+    (fault,) = [d for d in answers["broken"] if d.severity == types.DiagnosticSeverity.Error]
+    assert (fault.code, fault.source) == ("E008", "midstride")
+    assert "there is no topic `/obstacle`" in fault.message
+    assert "did you mean `/obstacles`?" in fault.message
+    assert "**component** `MotorController`" in answers["hover"].contents.value
+    assert answers["definition"].uri == answers["uri"]
+    assert len(answers["rename"].changes[answers["uri"]]) == 2
+    assert {item.label for item in answers["completion"].items} >= {"MotorController", "Lidar"}
+    assert answers["format"] is None
