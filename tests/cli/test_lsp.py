@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,11 @@ async def session(folder: Path) -> dict[str, Any]:
         shown[parameters.uri] = list(parameters.diagnostics)
         arrived.set()
 
+    async def until(holds: Callable[[], bool]) -> None:
+        while not holds():
+            arrived.clear()
+            await asyncio.wait_for(arrived.wait(), 30)
+
     await client.start_io(sys.executable, "-m", "midstride", "lsp", "--stdio")
     answers: dict[str, Any] = {}
     started = await client.initialize_async(
@@ -48,14 +54,13 @@ async def session(folder: Path) -> dict[str, Any]:
     uri, text = path.as_uri(), path.read_text(encoding="utf-8")
     item = types.TextDocumentItem(uri, "stride", 1, text)
     client.text_document_did_open(types.DidOpenTextDocumentParams(item))
-    await asyncio.wait_for(arrived.wait(), 30)
+    await until(lambda: len(shown) == 2)
     answers["clean"] = dict(shown)
-    arrived.clear()
     broken = text.replace("/obstacles   cmd", "/obstacle   cmd")
     change = types.TextDocumentContentChangeWholeDocument(broken)
     version = types.VersionedTextDocumentIdentifier(2, uri)
     client.text_document_did_change(types.DidChangeTextDocumentParams(version, [change]))
-    await asyncio.wait_for(arrived.wait(), 30)
+    await until(lambda: bool(shown[uri]))
     answers["broken"] = shown[uri]
     document = types.TextDocumentIdentifier(uri)
     line = next(n for n, content in enumerate(text.split("\n")) if content.startswith("node controller"))
