@@ -47,7 +47,7 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
             assert seen.publishers == (("/talker", "/chatter"),)
             assert seen.subscribers == (("/listener", "/chatter"),)
             await r.modes("talker", talk="degraded")
-            assert await r.detach("talker", "out", "/chatter") == {"acknowledged": True}
+            assert (await r.detach("talker", "out", "/chatter"))["acknowledged"] is True
             pid = r.pid("talker")
             await r.backend.end("talker", 5.0)
             assert not alive(pid)

@@ -10,7 +10,7 @@ from midstride.errors import NodeError
 from midstride.model.component import Component, NamedInputs
 
 FLAG: Final = "--standalone"
-_REMAPPING: Final = re.compile(r"(?P<port>[A-Za-z_]\w*):=(?P<topic>[^\s:=]+)\Z")
+_REMAPPING: Final = re.compile(r"(?P<port>(?!__)[A-Za-z_]\w*):=(?P<topic>[^\s:=]+)\Z")
 
 Attachments = Mapping[str, Sequence[str]]
 
@@ -18,7 +18,8 @@ Attachments = Mapping[str, Sequence[str]]
 def remappings(arguments: Sequence[str], component: Component) -> Attachments | None:
     """What ``--standalone`` says: each port's topics; None where it is not there. Raises NodeError for a wrong port.
 
-    The remappings are what follows the flag as ``port:=/topic``; every other argument is the author's own or ROS's.
+    The remappings are what follows the flag as ``port:=/topic``; every other argument is the author's own or ROS's
+    (a launch file of ROS 1 adds ``__name:=…`` and the like).
     """
     if FLAG not in arguments:
         return None

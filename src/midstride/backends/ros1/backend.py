@@ -85,7 +85,11 @@ class Ros1Backend:
                 f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
                 "end it yourself, or use another name"
             )
-        environment = {**launching.environment(os.environ, master.uri), **common.identity(launch, self.name)}
+        environment = {
+            **launching.environment(os.environ, master.uri),
+            **common.identity(launch, self.name),
+            launching.NAMESPACE: names.split(launch.instance, launch.namespace)[1],  # rospy reads it when it is imported
+        }
         log = self._folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
         process = spawn(command, launch.directory, environment, log)
         self._children.take(launch.instance, process)

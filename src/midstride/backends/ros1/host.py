@@ -55,14 +55,12 @@ class Ros1Host:
 
     def __init__(self, name: str, namespace: str) -> None:
         managed = bool(os.environ.get(ENV_TOKEN))
-        node_name, inside = names.split(name, namespace)
+        node_name, inside = names.split(name, namespace or rospy.names.get_namespace())
         given = [] if managed else [argument for argument in sys.argv[1:] if argument.startswith("__")]
         uri = launching.master_uri(os.environ)
         if launching.is_local(uri) and not os.environ.get("ROS_HOSTNAME"):
             os.environ.setdefault("ROS_IP", launching.LOOPBACK)
-        if inside != "/":
-            os.environ["ROS_NAMESPACE"] = inside
-        self._node = names.full(_named(given, node_name), os.environ.get("ROS_NAMESPACE", ""))
+        self._node = names.full(_named(given, node_name), inside)
         self.instance = self._node.lstrip("/")
         self._master = Master(uri, self._node)
         asyncio.run(self._must_be_alone())
