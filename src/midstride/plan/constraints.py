@@ -87,7 +87,7 @@ def _watched(change: Change, levels: Levels, keeps: Iterable[Keep]) -> list[tupl
             asked = chain.mode_index(keep.mode)
         except KeyError:
             names = ", ".join(mode.name for mode in chain.modes)
-            raise PlanRefused(f"`{keep}`: {ref} has no mode {keep.mode}; it has {names}") from None
+            raise PlanRefused(f"the constraint `{keep}`: {ref} has no mode {keep.mode}; it has {names}") from None
         watched.append((keep, ref.component, max(asked, levels.level(change.start, ref))))
     return watched
 
