@@ -40,7 +40,9 @@ def benchmark(name: str) -> ModuleType:
 
 
 def swap_specification() -> Specification:
-    specification: Specification = benchmark("swap").specification()
+    swap = benchmark("swap")
+    platform = swap.Platform("ros2", sys.executable, NODES, "std_msgs/msg/String", dict(os.environ))
+    specification: Specification = swap.specification(platform)
     return specification
 
 

@@ -1,0 +1,261 @@
+"""Changes of whole systems on ROS 2: what is live at the cut, what a busy component does, what a failed step leaves."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import statistics
+import subprocess
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from immutables import Map
+
+from midstride.model.component import Component, Connector, Functionality, Mode
+from midstride.model.contract import Predicate
+from midstride.model.specification import Node, Specification
+from midstride.plan.request import Request
+from midstride.runtime.manager import Manager
+from tests.acceptance.support import ended, managed, swap_specification
+from tests.backends.ros2_support import run, until_async
+
+pytestmark = pytest.mark.ros2
+REPLACE = Request(replace=(("source", "OtherSource"),))
+
+
+async def step(manager: Manager, kind: str, action: str) -> None:
+    """Until an event of ``kind`` tells of a step ``action``."""
+    async for event in manager.subscribe():
+        if event["kind"] == kind and event["step"].get("action") == action:
+            return
+
+
+def test_both_publishers_are_live_at_the_cut_and_one_is_gated(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, backend):
+            changing = asyncio.ensure_future(manager.change(REPLACE))
+            await step(manager, "step", "handover")
+            seen: list[tuple[set[str], dict[str, str]]] = []
+
+            async def both() -> bool:
+                graph = await backend.endpoints()
+                publishers = {name for name, topic in graph.publishers if topic == "/swap"}
+                if publishers < {"/source", "/source_2"} or changing.done():
+                    return changing.done()
+                gates = {
+                    name: (await manager.peek(name))["ports"]["out"]["/swap"]["gate"] for name in ("source", "source_2")
+                }
+                seen.append((publishers, gates))
+                return True
+
+            await until_async(both)
+            assert (await changing)["outcome"] == "done"
+            assert seen == [({"/source", "/source_2"}, {"source": "open", "source_2": "closed"})]
+
+    with ended():
+        run(main())
+
+
+BUSY = """
+import time
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("busy")
+out = comp.create_output("out", String)
+work = comp.create_functionality("work", outputs=[out])
+
+def normal():
+    time.sleep(2)
+    out.write(String(data="late"))
+
+work.set_normal_mode(normal, rate=0.4, outputs=[out])
+work.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+def busy_specification(folder: Path) -> Specification:
+    (folder / "busy.py").write_text(BUSY)
+    modes = (Mode("normal", (), Map({"out": Predicate("std_msgs/msg/String", 0.4)})), Mode("degraded"))
+    work = Functionality("work", modes, (), ("out",))
+    component = Component.of("Busy", outputs=("out",), functionalities=(work,), run="python3 busy.py")
+    return Specification(
+        "busy",
+        connectors=Map({"/late": Connector("/late", Predicate("std_msgs/msg/String", 0.4))}),
+        components=Map({"Busy": component}),
+        nodes=Map({"busy": Node("busy", "Busy", Map({"out": ("/late",)}))}),
+    )
+
+
+async def is_busy(manager: Manager) -> bool:
+    return bool((await manager.peek("busy"))["functionalities"]["work"]["busy"])
+
+
+def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with managed(tmp_path / "system", busy_specification(tmp_path), tmp_path) as (manager, _):
+            await until_async(lambda: is_busy(manager))
+            changing = asyncio.ensure_future(manager.change(Request(remove=("busy",), strategy="quiesce")))
+            await step(manager, "step", "degrade")
+            took: list[float] = []
+            for _ in range(9):
+                begun = time.monotonic()
+                status = await manager.status()
+                took.append(time.monotonic() - begun)
+                view = status["components"][0]["functionalities"][0]
+                if view["busy"] is None:
+                    break
+                assert view["name"] == "busy.work" and 0 < view["busy"] <= 3
+            assert statistics.median(took) < 0.1
+            await step(manager, "step_done", "degrade")
+            link = (await manager.peek("busy"))["ports"]["out"].get("/late")
+            count = None if link is None else link["count"]
+            outcome = await changing
+            assert outcome["outcome"] == "done", outcome["because"]
+            # The call under way had written its message before the degrade was acknowledged, and none came after.
+            assert count is None or count >= 1
+
+    with ended():
+        run(main())
+
+
+def test_a_call_that_outlasts_the_drain_fails_the_step_and_nothing_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def main() -> None:
+        async with managed(tmp_path / "system", busy_specification(tmp_path), tmp_path) as (manager, _):
+            make = manager._executor
+
+            def impatient(*arguments: Any) -> Any:
+                executor = make(*arguments)
+                executor.drain_timeout = 0.3
+                return executor
+
+            monkeypatch.setattr(manager, "_executor", impatient)
+            await until_async(lambda: is_busy(manager))
+            outcome = await manager.change(Request(remove=("busy",), strategy="quiesce"))
+            assert outcome["outcome"] == "rolled_back" and "busy" in outcome["because"]
+            status = await manager.status()
+            assert status["valid"] and status["components"][0]["functionalities"][0]["mode"] == "normal"
+
+    with ended():
+        run(main())
+
+
+async def picture(manager: Manager, backend: Any) -> dict[str, Any]:
+    """Modes and gates by the components' own word, the graph, and the model."""
+    own = {}
+    for name in ("source", "sink"):
+        state = await manager.peek(name)
+        gates = {
+            f"{port} {topic}": view["gate"] for port, topics in state["ports"].items() for topic, view in topics.items()
+        }
+        own[name] = ({key: view["mode"] for key, view in state["functionalities"].items()}, gates)
+    graph = await backend.endpoints()
+    on_swap = {name for name, topic in (*graph.publishers, *graph.subscribers) if topic == "/swap"}
+    return {"own": own, "graph": on_swap, "model": manager.configuration}
+
+
+@pytest.mark.parametrize("strategy", ["minimal", "paper"])
+def test_a_step_that_fails_at_any_index_leaves_all_as_it_was(strategy: str, tmp_path: Path) -> None:
+    """The new component is killed as each step begins that needs it."""
+
+    async def main() -> int:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, backend):
+            plan = await manager.plan(replace(REPLACE, strategy=strategy))
+            needing = [
+                index
+                for index, document in enumerate(plan.step_documents())
+                if "source_2" in str({**document, "step": None}) and document["action"] != "create"
+            ]
+            before = await picture(manager, backend)
+            for index in needing:
+                changing = asyncio.ensure_future(manager.change(replace(REPLACE, strategy=strategy)))
+                seen = len(manager.log())
+                async for event in manager.subscribe(seen):
+                    if event["kind"] == "step" and event["index"] == index:
+                        break
+                os.kill((await manager.peek("source_2"))["pid"], signal.SIGKILL)
+                outcome = await changing
+                assert outcome["outcome"] == "rolled_back", outcome["because"]
+                assert "source_2" in outcome["because"]
+
+                async def as_before() -> bool:
+                    now = await picture(manager, backend)
+                    if strategy == "paper":  # the old process had gone: another one bears its name
+                        now["graph"], before["graph"] = set(), set()
+                    return now == before
+
+                await until_async(as_before)
+            return len(needing)
+
+    with ended():
+        assert run(main(), 110) >= 2
+
+
+UNDECLARED = """
+from midstride import Component
+from std_msgs.msg import String
+from std_srvs.srv import Trigger
+
+comp = Component("source")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+talk.set_normal_mode(lambda: out.write(String(data="x")), rate=50, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+comp.on_setup(lambda node: node.create_service(Trigger, "~/reset", lambda request, response: response))
+comp.start()
+"""
+
+
+def test_an_endpoint_that_is_not_allowed_is_named_and_the_system_is_as_it_was(tmp_path: Path) -> None:
+    script = tmp_path / "undeclared.py"
+    script.write_text(UNDECLARED)
+    specification = swap_specification()
+    other = replace(specification.components["OtherSource"], run=f"python3 {script}")
+    specification = replace(specification, components=specification.components.set("OtherSource", other))
+
+    async def main() -> None:
+        async with managed(tmp_path / "system", specification) as (manager, backend):
+            before = await picture(manager, backend)
+            outcome = await manager.change(REPLACE)
+            assert outcome["outcome"] == "rolled_back"
+            assert "source_2" in outcome["because"] and "service /source_2/reset" in outcome["because"]
+            assert await picture(manager, backend) == before
+
+    with ended():
+        run(main())
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a disk that is soon full")
+def test_a_full_disk_refuses_a_change_before_anything_is_begun(tmp_path: Path) -> None:
+    small = tmp_path / "small"
+    small.mkdir()
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=256k", "none", str(small)], check=False).returncode:
+        pytest.skip("no file system can be mounted here")
+
+    async def main() -> None:
+        async with managed(small / "system", swap_specification()) as (manager, backend):
+            before = await picture(manager, backend)
+            filler = os.open(small / "filler", os.O_CREAT | os.O_WRONLY)
+            with contextlib.suppress(OSError):
+                while os.write(filler, bytes(4096)):
+                    pass
+            os.close(filler)
+            outcome = await manager.change(REPLACE)
+            (small / "filler").unlink()
+            assert outcome["outcome"] == "refused" and "No space left" in outcome["because"]
+            assert await picture(manager, backend) == before
+            assert (await manager.change(REPLACE))["outcome"] == "done"
+
+    try:
+        with ended():
+            run(main())
+    finally:
+        subprocess.run(["umount", "-l", str(small)], check=True)
