@@ -73,3 +73,21 @@ def explain(code: str) -> str:
             f"there is no diagnostic `{code}`; {did_you_mean(code, CATALOGUE) or 'codes are written as E012'}"
         )
     return entry.render()
+
+
+def reference() -> str:
+    """The whole catalogue as a page of the documentation (Markdown)."""
+    parts = [
+        "# Diagnostics",
+        "Every diagnostic of `midstride check`, by code: `E` is an error, `W` a warning. `midstride explain CODE` shows "
+        "the same on the terminal. Codes below 100 are about what a specification says, however it is written down; "
+        "those from 100 on about its text.",
+    ]
+    for entry in CATALOGUE.values():
+        parts.append(f"## {entry.code}: {entry.title}")
+        parts += [" ".join(part.split()) for part in entry.explanation.split("\n\n")]
+        example = entry.examples[0]
+        if isinstance(example.text, str) and len(example.text) < 2000:
+            kind = "json-example" if example.name.endswith(".json") else "stride"
+            parts.append(f"```{kind}\n{example.text.rstrip() or '# an empty file'}\n```")
+    return "\n\n".join(parts) + "\n"

@@ -1,0 +1,41 @@
+"""The reference pages: the catalogue is the page, every snippet of the language reads, every command is told."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+from midstride.cli.app import COMMANDS
+from midstride.lang import format_text, render
+from midstride.lang.catalogue import reference
+from midstride.lang.cursor import RESERVED
+
+REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
+
+
+def test_the_diagnostics_page_is_the_catalogue() -> None:
+    """`MIDSTRIDE_GOLDEN=write` writes it anew."""
+    page = REFERENCE / "diagnostics.md"
+    if os.environ.get("MIDSTRIDE_GOLDEN") == "write":
+        page.write_text(reference(), encoding="utf-8")
+    assert page.read_text(encoding="utf-8") == reference()
+
+
+def test_every_snippet_of_the_language_page_reads_and_is_canonical() -> None:
+    text = (REFERENCE / "language.md").read_text(encoding="utf-8")
+    snippets = re.findall(r"```stride\n(.*?)```", text, re.DOTALL)
+    assert len(snippets) >= 6
+    for snippet in snippets:
+        found = format_text(snippet)
+        assert found.text == snippet, render(found.diagnostics) or found.text
+
+
+def test_every_statement_is_in_the_language_page() -> None:
+    text = (REFERENCE / "language.md").read_text(encoding="utf-8")
+    assert {word for word in RESERVED if not re.search(rf"\b{word}\b", text)} == set()
+
+
+def test_every_command_is_in_the_commands_page() -> None:
+    text = (REFERENCE / "commands.md").read_text(encoding="utf-8")
+    assert {name for name in COMMANDS if f"{name}" not in text} == set()
