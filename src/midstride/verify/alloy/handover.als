@@ -1,0 +1,59 @@
+/*
+ * The hand-over (semantics.md section 4): on each topic a new output takes over from an old one, all in one step.
+ * `swap` holds topic -> old -> new.
+ */
+module handover
+open system
+
+/* What a hand-over takes away, and what it adds. */
+fun leaving[swap: Connector -> Output -> Output]: Connector -> Output { swap.Output }
+fun coming[swap: Connector -> Output -> Output]: Connector -> Output {
+  { conn: Connector, new: Output | some old: Output | conn -> old -> new in swap }
+}
+
+pred can_handover[s: System, swap: Connector -> Output -> Output] {
+  some swap
+  leaving[swap].Output in s.conns
+  leaving[swap] in s.roles
+  no coming[swap] & s.roles
+  Connector.(leaving[swap] + coming[swap]) in s.comps.outputs
+  // no (port, topic) occurs twice
+  all conn: Connector, o: Output | lone conn.swap[o] and lone conn.swap.o
+  no leaving[swap] & coming[swap]
+  // each new one satisfies the topic as it stands
+  all conn: Connector, new: coming[swap][conn] |
+    satisfy[s.cur_mode[assoc_outputs.new].mode_guars[new], conn.conn_guar]
+}
+
+pred handover[s, t: System, swap: Connector -> Output -> Output] {
+  can_handover[s, swap]
+  t.comps = s.comps
+  t.roles = s.roles + coming[swap] - leaving[swap]
+  t.cur_mode = s.cur_mode
+  same_world[s, t]
+}
+
+/* ---- checks ---- */
+
+assert SafeHandover {
+  rules => all s, t: System, swap: Connector -> Output -> Output | valid_sys[s] and handover[s, t, swap] => valid_sys[t]
+}
+check SafeHandover for 5 but 2 System expect 0
+
+run Handover {
+  rules
+  some s, t: System, swap: Connector -> Output -> Output | valid_sys[s] and handover[s, t, swap]
+    and some s.cur_mode.Mode.assoc_inputs and #swap = 2
+} for 4 but 2 System expect 1
+
+/* With what its normal mode would guarantee, instead of what it guarantees now, the topic falls silent. */
+run HandoverNeedsCurrentMode {
+  rules
+  some s, t: System, conn: s.conns, old, new: s.comps.outputs {
+    valid_sys[s] and not valid_sys[t]
+    conn -> old in s.roles and conn -> new not in s.roles
+    satisfy[norm_mode[assoc_outputs.new].mode_guars[new], conn.conn_guar]
+    t.comps = s.comps and t.cur_mode = s.cur_mode and same_world[s, t]
+    t.roles = s.roles + conn -> new - conn -> old
+  }
+} for 4 but 2 System expect 1
