@@ -79,8 +79,8 @@ def reference() -> str:
     """The whole catalogue as a page of the documentation (Markdown)."""
     parts = [
         "# Diagnostics",
-        "Every diagnostic of `midstride check`, by code: `E` is an error, `W` a warning. `midstride explain CODE` shows "
-        "the same on the terminal. Codes below 100 are about what a specification says, however it is written down; "
+        "Every diagnostic of `midstride check`, by code: `E` is an error, `W` a warning. `midstride explain CODE` "
+        "shows the same on the terminal. Codes below 100 are about what a specification says, however it is written down; "
         "those from 100 on about its text.",
     ]
     for entry in CATALOGUE.values():
