@@ -29,3 +29,16 @@ def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
         backend = create_backend(logs=tmp_path / "logs", guardian=guarding)
         run(check(backend, tmp_path), 100)
         assert guardian.left({}, OURS, this) - {guarding.pid} == set()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(100, 112))
+def test_ros1_does_what_random_sequences_ask(seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The simulator is asked the same ones (tests/backends/test_simulator_conformance.py)."""
+    from midstride.backends.ros1 import create_backend
+    from midstride.testing.conformance.walks import walk
+
+    this = uuid.uuid4().hex
+    monkeypatch.setenv(OURS, this)
+    with own_master_uri(), Guardian(OURS, this) as guarding:
+        run(walk(create_backend(logs=tmp_path / "logs", guardian=guarding), tmp_path, seed), 100)

@@ -88,7 +88,7 @@ class Ros1Backend:
         environment = {
             **launching.environment(os.environ, master.uri),
             **common.identity(launch, self.name),
-            launching.NAMESPACE: names.split(launch.instance, launch.namespace)[1],  # rospy reads it when it is imported
+            launching.NAMESPACE: names.split(launch.instance, launch.namespace)[1],
         }
         log = self._folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
         process = spawn(command, launch.directory, environment, log)

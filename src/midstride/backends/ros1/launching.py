@@ -21,6 +21,7 @@ ENV_PYTHON: Final = "MIDSTRIDE_ROS1_PYTHON"
 # The environment that `make test` sets up, beside the one the manager runs in.
 BESIDE: Final = ".venv-ros1"
 MASTER_URI: Final = "ROS_MASTER_URI"
+# Where a node lives: rospy reads it when it is imported.
 NAMESPACE: Final = "ROS_NAMESPACE"
 DEFAULT_MASTER: Final = "http://localhost:11311"
 LOOPBACK: Final = "127.0.0.1"
