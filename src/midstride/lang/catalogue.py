@@ -80,8 +80,8 @@ def reference() -> str:
     parts = [
         "# Diagnostics",
         "Every diagnostic of `midstride check`, by code: `E` is an error, `W` a warning. `midstride explain CODE` "
-        "shows the same on the terminal. Codes below 100 are about what a specification says, however it is written down; "
-        "those from 100 on about its text.",
+        "shows the same on the terminal. Codes below 100 are about what a specification says, however it is written "
+        "down; those from 100 on about its text.",
     ]
     for entry in CATALOGUE.values():
         parts.append(f"## {entry.code}: {entry.title}")

@@ -35,7 +35,7 @@ def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
     for file in files:
         must_exist(file)
         found += load(file, messages=messages).diagnostics
-    found = list(dict.fromkeys(found))  # of a file that several of them include
+    found = list({str(diagnostic): diagnostic for diagnostic in found}.values())  # a file may be included by several
     bad = any(strict or diagnostic.severity == "error" for diagnostic in found)
     if wants_json():
         print_json({"ok": not bad, "diagnostics": [diagnostic.to_json() for diagnostic in found]})
