@@ -1,0 +1,86 @@
+"""One manager with components on ROS 1, another on ROS 2, at the same time: neither disturbs the other."""
+
+from __future__ import annotations
+
+import asyncio
+import uuid
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.backends import ros1
+from midstride.cli.files import load
+from midstride.plan.request import Request
+from midstride.runtime.guardian import Guardian, left
+from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
+from tests.backends.ros1_support import own_master_uri
+from tests.backends.ros2_support import run
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "talker"
+OURS = "MIDSTRIDE_TEST_RUN"
+
+pytestmark = [
+    pytest.mark.ros2,
+    pytest.mark.timeout(150),
+    pytest.mark.skipif(not ros1.available(), reason="no ROS 1 can be had here beside ROS 2"),
+]
+
+
+def loaded(pid: int) -> str:
+    """The libraries that a process has mapped, and what it was told."""
+    process = Path(f"/proc/{pid}")
+    return (process / "maps").read_text() + (process / "environ").read_text(errors="replace").replace("\0", "\n")
+
+
+def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from midstride import backends
+
+    this = uuid.uuid4().hex
+    monkeypatch.setenv(OURS, this)
+
+    async def bring_up(name: str, guardian: Guardian) -> Manager:
+        folder = tmp_path / name
+        folder.mkdir()
+        platform = backends.make(name, logs=folder, guardian=guardian)
+        manager = Manager(load(EXAMPLE / "talker.json"), platform, Workspace(folder), EXAMPLE)
+        await manager.up()
+        return manager
+
+    async def replace(manager: Manager) -> list[dict[str, Any]]:
+        """There and back again."""
+        outcomes = []
+        for component in ("NewTalker", "Talker"):
+            outcomes.append(await manager.change(Request(replace=(("talker", component),))))
+        return outcomes
+
+    async def scenario(guardian: Guardian) -> None:
+        managers = [await bring_up("ros1", guardian), await bring_up("ros2", guardian)]
+        try:
+            states = [await manager.status() for manager in managers]
+            assert [state["valid"] for state in states] == [True, True]
+            pids = [{row["pid"] for row in state["components"]} for state in states]
+            assert not pids[0] & pids[1] and all(len(found) == 2 for found in pids)
+            for pid in pids[0]:
+                assert "rclpy" not in loaded(pid) and "AMENT_PREFIX_PATH" not in loaded(pid)
+            for pid in pids[1]:
+                assert "rclpy" in loaded(pid) and "rospy" not in loaded(pid)
+            for outcomes in await asyncio.gather(*(replace(manager) for manager in managers)):
+                for outcome in outcomes:
+                    assert outcome["outcome"] == "done", outcome["because"]
+                    assert outcome["fallen"] == {}
+                    (swap,) = outcome["swaps"]
+                    assert (swap["subscriber"], swap["lost"]) == ("listener.in", 0)
+                    assert swap["duplicates"] in (0, None)  # not every ROS 2 tells the publisher's identity
+            for manager in managers:
+                seen = await manager._backend.endpoints()
+                assert {node for node, topic in seen.publishers if topic == "/chatter"} == {"/talker_3"}
+        finally:
+            for manager in managers:
+                await manager.down()
+                await manager.close()
+
+    with own_master_uri(), Guardian(OURS, this) as guardian:
+        run(scenario(guardian), 140)
+        assert left({}, OURS, this) - {guardian.pid} == set()
