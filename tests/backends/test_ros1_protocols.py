@@ -170,7 +170,8 @@ def test_no_process_of_ros_1_sees_ros_2(tmp_path: Path) -> None:
     (tmp_path / "two" / "rclpy").mkdir(parents=True)
     (tmp_path / "own").mkdir()
     base = {
-        "PYTHONPATH": f"{tmp_path / 'two'}{os.pathsep}{tmp_path / 'own'}",
+        "PYTHONPATH": f"{tmp_path / 'two'}{os.pathsep}{tmp_path / 'own'}{os.pathsep}/opt/ros/jazzy/lib/python3",
+        "LD_LIBRARY_PATH": "/opt/ros/jazzy/lib",
         "AMENT_PREFIX_PATH": "/opt/ros/jazzy",
         "ROS_DISTRO": "jazzy",
         "ROS_VERSION": "2",
@@ -179,7 +180,7 @@ def test_no_process_of_ros_1_sees_ros_2(tmp_path: Path) -> None:
     }
     made = launching.environment(base, "http://localhost:11311")
     assert made["PYTHONPATH"] == str(tmp_path / "own")
-    assert not {"AMENT_PREFIX_PATH", "ROS_DISTRO", "ROS_VERSION", "ROS_DOMAIN_ID"} & set(made)
+    assert not {"LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "ROS_DISTRO", "ROS_VERSION", "ROS_DOMAIN_ID"} & set(made)
     assert (made["HOME"], made["ROS_IP"], made["ROS_MASTER_URI"]) == (
         "/home/robot",
         "127.0.0.1",

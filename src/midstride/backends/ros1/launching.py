@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
@@ -85,9 +85,11 @@ def environment(base: Mapping[str, str], uri: str) -> dict[str, str]:
     if "AMENT_PREFIX_PATH" in base or base.get("ROS_VERSION") == "2":
         for name in _VERSION_OF_ROS2:
             result.pop(name, None)
-    _keep(result, "PYTHONPATH", lambda path: not os.path.isdir(os.path.join(path, "rclpy")))
+    prefixes = [prefix for prefix in base.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     if "_ROS_WHEELS_BOOTSTRAP_COMPLETE" in base:
-        _keep(result, "LD_LIBRARY_PATH", lambda path: not Path(path).is_relative_to(sys.prefix))
+        prefixes.append(sys.prefix)
+    for variable in ("PYTHONPATH", "LD_LIBRARY_PATH", "CMAKE_PREFIX_PATH"):
+        _drop(result, variable, prefixes)
     result[MASTER_URI] = uri
     if is_local(uri) and "ROS_HOSTNAME" not in result:
         result.setdefault("ROS_IP", LOOPBACK)
@@ -95,8 +97,15 @@ def environment(base: Mapping[str, str], uri: str) -> dict[str, str]:
     return result
 
 
-def _keep(environment: dict[str, str], variable: str, wanted: Callable[[str], bool]) -> None:
-    kept = [path for path in environment.get(variable, "").split(os.pathsep) if path and wanted(path)]
+def _drop(environment: dict[str, str], variable: str, prefixes: list[str]) -> None:
+    """Take the paths under ``prefixes``, and whatever holds rclpy, out of a variable."""
+    paths = [path for path in environment.get(variable, "").split(os.pathsep) if path]
+    kept = [
+        path
+        for path in paths
+        if not any(Path(path).is_relative_to(prefix) for prefix in prefixes)
+        and not os.path.isdir(os.path.join(path, "rclpy"))
+    ]
     if kept:
         environment[variable] = os.pathsep.join(kept)
     else:
