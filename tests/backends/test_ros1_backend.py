@@ -186,6 +186,25 @@ def test_a_component_that_does_not_answer_is_given_up_and_the_others_go_on(tmp_p
 # -- the master -------------------------------------------------------------------------------------------------
 
 
+def test_a_component_on_another_master_is_not_found_and_it_is_said_why(tmp_path: Path) -> None:
+    from midstride.backends.ros1 import create_backend
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", TALKER)
+            with own_master_uri():
+                elsewhere = create_backend(logs=tmp_path / "elsewhere")
+                await elsewhere.open(lambda event: None)
+                with pytest.raises(Unreachable, match=f"ROS_MASTER_URI={r.backend._master.uri}"):
+                    await elsewhere.adopt(r.handles["talker"])
+                await elsewhere.end("talker", 2.0)  # that needs no master: `midstride down` ends it all the same
+                assert not alive(r.pid("talker"))
+                await elsewhere.close()
+            await until(lambda: r.exits)
+
+    run(scenario())
+
+
 @contextlib.contextmanager
 def foreign_master(uri: str) -> Iterator[subprocess.Popen[bytes]]:
     code = "import sys, rosmaster; rosmaster.rosmaster_main(sys.argv)"

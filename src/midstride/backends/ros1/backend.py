@@ -108,7 +108,11 @@ class Ros1Backend:
             return False
         self._children.take(instance, process)
         if not await self._caller.ready(service, _FIND) and process.running:
-            raise Unreachable(f"{instance} runs (process {handle.pid}), but its command service is not to be found")
+            master = launching.master_of(process.pid)
+            hint = f": it runs with {launching.MASTER_URI}={master}" if master != self._joined().uri else ""
+            raise Unreachable(
+                f"{instance} runs (process {process.pid}), but its command service is not to be found{hint}"
+            )
         return process.running
 
     async def call(self, instance: str, command: Command, timeout: float) -> Reply:

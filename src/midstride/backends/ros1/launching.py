@@ -64,6 +64,15 @@ def master_uri(environment: Mapping[str, str]) -> str:
     return environment.get(MASTER_URI) or DEFAULT_MASTER
 
 
+def master_of(pid: int) -> str:
+    """The master that a process of ours was told to use when it was started."""
+    try:
+        entries = Path(f"/proc/{pid}/environ").read_bytes().decode(errors="replace").split("\0")
+    except OSError:
+        return master_uri({})
+    return master_uri(dict(entry.partition("=")[::2] for entry in entries))
+
+
 def is_local(uri: str) -> bool:
     """Whether an address means this machine by its loopback."""
     return urlsplit(uri).hostname in _LOCAL
