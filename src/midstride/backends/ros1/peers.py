@@ -29,7 +29,7 @@ class Peer:
         self.numbered = numbered
         self.compatible = compatible
         self.gone = threading.Event()
-        self._transport = transport
+        self.transport = transport
         self._socket: socket.socket = transport.socket
         self._socket.setblocking(False)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -44,12 +44,12 @@ class Peer:
         """Whatever rospy asks of a transport."""
         if name.startswith("__"):
             raise AttributeError(name)
-        return getattr(self._transport, name)
+        return getattr(self.transport, name)
 
     def write(self, frame: bytes) -> None:
         """Send one message; of those that have to wait, the oldest goes where there are more than ``depth``."""
-        self._transport.stat_bytes += len(frame)
-        self._transport.stat_num_msg += 1
+        self.transport.stat_bytes += len(frame)
+        self.transport.stat_num_msg += 1
         with self._lock:
             if self.gone.is_set():
                 return
@@ -134,7 +134,7 @@ class Peer:
         self.gone.set()
         self._control.remove_reader(self._socket)
         self._control.remove_writer(self._socket)
-        self._transport.close()
+        self.transport.close()
 
     def close(self) -> None:
         """What rospy calls, in any thread, when it drops a connection or shuts down."""

@@ -83,6 +83,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         self._endpoint = uuid.uuid4().hex
         self._offered = offered
         super().__init__(topic, type_)
+        self.connections: list[Peer] = []
         self.registered = False
         self.given_up = False
         self.is_latch = offered.is_transient_local  # said in headers; what is held for late joiners is each port's
@@ -113,6 +114,13 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
                 if port.held is not None:
                     peer.write(self._frame(port, *port.held, held=True)[peer.numbered])
         return True
+
+    def remove_connection(self, connection: Any) -> None:
+        """rospy, once a connection is closed: told by what it is, since its file's number may be another's by now."""
+        with self.c_lock:
+            self.connections = [
+                peer for peer in self.connections if peer is not connection and peer.transport is not connection
+            ]
 
     def send(self, port: PortPublisher, message: Any, source: int) -> None:
         """Send to every subscriber. Raises what serialising raises, and then nothing has been sent."""
