@@ -60,6 +60,8 @@ def fmt_command(files: tuple[Path, ...], check: bool) -> int:
     changed: list[Path] = []
     found: list[Diagnostic] = []
     for file in files:
+        if file.suffix == ".json":
+            raise click.UsageError(f"{file} is JSON; fmt is for files in the Stride language")
         must_exist(file)
         try:
             text = read_text(file)
