@@ -72,7 +72,7 @@ def test_a_killed_component_is_known_at_once_and_the_master_has_forgotten_it_by_
             killed = time.monotonic()
             r.kill("talker")
             await until(lambda: r.exits)
-            assert r.exited_at["talker"] - killed < 0.5
+            assert r.exited_at["talker"] - killed < 1.0
             assert (r.exits[0].instance, r.exits[0].status) == ("talker", -signal.SIGKILL)
             assert await clean(r, "/talker")
             with pytest.raises(Exception, match="talker"):

@@ -256,7 +256,7 @@ def test_a_frozen_subscriber_does_not_hold_up_the_publisher(tmp_path: Path) -> N
             await until_async(received)
             before, begun = await received(), time.monotonic()
             await asyncio.sleep(1.5)
-            assert (await received() - before) / (time.monotonic() - begun) > 20  # of 50, on a machine that may be busy
+            assert (await received() - before) / (time.monotonic() - begun) > 10  # of 50, on a machine that may be busy
             begun = time.monotonic()
             answer = await r.detach("large", "out", "/large")
             assert answer["acknowledged"] is None, "nobody can tell what the frozen one will read"
@@ -289,7 +289,7 @@ def test_a_frozen_master_holds_up_nobody(tmp_path: Path) -> None:
                 with pytest.raises(Exception, match="0 of 0"):
                     await r.link.change("talker", "attach", timeout=1.0, port="out", topic="/b", gate="open", peers=0)
                 after = (await r.link.observe("talker"))["ports"]["out"]["/a"]["gated"]
-                assert after - before > 20  # of 50
+                assert after - before > 10  # of 50
             await r.attach("talker", "out", "/b")
             assert ("/talker", "/b") in (await r.backend.endpoints()).publishers
 
