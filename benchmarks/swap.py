@@ -57,6 +57,7 @@ class Way:
     windows: list[tuple[int, int]] = field(default_factory=list)
     lost_seconds: list[float] = field(default_factory=list)
     own: list[dict[str, Any]] = field(default_factory=list)
+    rolled_back: list[str] = field(default_factory=list)
     rows: list[Row] = field(default_factory=list)
 
     def reports(self) -> list[SwapReport]:
@@ -139,16 +140,20 @@ async def midstride(way: Way, platform: Platform, strategy: str, swaps: int) -> 
         manager = Manager(specification(platform), backends.make(platform.backend), Workspace(Path(folder)), HERE)
         try:
             await manager.up()
-            for index in range(swaps):
-                component = ("OtherSource", "Source")[index % 2]
+            component, other = "OtherSource", "Source"
+            while len(way.windows) < swaps:
                 await asyncio.sleep(TAIL)
                 begun = time.monotonic_ns()
                 outcome = await manager.change(Request(replace=(("source", component),), strategy=strategy))
                 way.windows.append((begun, time.monotonic_ns()))
-                if outcome["outcome"] != "done":
-                    raise SystemExit(f"{way.name}: swap {index}: {outcome['because']}")
                 way.own.extend(outcome["swaps"])
                 way.lost_seconds.append(sum(outcome["fallen"].values()))
+                if outcome["outcome"] == "done":
+                    component, other = other, component
+                elif outcome["outcome"] == "rolled_back":  # the subscriber is none the wiser: its window counts as well
+                    way.rolled_back.append(outcome["because"])
+                else:
+                    raise SystemExit(f"{way.name}: swap {len(way.windows)}: {outcome['because']}")
         finally:
             await manager.down()
             await manager.close()
@@ -245,6 +250,7 @@ def summary(way: Way) -> dict[str, Any]:
         "missed": total("missed"),
         "lost": total("lost"),
         "duplicates": total("duplicates"),
+        "rolled_back": way.rolled_back,
         "functionality_seconds_median": statistics.median(way.lost_seconds),
         "reported": way.own,
     }
@@ -274,6 +280,8 @@ def compare(platform: Platform, chosen: list[str], runs: dict[str, Callable[[Way
         shown = [row[column] for column in columns]
         cells = [f"{cell:.3f}" if isinstance(cell, float) else str(cell) for cell in shown]
         print("  ".join(f"{cell:>10}" for cell in cells) + f"  {row['functionality_seconds_median']:.3f}", flush=True)
+        for because in row["rolled_back"]:
+            print(f"            one was taken back: {because}", flush=True)
     out.parent.mkdir(exist_ok=True)
     out.write_text(json.dumps({"period": PERIOD, "results": results}, indent=1))
 
