@@ -41,7 +41,8 @@ def test_an_example_runs_and_leaves_nothing_behind(name: str, tmp_path: Path) ->
         assert act["outcome"] == "done"
         if act["plan"]["strategy"] == "minimal":
             for swap in act["swaps"]:
-                assert (swap["lost"], swap["duplicates"]) == (0, 0), swap
+                assert swap["lost"] == 0, swap
+                assert None not in swap.values(), swap  # ROS 1 tells all of it between Midstride's own
     marked = [path for path in Path("/proc").glob("[0-9]*/environ") if _mentions(path, str(tmp_path))]
     assert marked == []
 
