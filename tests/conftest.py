@@ -17,6 +17,10 @@ from hypothesis import HealthCheck, settings
 # Before any test imports ROS, and for the processes that tests start: a network of our own, on this machine alone, and
 # no files in the home folder. Domains above 101 would take ports that the system hands out to others.
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
+if (worker := os.environ.get("PYTEST_XDIST_WORKER")) and "MIDSTRIDE_TEST_DOMAIN" not in os.environ:
+    # Tests that run side by side do not see each other. A worker inherits what its controller has set.
+    os.environ["MIDSTRIDE_TEST_DOMAIN"] = worker
+    os.environ["ROS_DOMAIN_ID"] = str(1 + (int(os.environ["ROS_DOMAIN_ID"]) + 13 * (1 + int(worker[2:]))) % 100)
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "midstride-ros-log"))
 

@@ -40,7 +40,9 @@ def in_virtual_time(name: str) -> tuple[list[examples.Act], list[dict[str, objec
 def test_every_example_has_a_demo() -> None:
     folder = examples.examples_folder()
     assert folder is not None
-    assert tuple(sorted(entry.name for entry in folder.iterdir() if entry.is_dir())) == EVERY
+    with_programs = {path.parent.name for path in folder.glob("*/*.py")}
+    assert tuple(sorted(with_programs)) == EVERY
+    assert {path.parent.name for path in folder.glob("*/demo.json")} == with_programs
 
 
 @pytest.mark.usefixtures("environment")

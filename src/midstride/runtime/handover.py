@@ -15,7 +15,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import MidstrideError, StepFailed
+from midstride.errors import CommandRefused, MidstrideError, StepFailed
 from midstride.model.action import Handover, Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
@@ -28,8 +28,9 @@ RESUME_PERIODS: Final = 10
 RESUME_AT_LEAST: Final = 0.1
 # Where no rate says how long silence may last (s).
 RESUME_WITHOUT_RATE: Final = 2.0
-# How far ahead the cut is agreed (s): many round trips, so that both sides know it before it comes.
-LEAD: Final = 0.1
+# How far ahead the cut is agreed (s): many round trips, so that both sides know it before it comes. On a machine too
+# busy for the first, the next is tried.
+LEADS: Final = (0.1, 0.3, 1.0)
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
 PROBATION: Final = 5.0
 ATTACH_TIMEOUT: Final = 5.0
@@ -83,11 +84,10 @@ async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
             await _await_probation(link, s, swap)
         for old, new in sorted({(swap.old.component, swap.new.component) for swap in swaps}):
             await link.change(new, "meet", peer=old)
-        cuts = await _agree(link, s, swaps)
-        for cut in cuts:  # the old side first: it alone can go on by itself
-            await link.change(cut.old, "cut_out", **_out_arguments(s, cut))
-        for cut in cuts:
-            await link.change(cut.new, "cut_in", **_in_arguments(s, cut))
+        for lead in LEADS:
+            cuts = await _agree(link, s, swaps, lead)
+            if await _told(link, s, cuts, last_try=lead == LEADS[-1]):
+                break
         last = await _await_cuts(link, s, cuts)
     except (MidstrideError, asyncio.CancelledError) as error:
         await _take_back(link, s, cuts, begun)
@@ -96,6 +96,27 @@ async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
         raise StepFailed(str(error)) from error
     warnings = [warning for swap in swaps if (warning := await _retire(link, s, swap))]
     return Handed(last, tuple(warnings))
+
+
+async def _told(link: Link, s: Configuration, cuts: list[Cut], last_try: bool) -> bool:
+    """Tell both sides of each cut. False where one was told too late, and nothing is agreed any more."""
+    try:
+        for cut in cuts:  # the old side first: it alone can go on by itself
+            await link.change(cut.old, "cut_out", **_out_arguments(s, cut))
+        for cut in cuts:
+            await link.change(cut.new, "cut_in", **_in_arguments(s, cut))
+    except CommandRefused:
+        if last_try:
+            raise
+        await _cancel(link, cuts)
+        return False
+    return True
+
+
+async def _cancel(link: Link, cuts: list[Cut]) -> None:
+    for cut in cuts:
+        for side in (cut.new, cut.old):
+            await _quietly(link, side, "cancel_cut", cut=cut.id)
 
 
 def _topic(s: Configuration, connector: str) -> str:
@@ -132,7 +153,7 @@ async def _await_probation(link: Link, s: Configuration, swap: Swap) -> None:
         raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
 
 
-async def _agree(link: Link, s: Configuration, swaps: Iterable[Swap]) -> list[Cut]:
+async def _agree(link: Link, s: Configuration, swaps: Iterable[Swap], lead: float) -> list[Cut]:
     """One cut for the outputs of each functionality pair; all at the slot nearest to one common moment."""
     groups: dict[tuple[str, str, str], Cut] = {}
     moment: int | None = None
@@ -148,7 +169,7 @@ async def _agree(link: Link, s: Configuration, swaps: Iterable[Swap]) -> list[Cu
         cut.trigger, cut.epoch, cut.period = grid["trigger"], grid["epoch"], grid["period"]
         moment = max(moment or 0, int(grid["now"]))
     assert moment is not None
-    moment += int(LEAD * 1e9)
+    moment += int(lead * 1e9)
     for cut in groups.values():
         cut.at = moment
         if cut.trigger == "rate" and cut.epoch is not None and cut.period:
@@ -193,7 +214,7 @@ def _in_arguments(s: Configuration, cut: Cut) -> dict[str, Any]:
 async def _await_cuts(link: Link, s: Configuration, cuts: list[Cut]) -> dict[PortRef, int | None]:
     last: dict[PortRef, int | None] = {}
     for cut in cuts:
-        patience = LEAD + cut.resume_after(_declared_period(s, cut)) + 2.0
+        patience = LEADS[-1] + cut.resume_after(_declared_period(s, cut)) + 2.0
         arriving, leaving = await asyncio.gather(
             link.read(cut.new, "await_cut", timeout=patience, cut=cut.id),
             link.read(cut.old, "await_cut", timeout=patience, cut=cut.id),
@@ -210,9 +231,7 @@ async def _await_cuts(link: Link, s: Configuration, cuts: list[Cut]) -> dict[Por
 
 async def _take_back(link: Link, s: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
     """Old publishers as before, new ones off the topic. What cannot be reached is left to the roll-back."""
-    for cut in cuts:
-        for side in (cut.new, cut.old):
-            await _quietly(link, side, "cancel_cut", cut=cut.id)
+    await _cancel(link, cuts)
     for swap in begun:
         topic = _topic(s, swap.connector)
         await _quietly(link, swap.new.component, "detach", DETACH_TIMEOUT, port=swap.new.port, topic=topic)

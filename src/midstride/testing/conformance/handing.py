@@ -12,7 +12,7 @@ from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import Lab
 
 # How far ahead a cut is agreed (s): many round trips on a busy machine.
-LEAD: Final = 0.3
+LEAD: Final = 0.5
 
 
 async def _two_talkers(lab: Lab, rate: float) -> None:
