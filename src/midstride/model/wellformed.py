@@ -19,7 +19,7 @@ from midstride.model.declared import component_rules, number_problems, predicate
 from midstride.model.names import Path, component_names, specification_names
 from midstride.model.problems import Problem
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, structure
-from midstride.model.why import reasons_against
+from midstride.model.why import Reasons
 
 
 def check_component(component: Component) -> tuple[Problem, ...]:
@@ -246,9 +246,10 @@ def _unsatisfied_topics(s: Configuration) -> Iterator[Problem]:
 
 def _at_first(specification: Specification, s: Configuration) -> Iterator[Problem]:
     """Functionalities that cannot be at their normal mode at first, and `keep`s that so cannot hold."""
+    why = Reasons(s)
     for ref in s.modes:
         if s.modes[ref] > 0:
-            reasons = reasons_against(s, ref)
+            reasons = why.chain(ref)
             path = ("nodes", ref.component)
             stands = f"it will be in mode {s.mode(ref).name}"
             message = "; ".join(

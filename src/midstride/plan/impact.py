@@ -16,7 +16,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.problems import suggestion
 from midstride.model.specification import Specification, initial
-from midstride.model.why import reasons_against
+from midstride.model.why import Reasons
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +105,7 @@ def _impact(specification: Specification, s: Configuration, role: str) -> Impact
 
 
 def _falls(before: Configuration, after: Configuration, modes: dict[FunctionalityRef, int]) -> Iterator[Fall]:
+    why = Reasons(after)
     for ref, index in modes.items():
         functionality = before.functionality(ref)
         stood = before.modes[ref]
@@ -115,5 +116,5 @@ def _falls(before: Configuration, after: Configuration, modes: dict[Functionalit
             index - stood,
             functionality.weight,
             index == functionality.last_mode,
-            reasons_against(after, ref, stood),
+            why.chain(ref, stood),
         )

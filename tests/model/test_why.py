@@ -1,0 +1,57 @@
+"""Chains of reasons cut short: they begin as the whole ones do, end where those end, and stay cheap together."""
+
+from __future__ import annotations
+
+import time
+
+from hypothesis import given
+
+from midstride.lang import load_text
+from midstride.model.configuration import Configuration
+from midstride.model.specification import Specification, initial
+from midstride.model.why import Reasons, reasons_against
+from midstride.testing.strategies import specifications
+from tests.lang.systems import chain
+
+
+@given(specifications())
+def test_short_chains_begin_and_end_as_the_whole_ones(specification: Specification) -> None:
+    s = initial(specification)
+    why = Reasons(s)
+    for ref in s.modes:
+        whole = reasons_against(s, ref)
+        assert why.chain(ref, most=10_000) == whole
+        short = why.chain(ref, most=1)
+        assert bool(short) == bool(whole)
+        for reason in short:
+            assert reason.removeprefix("… in the end ") in whole
+
+
+def dead(nodes: int) -> Configuration:
+    """A chain of nodes that nothing feeds well enough."""
+    return initial(
+        load_text(chain(nodes).replace("String @ 50 Hz", "String @ 1 Hz")).specification or Specification("")
+    )
+
+
+def test_the_end_of_a_long_chain_is_told() -> None:
+    s = dead(50)
+    (last,) = (ref for ref in s.modes if ref.component == "n49")
+    told = Reasons(s).chain(last)
+    assert len(told) == 5
+    assert told[0].startswith("n49.filter cannot be in mode normal: it assumes in: nobody satisfies /t49")
+    assert told[-1].startswith("… in the end n0.filter cannot be in mode ")
+    assert "environment source: rate: 1 Hz is offered, at least 10 Hz is needed" in told[-1]
+
+
+def test_all_chains_together_cost_no_more_than_the_system() -> None:
+    def seconds(nodes: int) -> float:
+        s = dead(nodes)
+        start = time.process_time()
+        why = Reasons(s)
+        for ref in s.modes:
+            why.chain(ref)
+        return time.process_time() - start
+
+    small, large = min(seconds(200) for _ in range(3)), min(seconds(1600) for _ in range(3))
+    assert large < 8 * 3 * small
