@@ -12,7 +12,7 @@ from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
 from midstride.model.component import Component, Functionality, Mode, NamedInputs
-from midstride.model.problems import Problem, suggestion
+from midstride.model.problems import Problem, suggested
 from midstride.model.specification import DEFAULT_SECONDS, Keep, Node, Order, Specification
 
 _TOKEN: Final = r"[A-Za-z_][A-Za-z0-9_]*"
@@ -60,8 +60,8 @@ def _unknown(
     kind: str, name: str, known: Collection[str], path: Path, declared: Path, of: str = ""
 ) -> Iterator[Problem]:
     if name and name not in known:
-        help = suggestion(name, known) or "none is declared"
-        yield Problem("E008", path, f"there is no {kind} `{name}`{of}", help, declared)
+        message = f"there is no {kind} `{name}`{of}"
+        yield Problem("E008", path, message, declared=declared, candidates=(name, known))
 
 
 # -- components --------------------------------------------------------------------------------------
@@ -92,7 +92,7 @@ def component_names(component: Component, path: Path) -> list[Problem]:
             found.append(Problem("E006", (*path, "parameters", name), f"`{name}` cannot name a parameter"))
     if component.run is not None:
         found += _command(component.run, (*path, "run"))
-    return found
+    return suggested(found)
 
 
 def _command(text: str, path: Path) -> Iterator[Problem]:
@@ -181,7 +181,7 @@ def specification_names(specification: Specification) -> list[Problem]:
         found += _constraint_names(specification, index)
     for kind in sorted(specification.timing):
         found += _unknown("kind of step", kind, DEFAULT_SECONDS, ("timing_seconds", kind), ())
-    return found
+    return suggested(found)
 
 
 def _node_names(specification: Specification, node: Node, path: Path) -> Iterator[Problem]:

@@ -7,8 +7,8 @@ specification says, however it is written down, and live here; a concrete syntax
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeAlias
 
 Severity: TypeAlias = Literal["error", "warning"]
@@ -85,6 +85,10 @@ CATALOGUE: Final[dict[str, Kind]] = {
 }
 
 
+# Nobody reads more suggestions than this at a time, and in a large system each is looked for among thousands of names.
+_SUGGESTIONS: Final = 100
+
+
 @dataclass(frozen=True, slots=True)
 class Problem:
     """One thing wrong. ``subject`` leads to it, by the names of the JSON form, from the specification down."""
@@ -94,6 +98,8 @@ class Problem:
     message: str
     help: str = ""
     declared: tuple[str, ...] = field(default=(), compare=False, repr=False)  # E008: where it would be declared
+    # E008: the unknown name and what is known, until :func:`suggested` has looked for near misses.
+    candidates: tuple[str, Collection[str]] | None = field(default=None, compare=False, repr=False)
 
     @property
     def severity(self) -> Severity:
@@ -106,6 +112,20 @@ class Problem:
 
     def __str__(self) -> str:
         return f"{self.path}: {self.message}" + (f" ({self.help})" if self.help else "") + f" [{self.code}]"
+
+
+def suggested(found: list[Problem]) -> list[Problem]:
+    """``found`` with near misses for unknown names; only the first few, since looking for them takes time."""
+    left = _SUGGESTIONS
+    for index, problem in enumerate(found):
+        if problem.candidates is None:
+            continue
+        help = ""
+        if left:
+            left -= 1
+            help = suggestion(*problem.candidates) or "none is declared"
+        found[index] = replace(problem, help=help, candidates=None)
+    return found
 
 
 def suggestion(wrong: str, known: Iterable[str]) -> str:
