@@ -213,6 +213,12 @@ HOSTILE = {
     "contract upon contract": "system s\n" + "".join(f"contract C{n} = C{n + 1}\n" for n in range(20_000)),
     "dots": "system s\nkeep " + "a." * 100_000,
     "many constraints": "system s\ncontract C = std_msgs/msg/String where " + "a = 1, " * 30_000 + "a = 2",
+    "unknown names": "system s\ncomponent C { output out }\n"
+    + "".join(f"topic /t{n} : p/T\nnode n{n} : C {{ out -> /u{n} }}\n" for n in range(5_000)),
+    "many outputs": "system s\ncomponent C {\n" + "".join(f"output a{n}\n" for n in range(20_000)) + "}\n",
+    "many guarantees": "system s\n"
+    + "".join(f"topic /t{n} : p/T\nenvironment {{ guarantee g{n} on /t{n} : p/T }}\n" for n in range(20_000)),
+    "many orders": "system s\n" + "".join(f"order n{n} before n{n + 1}\n" for n in range(20_000, 0, -1)),
     "NUL": "system s\n" + "\0" * 100_000,
 }
 

@@ -298,8 +298,11 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
     ),
     "E140": (
         "components are like each other",
-        """A component may be like another one, but in the end one of them is declared by itself.""",
-        (("system s\ncomponent A like B\ncomponent B like A\n",),),
+        """A component may be like another one, but in the end, and before long, one of them is declared by itself.""",
+        (
+            ("system s\ncomponent A like B\ncomponent B like A\n",),
+            ("system s\ncomponent C0 { }\n" + "".join(f"component C{n + 1} like C{n}\n" for n in range(40)),),
+        ),
     ),
     "E141": (
         "a name for two things",
@@ -339,6 +342,12 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         "an arrow the wrong way round",
         """`input <- /topic` and `output -> /topic`: the arrow points the way that messages go.""",
         ((_CHATTER + "node talker : Talker { out <- /chatter }\n",),),
+    ),
+    "E145": (
+        "too many parts",
+        """A declaration has more parts of one kind than anyone writes: a component a thousand ports, say. Only so many
+        are looked at.""",
+        (("system s\nenvironment {\n" + "".join(f"guarantee g{n} : a/B\n" for n in range(1001)) + "}\n",),),
     ),
     # -- parameter files -------------------------------------------------------------------------------
     "E150": (

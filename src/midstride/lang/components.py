@@ -14,6 +14,7 @@ from immutables import Map
 
 from midstride.lang.contracts import Contracts
 from midstride.lang.cursor import RESERVED
+from midstride.lang.declarations import MAX_PARTS, bounded
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.suggest import did_you_mean
 from midstride.lang.syntax import (
@@ -33,6 +34,8 @@ T = TypeVar("T")
 
 # Stands for a contract that could not be resolved; whatever is concluded from it is left untold.
 UNRESOLVED: Final = Predicate("")
+# Each takes over all that the one before has: a long chain would be as large as its square.
+MAX_LIKE: Final = 32
 # What the model calls the kinds of endpoints that the language names.
 ENDPOINT_KINDS: Final = {"topic": "topic", "service": "service", "ROS action": "action"}
 
@@ -74,6 +77,7 @@ class Components:
         self.reporter = reporter
         self.merged: dict[str, ComponentDeclaration] = {}
         self.doubts: dict[str, Doubts] = {}
+        self._depths: dict[str, int] = {}
 
     def build(self) -> dict[str, Component]:
         """Every component declared, as far as it can be told."""
@@ -109,13 +113,18 @@ class Components:
         for name in reversed(chain):
             own = self.declared[name]
             doubts = self.doubts[name] = Doubts(lost=own.lost)
+            doubts.base = max(len(own.inputs), len(own.outputs), len(own.functionalities)) > MAX_PARTS
             merged = self._without_duplicates(own)
             if own.like is not None:
                 base_name = own.like.text
-                if base_name in self.merged:
+                self._depths[name] = depth = self._depths.get(base_name, 0) + 1
+                if depth == MAX_LIKE + 1:
+                    message = f"this is like a component that is like another one, more than {MAX_LIKE} times over"
+                    self.reporter.report("E140", own.like.span, message, help="declare one of them by itself")
+                if base_name in self.merged and depth <= MAX_LIKE:
                     merged = _over(self.merged[base_name], merged)
                     doubts.lost |= self.doubts[base_name].lost
-                    doubts.base = self.doubts[base_name].base
+                    doubts.base |= self.doubts[base_name].base
                 else:
                     doubts.base = True
             self.merged[name] = merged
@@ -152,12 +161,17 @@ class Components:
         modes = self._once(functionality.modes, lambda mode: mode.name, "mode")
         for mode in modes:
             self._once(mode.guarantees, lambda guarantee: guarantee.output, "guarantee for")
+        used, produced = (
+            tuple(bounded(names, "name", lambda name: name.span, self.reporter))
+            for names in (functionality.uses, functionality.produces)
+        )
+        functionality = functionality._replace(uses=used, produces=produced)
         fewer = len(modes) < len(functionality.modes)
         return functionality._replace(modes=modes, broken=functionality.broken or fewer)
 
     def _once(self, entries: Iterable[T], name_of: Callable[[T], Name], what: str) -> tuple[T, ...]:
         first: dict[str, T] = {}
-        for entry in entries:
+        for entry in bounded(tuple(entries), what, lambda entry: name_of(entry).span, self.reporter):
             name = name_of(entry)
             if name.text in first:
                 note = Note("the first one is here", name_of(first[name.text]).span)

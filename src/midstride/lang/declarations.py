@@ -6,9 +6,9 @@ a slash is in none. Components, contracts and resources are in no namespace: the
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeVar
+from typing import Final, NamedTuple, TypeVar
 
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.files import Placed, join
@@ -25,6 +25,7 @@ from midstride.lang.syntax import (
     Name,
     NamespaceBlock,
     NodeDeclaration,
+    OrderStatement,
     ParameterFile,
     ResourceDeclaration,
     TimingBlock,
@@ -32,6 +33,21 @@ from midstride.lang.syntax import (
 )
 
 T = TypeVar("T")
+
+# More of one kind in one declaration than this nobody wrote by hand; what is judged pair by pair would take long.
+MAX_PARTS: Final = 1000
+
+
+def bounded(
+    entries: Sequence[T], what: str, span_of: Callable[[T], Span], reporter: Reporter, room: int = MAX_PARTS
+) -> Sequence[T]:
+    """``entries``, as many as are looked at (``room``); that there are more is reported."""
+    if len(entries) > room:
+        message = f"there are more than {MAX_PARTS} parts of one kind here: {what}"
+        if any(other.code == "E145" and other.message == message for other in reporter.found):
+            return entries[: max(room, 0)]
+        reporter.report("E145", span_of(entries[max(room, 0)]), message, help="divide what they belong to")
+    return entries[: max(room, 0)]
 
 
 class NodeEntry(NamedTuple):
@@ -94,6 +110,7 @@ class _Collector:
     def __init__(self, found: Declarations, reporter: Reporter) -> None:
         self.found = found
         self.reporter = reporter
+        self.orders = 0
 
     def items(self, items: Iterable[Item], namespace: str) -> None:
         found = self.found
@@ -117,7 +134,8 @@ class _Collector:
             elif isinstance(item, ResourceDeclaration):
                 self._add(found.resources, item.name.text, item, item.name, "resource", lambda r: r.name.span)
             elif isinstance(item, EnvironmentBlock):
-                for offer in item.offers:
+                room = MAX_PARTS - len(found.offers)
+                for offer in bounded(item.offers, "guarantee", lambda offer: offer.name.span, self.reporter, room):
                     name = join(namespace, offer.name.text).replace("/", "_")
                     entry = OfferEntry(namespace, offer)
                     self._add(
@@ -137,6 +155,11 @@ class _Collector:
                 self.items(item.items, join(namespace, item.name.text))
             elif isinstance(item, ParameterFile):
                 found.parameter_files.append(FileEntry(namespace, item.path))
+            elif isinstance(item, OrderStatement):
+                self.orders += 1
+                room = 1 if self.orders <= MAX_PARTS else 0
+                for order in bounded((item,), "order", lambda order: order.span, self.reporter, room):
+                    found.constraints.append(ConstraintEntry(namespace, order))
             elif not isinstance(item, IncludeStatement):
                 found.constraints.append(ConstraintEntry(namespace, item))
 

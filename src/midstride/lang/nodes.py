@@ -9,7 +9,7 @@ from pathlib import Path
 
 from immutables import Map
 
-from midstride.lang.declarations import Declarations, NodeEntry, topic_name
+from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, bounded, topic_name
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.files import Read, Unreadable, read_source
 from midstride.lang.parameters import Given, Section, read_sections
@@ -84,9 +84,9 @@ class Nodes:
                 self.reporter.report(
                     "E144", attachment.port.span, message, help=f"write `{port} {right} {attachment.topics[0].text}`"
                 )
-            topics = tuple(
-                topic_name(entry.namespace, topic.text, declaration.name.text) for topic in attachment.topics
-            )
+            room = MAX_PARTS - len(found.get(port, ()))
+            named = bounded(attachment.topics, "topic", lambda topic: topic.span, self.reporter, room)
+            topics = tuple(topic_name(entry.namespace, topic.text, declaration.name.text) for topic in named)
             found[port] = found.get(port, ()) + topics
         return Map(found)
 

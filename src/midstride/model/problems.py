@@ -85,8 +85,8 @@ CATALOGUE: Final[dict[str, Kind]] = {
 }
 
 
-# Nobody reads more suggestions than this at a time, and in a large system each is looked for among thousands of names.
-_SUGGESTIONS: Final = 100
+# How many names are compared with in all, looking for near misses: a hundred times with a thousand names, say.
+_COMPARISONS: Final = 150_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,14 +115,14 @@ class Problem:
 
 
 def suggested(found: list[Problem]) -> list[Problem]:
-    """``found`` with near misses for unknown names; only the first few, since looking for them takes time."""
-    left = _SUGGESTIONS
+    """``found`` with near misses for unknown names; in a large system for the first ones alone, since it takes time."""
+    left = _COMPARISONS
     for index, problem in enumerate(found):
         if problem.candidates is None:
             continue
         help = ""
-        if left:
-            left -= 1
+        left -= len(problem.candidates[1]) + 1
+        if left > 0:
             help = suggestion(*problem.candidates) or "none is declared"
         found[index] = replace(problem, help=help, candidates=None)
     return found
