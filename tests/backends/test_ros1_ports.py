@@ -74,6 +74,26 @@ def test_who_asks_gets_numbers_and_times_beside_the_message(tmp_path: Path) -> N
     run(scenario())
 
 
+def test_who_was_there_hears_the_first_message_even_if_nobody_counts_on_it(tmp_path: Path) -> None:
+    """The master says who they are: an attach waits for them, whatever Midstride knows of them."""
+    heard = tmp_path / "heard"
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", TALKER)
+            with program("stranger", "/chatter", str(heard)):
+
+                async def subscribed() -> bool:
+                    return "/chatter" in (await r.backend._master.state()).subscribers
+
+                await until_async(subscribed)
+                await r.attach("talker", "out", "/chatter")
+                await r.modes("talker", talk="normal")
+                assert (await asyncio.to_thread(wait_for, heard, 3))[:3] == ["1", "2", "3"]
+
+    run(scenario())
+
+
 FAST = """
 from midstride import Component
 from std_msgs.msg import String

@@ -156,6 +156,9 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
             self.send(self.ports[0], message, time.time_ns())
         return True
 
+    def joined(self) -> int:
+        return sum(not peer.gone.is_set() for peer in self.connections)
+
     def connected(self) -> int:
         """Subscribers that are there, and request no more than is offered."""
         return sum(peer.compatible and not peer.gone.is_set() for peer in self.connections)
@@ -217,7 +220,7 @@ class PortPublisher:
         self._send(self, message, self._now())
 
     def matched(self) -> int:
-        """-1 until the master knows of it."""
+        """-1 until the master knows of it, and everybody who was there has had the time to connect."""
         return self.topic.connected() if self.topic.registered else -1
 
     async def acknowledged(self, timeout: float) -> bool | None:

@@ -22,17 +22,26 @@ from midstride.errors import BackendError
 _LOOKS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
 # A master that does not answer is asked again after this (s).
 _AGAIN: Final = 0.2
+# How long those whom the master knows on a topic are waited for (s), strangers to Midstride included. A dead node's
+# registration costs that much.
+_EVERYBODY: Final = 0.5
+_POLL: Final = 0.002
 
 
 class Topic(Protocol):
-    """What rospy keeps of a topic, as far as it matters here."""
+    """What rospy keeps of a topic, as far as it matters here.
+
+    ``registered``: the master knows of it, and whom the master knew of has had the time to connect.
+    """
 
     resolved_name: str
     type: str
     registered: bool
     given_up: bool
 
-    def connected(self) -> int: ...
+    def joined(self) -> int:
+        """How many others are connected, whatever they ask for."""
+        ...
 
     async def leave(self) -> None: ...
 
@@ -53,7 +62,7 @@ class Registrar(Generic[T]):
         self._leaving: set[asyncio.Task[None]] = set()
 
     def join(self, topic: T) -> None:
-        """Have the master know of ``topic``; ``registered`` is set once it does."""
+        """Have the master know of ``topic``."""
         self.loop.call_soon_threadsafe(self._begin, self._join(topic), self._tasks)
 
     def leave(self, topic: T) -> None:
@@ -74,18 +83,21 @@ class Registrar(Generic[T]):
         task.add_done_callback(tasks.discard)
 
     async def _join(self, topic: T) -> None:
-        expected = 0
+        expected = -1
         async with self._turns[topic.resolved_name]:  # one given up before must be gone before
-            while not topic.registered and not topic.given_up:
+            while expected < 0 and not topic.given_up:
                 try:
                     expected = await self._register(topic)
-                    topic.registered = True
                 except BackendError:
                     await asyncio.sleep(_AGAIN)
+            deadline = self.loop.time() + _EVERYBODY
+            while topic.joined() < expected and not topic.given_up and self.loop.time() < deadline:
+                await asyncio.sleep(_POLL)
+            topic.registered = True
         for pause in _LOOKS:
-            await asyncio.sleep(pause)
-            if topic.given_up or topic.connected() >= expected:
+            if topic.given_up or topic.joined() >= expected:
                 return
+            await asyncio.sleep(pause)
             with suppress(BackendError):
                 expected = await self._register(topic)
 

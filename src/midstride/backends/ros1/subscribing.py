@@ -86,6 +86,9 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
         stamp = header.stamp.to_nsec()
         return (None, header.seq, caller, stamp if abs(self._now() - stamp) < _PLAUSIBLE else None), False
 
+    def joined(self) -> int:
+        return sum(bool(connection.header) and not connection.done for connection in self.connections)
+
     def connected(self) -> int:
         """Publishers that have answered, and offer what is requested."""
         return sum(
@@ -146,7 +149,7 @@ class PortSubscription:
             self._callback(*self._waiting.popleft())
 
     def matched(self) -> int:
-        """-1 until the master knows of it."""
+        """-1 until the master knows of it, and everybody who was there has had the time to connect."""
         return self.topic.connected() if self.topic.registered else -1
 
     def destroy(self) -> None:
