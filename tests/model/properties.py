@@ -29,9 +29,9 @@ from midstride.model.document import (
 from midstride.model.rules import violations
 from midstride.model.specification import initial
 from midstride.model.wellformed import check, errors
+from midstride.testing.action_strategies import actions
 from midstride.testing.strategies import (
     Scene,
-    actions,
     components,
     contracts,
     predicates,

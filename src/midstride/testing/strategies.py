@@ -1,4 +1,4 @@
-"""Hypothesis strategies over the model: contracts, components, structures, configurations, actions.
+"""Hypothesis strategies over the model: contracts, components, specifications, configurations.
 
 Everything is drawn from small alphabets, so that things meet: few types, few rates, few topics.
 What is drawn is well formed (M1 to M3; every output owned) and every attachment fits, as ``attach``
@@ -16,19 +16,6 @@ from typing import Final
 from hypothesis import strategies as st
 from immutables import Map
 
-from midstride.model.action import (
-    Action,
-    Attach,
-    Create,
-    Degrade,
-    Detach,
-    Handover,
-    Remove,
-    SetParameters,
-    Swap,
-    Upgrade,
-    contract_reasons,
-)
 from midstride.model.best import lowered
 from midstride.model.component import (
     Assumption,
@@ -41,11 +28,9 @@ from midstride.model.component import (
     Mode,
     NamedInputs,
     Parameter,
-    ParameterValue,
-    PortRef,
     Resource,
 )
-from midstride.model.configuration import Configuration, Instance, World
+from midstride.model.configuration import Configuration, World
 from midstride.model.contract import (
     NOTHING,
     Contract,
@@ -413,92 +398,6 @@ def scenes(draw: st.DrawFn, *, most: int = 6) -> Scene:
     return Scene(s.with_modes(lowered(s, sorted(s.modes))), components_)
 
 
-# -- actions -----------------------------------------------------------------------------------------
-
-_KINDS: Final = ("create", "remove", "attach", "detach", "degrade", "upgrade", "upgrade", "handover", "handover", "set")
-_SETTINGS: Final[tuple[tuple[str, ParameterValue], ...]] = (
-    ("gain", 0.9),
-    ("gain", 2),
-    ("gain", "much"),
-    ("model", "large"),
-    ("colour", 1),
-)
-
-
-@st.composite
-def actions(draw: st.DrawFn, scene: Scene, *, kinds: tuple[str, ...] = _KINDS) -> Action:
-    """Actions that speak of what there is, and now and then of what there is not. Many, not all, may be taken."""
-    s = scene.configuration
-    kind = draw(st.sampled_from(kinds))
-    names = [*sorted(s.instances), "nobody"]
-    if kind == "create":
-        name = draw(st.sampled_from(("fresh", names[0])))
-        return Create(Instance(name, name, draw(st.sampled_from(scene.components))))
-    if kind == "remove":
-        isolated = [name for name in names[:-1] if not s.attached_ports(name)]
-        return Remove(draw(st.sampled_from(isolated * 3 + names)))
-    if kind == "set":
-        return SetParameters(draw(st.sampled_from(names)), Map([draw(st.sampled_from(_SETTINGS))]))
-    if kind == "degrade":
-        return Degrade(Map(_moved(draw, s, better=False)))
-    if kind == "upgrade":
-        return Upgrade(Map(_moved(draw, s, better=True)))
-    attached = sorted(s.attachments())
-    ports = [PortRef(name, port) for name in names[:-1] for port in s.component(name).ports()]
-    topics = sorted(s.world.connectors)
-    if kind == "attach":
-        free = [(port, topic) for port in ports for topic in topics if not s.is_attached(port, topic)]
-        fit = [pair for pair in free if not contract_reasons(s, pair[0], s.world.connectors[pair[1]])]
-        strange = [
-            (PortRef("nobody", "out0"), topics[0]),
-            (PortRef(names[0], "in0"), "/none"),
-            (PortRef(names[0], "x"), topics[0]),
-        ]
-        return Attach(*draw(st.sampled_from(fit * 3 + free + attached[:1] + strange)))
-    if kind == "detach":
-        return Detach(
-            *draw(
-                st.sampled_from(
-                    attached * 2 + [(port, topics[0]) for port in ports] + [(PortRef("nobody", "x"), "/t0")]
-                )
-            )
-        )
-    return Handover(_swaps(draw, s, ports, attached))
-
-
-def _moved(draw: st.DrawFn, s: Configuration, *, better: bool) -> dict[FunctionalityRef, int]:
-    """New modes for one functionality or a group; now and then one that is not better (worse) at all."""
-    refs = sorted(s.modes)
-    movable = [ref for ref in refs if (s.modes[ref] > 0 if better else s.modes[ref] < s.functionality(ref).last_mode)]
-    if not refs:
-        return {}
-    count = draw(st.sampled_from((1, 1, 1, 2, 3, 0)))
-    chosen = [draw(st.sampled_from(movable * 4 + refs)) for _ in range(count)]
-    modes = {}
-    for ref in dict.fromkeys(chosen):
-        last, now = s.functionality(ref).last_mode, s.modes[ref]
-        proper = range(now) if better else range(now + 1, last + 1)
-        modes[ref] = draw(st.sampled_from(proper or range(last + 2)))
-    return modes
-
-
-def _swaps(
-    draw: st.DrawFn, s: Configuration, ports: list[PortRef], attached: list[tuple[PortRef, str]]
-) -> tuple[Swap, ...]:
-    outputs = [port for port in ports if s.is_output(port)]
-    leaving = [pair for pair in attached if s.is_output(pair[0])]
-    if not attached:
-        return ()
-    swaps = []
-    for _ in range(draw(st.sampled_from((1, 1, 1, 2, 2, 0)))):
-        old, connector = draw(st.sampled_from(leaving * 4 + attached))
-        needed = s.world.connectors[connector].guarantee
-        able = [port for port in outputs if satisfies(s.guarantee(port), needed)]
-        free = [port for port in able if not s.is_attached(port, connector)]
-        swaps.append(Swap(connector, old, draw(st.sampled_from(free * 6 + outputs * 2 + ports))))
-    return tuple(swaps)
-
-
 @cache
 def endpoints() -> st.SearchStrategy[Endpoint]:
     return st.builds(Endpoint, st.sampled_from(("topic", "service", "action")), st.sampled_from(("~/reset", "/tf")))
@@ -513,7 +412,6 @@ __all__ = [
     "TOPICS",
     "TYPES",
     "Scene",
-    "actions",
     "components",
     "configurations",
     "contracts",
