@@ -11,6 +11,7 @@ import argparse
 import json
 import os
 import random
+import selectors
 import statistics
 import subprocess
 import sys
@@ -19,6 +20,8 @@ from pathlib import Path
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
+# How long starting up and finding each other may take (s).
+PATIENCE = 30
 SIZES = {"100 B": 100, "1 kB": 1_000, "1 MB": 1_000_000}
 
 
@@ -47,7 +50,14 @@ def run(kind: str, size: int, rate: float, seconds: float, env: dict[str, str]) 
         # A component lives on until it is told to end; its figures are one line.
         stream = processes["subscriber"].stdout
         assert stream is not None
-        figures: dict[str, Any] = json.loads(stream.readline())
+        with selectors.DefaultSelector() as selector:
+            selector.register(stream, selectors.EVENT_READ)
+            if not selector.select(timeout=seconds + PATIENCE):
+                raise SystemExit(f"{kind}, {size} B: no figures within {seconds + PATIENCE:g} s")
+        line = stream.readline()
+        if not line:
+            raise SystemExit(f"{kind}, {size} B: the subscriber ended without figures")
+        figures: dict[str, Any] = json.loads(line)
         return figures
     finally:
         for process in processes.values():
