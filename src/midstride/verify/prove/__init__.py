@@ -1,0 +1,10 @@
+"""The proofs without bounds: F1, F2 and the first sentence of F3 (semantics.md) for systems of any size.
+
+`terms` (formulas as SMT-LIB text), `theory` and `rules` (sections 1 to 3), `actions` (section 4), `goals` and `facts`
+(what is proved), `solvers` (z3 and cvc5), `run` (verdicts), `words` (counterexamples told).
+"""
+
+from midstride.verify.prove.run import GOALS, Proof, Weakened, prove, prove_goal
+from midstride.verify.prove.solvers import NAMES, SolverAbsent, version_of
+
+__all__ = ["GOALS", "NAMES", "Proof", "SolverAbsent", "Weakened", "prove", "prove_goal", "version_of"]

@@ -1,0 +1,133 @@
+"""F2 and the first sentence of F3 (semantics.md section 5), for one structure of any size.
+
+That ``best`` is greatest is proved of the algorithm, as an invariant: it starts above every valid assignment, each
+lowering stays above, it can go on while anyone is unsatisfied, and where it ends is valid. That it ends is the
+finiteness of chains and systems, which first-order logic cannot say: each lowering is strict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from midstride.verify.prove.goals import Case, Goal, active
+from midstride.verify.prove.terms import Term, and_, equal, if_, implies, not_
+from midstride.verify.prove.theory import FUNCTIONALITY, MODE, PORT, TOPIC, Part, State, Theory
+
+
+def _assignment(t: Theory, s: State, tag: str) -> State:
+    """Another assignment of modes to the same structure."""
+    mode = t.logic.function(f"mode_{tag}", (FUNCTIONALITY,), MODE)
+    t.logic.facts.append(t.logic.all((FUNCTIONALITY,), lambda f: equal(t.whose(mode(f)), f)))
+    return s.in_modes(mode)
+
+
+def _above(t: Theory, upper: State, lower: State) -> Term:
+    return t.logic.all(
+        (FUNCTIONALITY,), lambda f: implies(t.live_in(lower, f), t.at_least(upper.mode(f), lower.mode(f)))
+    )
+
+
+def _closed(t: Theory) -> Case:
+    a = t.start("one")
+    b = _assignment(t, a, "other")
+    join = a.in_modes(lambda f: if_(t.at_least(a.mode(f), b.mode(f)), a.mode(f), b.mode(f)))
+    asked = [
+        Part("the one is satisfied", t.everyone_satisfied(a)),
+        Part("the other is satisfied", t.everyone_satisfied(b)),
+    ]
+    return Case(t.structure_valid(a), asked, t.valid(join), (a, b, join), active(t, join))
+
+
+def _start(t: Theory) -> Case:
+    a = t.start("valid")
+    normal = a.in_modes(t.normal)
+    return Case(
+        t.valid(a), [], [Part("all normal is no worse than it", _above(t, normal, a))], (a, normal), active(t, a)
+    )
+
+
+def _lowering(t: Theory) -> tuple[State, State, Term, Term]:
+    a = t.start("valid")
+    b = _assignment(t, a, "reached")
+    f = t.logic.constant("the_functionality", FUNCTIONALITY)
+    m = t.logic.constant("the_mode", MODE)
+    return a, b, f, m
+
+
+def _lowered(t: Theory) -> Case:
+    a, b, f, m = _lowering(t)
+    t.logic.facts += [equal(t.whose(m), f), t.at_least(b.mode(f), m), a.live(t.host(f))]
+    first = t.logic.all(
+        (MODE,),
+        lambda n: implies(
+            and_(equal(t.whose(n), f), t.at_least(b.mode(f), n), t.better(n, m)), not_(t.mode_satisfied(b, f, n))
+        ),
+    )
+    asked = [
+        Part("a valid assignment is no better than what is reached", _above(t, b, a)),
+        Part("that assignment is valid", t.everyone_satisfied(a)),
+        Part("no better mode from there on is satisfied", first),
+    ]
+    after = b.in_modes(lambda g: if_(equal(g, f), m, b.mode(g)))
+    return Case([], asked, [Part("it is no better than what is reached then", _above(t, after, a))], (a, b, after),
+                and_(active(t, a), not_(equal(m, b.mode(f)))))  # fmt: skip
+
+
+def _goes_on(t: Theory) -> Case:
+    _, b, f, _ = _lowering(t)
+    strictly = t.logic.some((MODE,), lambda n: and_(t.better(b.mode(f), n), t.mode_satisfied(b, f, n)))
+    asked = [Part("it is unsatisfied", not_(t.satisfied(b, f)))]
+    return Case([], asked, [Part("a strictly worse mode of it is satisfied", strictly)], (b,))
+
+
+def _end(t: Theory) -> Case:
+    a, b, _, _ = _lowering(t)
+    asked = [
+        Part("nobody is left to lower", t.everyone_satisfied(b)),
+        Part("the structure is valid", and_(*(part.formula for part in t.structure_valid(a)))),
+        Part("every valid assignment is no better", _above(t, b, a)),
+    ]
+    conclusion = [*t.valid(b), Part("it is no worse than any valid assignment", _above(t, b, a))]
+    return Case([], asked, conclusion, (a, b), active(t, b))
+
+
+def _unique(t: Theory) -> Case:
+    a = t.start("one")
+    b = _assignment(t, a, "other")
+    asked = [
+        Part("the one is no worse than the other", _above(t, a, b)),
+        Part("the other is no worse than the one", _above(t, b, a)),
+    ]
+    same = t.logic.all((FUNCTIONALITY,), lambda f: implies(t.live_in(a, f), equal(a.mode(f), b.mode(f))))
+    return Case([], asked, [Part("they are the same", same)], (a, b), active(t, a))
+
+
+def _more(t: Theory) -> Case:
+    s = t.start()
+    attached = t.logic.function("attached_after", (PORT, TOPIC), "Bool")
+    after = t.state("after", s.live, attached, s.mode)
+    f = t.logic.constant("the_functionality", FUNCTIONALITY)
+    more = t.logic.all((PORT, TOPIC), lambda p, k: implies(s.attached(p, k), attached(p, k)))
+    asked = [
+        Part("no attachment is taken away", more),
+        Part("it was satisfied", t.satisfied(s, f)),
+    ]
+    t.logic.facts.append(s.live(t.host(f)))
+    return Case([], asked, [Part("it is satisfied", t.satisfied(after, f))], (s, after), active(t, s))
+
+
+def _goal(name: str, kind: str, claim: str, build: Callable[[Theory], Case], *rules: str) -> Goal:
+    return Goal(name, kind, claim, build, rules=rules)
+
+
+_CHAINS = "modes form chains"
+
+FACT_GOALS: tuple[Goal, ...] = (
+    _goal("better of two", "F2", "valid assignments are closed under the pointwise better of two", _closed, "M2"),
+    _goal("best: start", "F2", "all normal is above every valid assignment", _start, _CHAINS),
+    _goal("best: step", "F2", "one lowering stays above every valid assignment", _lowered, "M2"),
+    _goal("best: goes on", "F2", "whoever is unsatisfied has a worse mode that is satisfied", _goes_on, "M1"),
+    _goal("best: end", "F2", "where it ends is valid, and the greatest", _end),
+    _goal("best: unique", "F2", "there is but one greatest", _unique, _CHAINS),
+    _goal("more attached", "F3", "more attachments never unsatisfy a functionality", _more),
+)

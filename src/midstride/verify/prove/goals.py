@@ -1,0 +1,254 @@
+"""What is proved: F1 for every action, and what its conjuncts that F1 does not need are for.
+
+`F1` goals: the action takes a valid configuration to a valid one. `fit` goals: what is attached fits its topic, as
+``attach`` judges it; undoing a ``detach`` rests on that. `F6` goals: the undo is allowed, and leads back. `check`
+goals: what ``midstride.model.action`` looks at is enough. The facts F2 and F3 are in :mod:`.facts`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from midstride.verify.prove import actions as act
+from midstride.verify.prove.terms import FALSE, TRUE, Term, and_, equal, if_, implies, not_, or_
+from midstride.verify.prove.theory import ASSUMPTION, FUNCTIONALITY, PORT, TOPIC, Part, State, Theory
+
+FITS = "what is attached fits"
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """A goal as formulas: from ``given`` and ``asked`` follows ``conclusion``.
+
+    ``occurs`` says that something happens at all; ``action`` is what a counterexample tells of the action, as constants
+    and relations: see :mod:`.words`.
+    """
+
+    given: list[Part]
+    asked: list[Part]
+    conclusion: list[Part]
+    states: tuple[State, ...]
+    occurs: Term = TRUE
+    action: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Goal:
+    """One theorem. Dropping any conjunct of ``asked`` or rule of ``rules`` must break it, but for those in ``spare``.
+
+    ``together``: conjuncts of which each alone is implied by the rest, but not both.
+    """
+
+    name: str
+    kind: str
+    claim: str
+    build: Callable[[Theory], Case]
+    spare: frozenset[str] = field(default_factory=frozenset)
+    rules: tuple[str, ...] = ()
+    together: tuple[tuple[str, ...], ...] = ()
+
+
+def active(t: Theory, s: State) -> Term:
+    """Some live functionality assumes something: nothing is satisfied for want of assumptions."""
+    return t.logic.some((FUNCTIONALITY, ASSUMPTION), lambda f, a: and_(t.live_in(s, f), t.assumes(s.mode(f), a)))
+
+
+def _some_member(t: Theory, group: act.Group) -> Term:
+    return t.logic.some((FUNCTIONALITY,), group)
+
+
+def _step(t: Theory, s: State, action: str) -> tuple[act.Step, Term]:
+    """The action of that name, taken in ``s`` of whatever it may be taken of; and that it is not empty."""
+    if action in ("create", "remove"):
+        step = (act.create if action == "create" else act.remove)(t, s, act.a_component(t))
+        return step, TRUE
+    if action in ("degrade", "upgrade"):
+        group, to = act.a_group(t)
+        return (act.degrade if action == "degrade" else act.upgrade)(t, s, group, to), _some_member(t, group)
+    if action == "handover":
+        swaps = act.some_swaps(t)
+        return act.handover(t, s, swaps), t.logic.some((TOPIC, PORT, PORT), swaps)
+    word, _, which = action.partition(" ")
+    port, topic = act.a_port(t, output=which == "output")
+    return (act.attach if word == "attach" else act.detach)(t, s, port, topic), TRUE
+
+
+def _preserved(action: str) -> Callable[[Theory], Case]:
+    def build(t: Theory) -> Case:
+        s = t.start()
+        step, some = _step(t, s, action)
+        occurs = and_(some, active(t, s))
+        return Case(t.valid(s), step.precondition, t.valid(step.after), (s, step.after), occurs, action)
+
+    return build
+
+
+def _fitting(action: str) -> Callable[[Theory], Case]:
+    def build(t: Theory) -> Case:
+        s = t.start()
+        step, some = _step(t, s, action)
+        given = [Part(FITS, t.all_fit(s))]
+        return Case(given, step.precondition, [Part(FITS, t.all_fit(step.after))], (s, step.after), some, action)
+
+    return build
+
+
+def _undone(action: str) -> Callable[[Theory], Case]:
+    def build(t: Theory) -> Case:
+        s = t.start()
+        given = [*t.valid(s), Part(FITS, t.all_fit(s))]
+        step, some = _step(t, s, action)
+        after, asked = step.after, list(step.precondition)
+        c, p, k = "the_component", "the_port", "the_topic"
+        if action == "create":
+            back = act.remove(t, after, c, "undone")
+        elif action.startswith("attach"):
+            back = act.detach(t, after, p, k, "undone")
+        elif action.startswith("detach"):
+            back = act.attach(t, after, p, k, "undone")
+        elif action == "handover":
+            old_meets = t.logic.all(
+                (TOPIC, PORT, PORT),
+                lambda k, old, new: implies(
+                    act.swap(k, old, new), t.satisfies(t.current(s, old), t.topic_guarantee(k))
+                ),
+            )
+            asked.append(Part("every old still meets its topic", old_meets))
+            back = act.handover(t, after, lambda k, old, new: act.swap(k, new, old), "undone")
+        else:
+            other = act.upgrade if action == "degrade" else act.degrade
+            back = other(t, after, act.in_group, s.mode)
+        conclusion = [Part(f"the undo asks: {part.name}", part.formula) for part in back.precondition]
+        conclusion += [Part(f"undone, {part.name}", part.formula) for part in t.same(back.after, s)]
+        return Case(given, asked, conclusion, (s, after, back.after), and_(some, active(t, s)), action)
+
+    return build
+
+
+def _remove_undone(t: Theory) -> Case:
+    """`create c` again, then upgrades one by one: ``raised`` are those of ``c`` that were raised already."""
+    s = t.start()
+    c = act.a_component(t)
+    step = act.remove(t, s, c)
+    again = act.create(t, step.after, c, "created")
+    raised = t.logic.function("raised", (FUNCTIONALITY,), "Bool")
+    f = t.logic.constant("the_functionality", FUNCTIONALITY)
+    midway = again.after.in_modes(lambda g: if_(and_(raised(g), equal(t.host(g), c)), s.mode(g), again.after.mode(g)))
+    t.logic.facts += [equal(t.host(f), c), not_(raised(f)), not_(equal(s.mode(f), t.last(f)))]
+    up = act.upgrade(t, midway, lambda g: equal(g, f), s.mode)
+    conclusion = [Part(f"the undo asks: {part.name}", part.formula) for part in again.precondition]
+    conclusion += [Part(f"the upgrade of the undo asks: {part.name}", part.formula) for part in up.precondition]
+    everyone = again.after.in_modes(lambda g: if_(equal(t.host(g), c), s.mode(g), again.after.mode(g)))
+    conclusion += [Part(f"undone, {part.name}", part.formula) for part in t.same(everyone, s)]
+    return Case(t.valid(s), step.precondition, conclusion, (s, step.after, up.after), active(t, s), "remove")
+
+
+def _apart_undone(t: Theory) -> Case:
+    """An old that no longer meets its topic: on the way back everyone stays satisfied, whatever came apart already.
+
+    An attachment of ``before`` may be missing there where its output does not meet the topic; others may be there.
+    """
+    s = t.start()
+    attached = t.logic.function("attached_between", (PORT, TOPIC), "Bool")
+    between = t.state("between", s.live, attached, s.mode)
+    kept = t.logic.all(
+        (PORT, TOPIC),
+        lambda p, k: implies(
+            and_(
+                s.attached(p, k),
+                or_(not_(t.is_output(p)), t.satisfies(t.current(s, p), t.topic_guarantee(k))),
+            ),
+            attached(p, k),
+        ),
+    )
+    asked = [Part("only outputs that do not meet their topic are missing", kept)]
+    given = [t.valid(s)[0]]
+    some = t.logic.some((PORT, TOPIC), lambda p, k: and_(s.attached(p, k), not_(attached(p, k))))
+    conclusion = [Part("every functionality is satisfied", t.everyone_satisfied(between))]
+    return Case(given, asked, conclusion, (s, between), and_(some, active(t, s)), "")
+
+
+def _consumes(t: Theory, s: State, f: Term, k: Term) -> Term:
+    return t.logic.some((PORT,), lambda p: and_(t.uses(f, p), s.attached(p, k)))
+
+
+def _checked(action: str) -> Callable[[Theory], Case]:
+    """The neighbours that ``check`` judges are all that can be unsatisfied."""
+
+    def build(t: Theory) -> Case:
+        s = t.start()
+        step, some = _step(t, s, action)
+        after = step.after
+        asked = [part for part in step.precondition if part.name not in (act.STAYS, act.OUTSIDE, act.INSIDE)]
+        wanted = [part for part in step.precondition if part not in asked]
+        affected: Callable[[Term], Term]
+        if action == "detach output":
+            k = "the_topic"
+            affected = lambda f: _consumes(t, after, f, k)  # noqa: E731
+            topic_kept = t.topic_satisfied(after, k)
+        elif action == "detach input":
+            affected = lambda f: t.uses(f, "the_port")  # noqa: E731
+            topic_kept = FALSE
+        else:
+            topic_kept = FALSE
+
+            def lost(k: Term) -> Term:
+                fed = t.logic.some((PORT,), lambda p: and_(t.is_output(p), act.in_group(t.owner(p)), s.attached(p, k)))
+                return and_(fed, t.topic_satisfied(s, k), not_(t.topic_satisfied(after, k)))
+
+            def affected(f: Term) -> Term:
+                return or_(act.in_group(f), t.logic.some((TOPIC,), lambda k: and_(lost(k), _consumes(t, s, f, k))))
+
+        judged = t.logic.all(
+            (FUNCTIONALITY,),
+            lambda f: implies(and_(t.live_in(after, f), affected(f)), t.satisfied(after, f)),
+        )
+        asked.append(Part("everyone that `check` looks at is satisfied", or_(topic_kept, judged)))
+        return Case(t.valid(s), asked, wanted, (s, after), and_(some, active(t, s)), action)
+
+    return build
+
+
+_NAMED = "an assumption names associated inputs"
+_DOWN = act.STRICTLY.format("worse")
+
+
+def _goal(name: str, kind: str, claim: str, build: Callable[[Theory], Case], *spare: str, rules: tuple[str, ...] = (),
+          together: tuple[tuple[str, ...], ...] = ()) -> Goal:  # fmt: skip
+    return Goal(name, kind, claim, build, frozenset(spare), rules, together)
+
+
+_VALID = "a valid configuration stays valid"
+_BACK = "the undo is allowed and leads back"
+_LOCAL = "what `check` looks at is enough"
+
+ACTION_GOALS: tuple[Goal, ...] = (
+    _goal("create", "F1", _VALID, _preserved("create"), rules=("M1",)),
+    _goal("remove", "F1", _VALID, _preserved("remove"), act.LIVE),
+    _goal("attach output", "F1", _VALID, _preserved("attach output"), act.NOT_ATTACHED, act.CONTRACT),
+    _goal("attach input", "F1", _VALID, _preserved("attach input"), act.NOT_ATTACHED, act.CONTRACT, act.CAP),
+    _goal("detach output", "F1", _VALID, _preserved("detach output"), act.ATTACHED),
+    _goal("detach input", "F1", _VALID, _preserved("detach input"), act.ATTACHED),
+    _goal("degrade F", "F1", _VALID, _preserved("degrade"), act.LIVE, _DOWN),
+    _goal("upgrade F", "F1", _VALID, _preserved("upgrade"), act.LIVE, rules=("M2",)),
+    _goal("handover", "F1", _VALID, _preserved("handover"), act.OLD, act.NEW, act.ONCE, act.CAPS,
+          together=((act.OLD, act.CAPS), (act.ONCE, act.CAPS))),
+    _goal("attach output", "fit", FITS, _fitting("attach output"), act.LIVE, act.NOT_ATTACHED, act.CAP),
+    _goal("attach input", "fit", FITS, _fitting("attach input"), act.LIVE, act.NOT_ATTACHED, act.CAP),
+    _goal("handover", "fit", FITS, _fitting("handover"), act.OLD, act.NEW, act.ONCE, act.CAPS,
+          rules=("M2",)),
+    _goal("create", "F6", _BACK, _undone("create"), act.CAPACITY),
+    _goal("remove", "F6", "create and upgrades lead back", _remove_undone),
+    _goal("attach output", "F6", _BACK, _undone("attach output"), act.LIVE, act.CONTRACT, act.CAP),
+    _goal("attach input", "F6", _BACK, _undone("attach input"), act.LIVE, act.CONTRACT, act.CAP),
+    _goal("detach output", "F6", _BACK, _undone("detach output"), act.STAYS),
+    _goal("detach input", "F6", _BACK, _undone("detach input"), act.STAYS),
+    _goal("degrade F", "F6", _BACK, _undone("degrade"), act.OUTSIDE, act.INSIDE),
+    _goal("upgrade F", "F6", _BACK, _undone("upgrade"), act.INSIDE),
+    _goal("handover", "F6", _BACK, _undone("handover"), act.MEETS, act.CAPS),
+    _goal("handover apart", "F6", "everyone stays satisfied on the way back", _apart_undone),
+    _goal("detach output", "check", _LOCAL, _checked("detach output"), act.ATTACHED, rules=(_NAMED,)),
+    _goal("detach input", "check", _LOCAL, _checked("detach input"), act.ATTACHED, rules=(_NAMED,)),
+    _goal("degrade F", "check", _LOCAL, _checked("degrade"), act.LIVE, _DOWN, rules=(_NAMED,)),
+)  # fmt: skip

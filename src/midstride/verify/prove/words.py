@@ -1,0 +1,160 @@
+"""A model of a bounded script, told in words: what there was, what was done, and what does not hold then."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import product
+
+from midstride.verify.prove.goals import Case
+from midstride.verify.prove.solvers import Session, value
+from midstride.verify.prove.terms import Term, app
+from midstride.verify.prove.theory import (
+    ASSUMPTION,
+    COMPONENT,
+    FUNCTIONALITY,
+    OFFER,
+    PORT,
+    RESOURCE,
+    TOPIC,
+    State,
+    Theory,
+)
+
+
+class Teller:
+    """Reads a model as it is asked of it. Components are c1, c2, …, their functionalities c1.f1, and so on."""
+
+    def __init__(self, t: Theory, case: Case, session: Session) -> None:
+        self.t, self.case = t, case
+        self.value = cache(lambda term: value(session, term))
+
+    def true(self, term: Term) -> bool:
+        return self.value(term) == "true"
+
+    def every(self, sort: str) -> list[Term]:
+        return self.t.logic.elements(sort)
+
+    @staticmethod
+    def short(element: Term) -> str:
+        sort, _, number = element.partition("_")
+        return f"{sort[0]}{number}"
+
+    def port(self, p: Term) -> str:
+        return f"{self.short(self.value(self.t.component(p)))}.{self.short(p)}"
+
+    def functionality(self, f: Term) -> str:
+        return f"{self.short(self.value(self.t.host(f)))}.{self.short(f)}"
+
+    def assumption(self, f: Term, a: Term) -> str:
+        if self.true(self.t.is_named(a)):
+            named = [self.port(p) for p in self.every(PORT) if self.true(self.t.names(a, p))]
+            return " or ".join(named) or "an input of no name"
+        return f"contract {self.short(self.value(self.t.wants(a)))}"
+
+    # -- the configuration -------------------------------------------------------------------------------
+
+    def needs(self, f: Term, m: Term) -> str:
+        wanted = [self.assumption(f, a) for a in self.every(ASSUMPTION) if self.true(self.t.assumes(m, a))]
+        return f"assumes {' and '.join(wanted)}" if wanted else "assumes nothing"
+
+    def modes(self, s: State) -> list[str]:
+        told = []
+        for f in self.every(FUNCTIONALITY):
+            if self.true(self.t.live_in(s, f)):
+                m = self.value(s.mode(f))
+                told.append(f"{self.functionality(f)} in {self.short(m)} ({self.needs(f, m)})")
+        return told
+
+    def attachments(self, s: State) -> list[str]:
+        told = []
+        for k, p in product(self.every(TOPIC), self.every(PORT)):
+            if not self.true(s.attached(p, k)):
+                continue
+            if not self.true(self.t.is_output(p)):
+                told.append(f"input {self.port(p)} on {self.short(k)}")
+                continue
+            meets = self.true(self.t.satisfies(self.t.current(s, p), self.t.topic_guarantee(k)))
+            told.append(f"output {self.port(p)} on {self.short(k)} ({'meets' if meets else 'does not meet'} it)")
+        return told
+
+    def configuration(self, s: State) -> str:
+        live = [self.short(c) for c in self.every(COMPONENT) if self.true(s.live(c))]
+        parts = [f"live {', '.join(live) or 'nobody'}", *self.modes(s), *self.attachments(s)]
+        for e, k in product(self.every(OFFER), self.every(TOPIC)):
+            if self.true(self.t.offered_on(e, k)):
+                parts.append(f"the environment publishes on {self.short(k)}")
+        return "; ".join(parts)
+
+    # -- what was done, and what came of it ------------------------------------------------------------
+
+    def action(self) -> str:
+        action = self.case.action
+        word, _, which = action.partition(" ")
+        if word in ("create", "remove"):
+            return f"{word} {self.short(self.value('the_component'))}"
+        if word in ("attach", "detach"):
+            where = "to" if word == "attach" else "from"
+            return f"{word} {which} {self.port(self.value('the_port'))} {where} {self.short(self.value('the_topic'))}"
+        if word in ("degrade", "upgrade"):
+            members = [f for f in self.every(FUNCTIONALITY) if self.true(app("in_group", f))]
+            chosen = [f"{self.functionality(f)} to {self.short(self.value(app('mode_named', f)))}" for f in members]
+            return f"{word} {', '.join(chosen) or 'nobody'}"
+        if word == "handover":
+            swaps = product(self.every(TOPIC), self.every(PORT), self.every(PORT))
+            chosen = [
+                f"{self.short(k)} from {self.port(o)} to {self.port(n)}"
+                for k, o, n in swaps
+                if self.true(app("swapped", k, o, n))
+            ]
+            return f"hand over {', '.join(chosen) or 'nothing'}"
+        return ""
+
+    def breaches(self, s: State) -> list[str]:
+        """What makes a configuration invalid, where it should be valid."""
+        t = self.t
+        told: list[str] = []
+        for f, a in product(self.every(FUNCTIONALITY), self.every(ASSUMPTION)):
+            m = self.value(s.mode(f))
+            if (
+                self.true(t.live_in(s, f))
+                and self.true(t.assumes(m, a))
+                and not self.true(t.assumption_satisfied(s, f, a))
+            ):
+                told.append(f"{self.functionality(f)} in {self.short(m)} lacks {self.assumption(f, a)}")
+        for k, p in product(self.every(TOPIC), self.every(PORT)):
+            if self.true(s.attached(p, k)) and not self.true(s.live(t.component(p))):
+                told.append(f"{self.port(p)} is attached to {self.short(k)}, and is not live")
+        for k in self.every(TOPIC):
+            if not self.true(t.cap_holds(s, k)):
+                count, cap = self.value(s.publishers(k)), self.value(t.cap(k))
+                counted = f"{count} publisher{'' if count == '1' else 's'}"
+                told.append(f"{self.short(k)} has {counted}, at most {_number(cap)} allowed")
+        for r in self.every(RESOURCE):
+            if not self.true(app("<=", s.held(r), t.capacity(r))):
+                held, capacity = _number(self.value(s.held(r))), _number(self.value(t.capacity(r)))
+                told.append(f"{held} of {self.short(r)} is held, its capacity is {capacity}")
+        return told
+
+    def __str__(self) -> str:
+        before, *later = self.case.states
+        failed = [part.name for part in self.case.conclusion if not self.true(part.formula)]
+        in_validity = any("satisfied" in name or name.startswith(("only ports", "no ")) for name in failed)
+        parts = [f"before: {self.configuration(before)}"]
+        if action := self.action():
+            parts.append(f"then {action}")
+        elif later:
+            parts.append(f"then: {self.configuration(later[-1])}")
+        parts.append(f"fails: {'; '.join(failed)}")
+        if later and in_validity and (breaches := self.breaches(later[0] if self.case.action else later[-1])):
+            parts.append(f"since {'; '.join(breaches)}")
+        return ". ".join(parts)
+
+
+def _number(text: str) -> str:
+    """`(- 1)`, `(/ 1.0 2.0)`, `1.0` as people write them."""
+    words = text.replace("(", " ").replace(")", " ").split()
+    if words[0] == "-":
+        return f"-{_number(' '.join(words[1:]))}"
+    if words[0] == "/":
+        return f"{_number(words[1])}/{_number(words[2])}"
+    return words[0].removesuffix(".0")
