@@ -10,6 +10,10 @@
     │   ├── StartFailed         a component did not start, register or match its declaration
     │   ├── CallTimeout         a component did not answer in time
     │   └── Unreachable         a component or the middleware is gone
+    ├── VerificationError       a question about safety could not be answered: neither yes nor no
+    │   ├── AlloyMissing        there is no Alloy Analyzer, or no Java to run it
+    │   ├── AlloyFailed         the Alloy Analyzer did not come to an answer
+    │   └── SolverMissing       an SMT solver is not installed
     ├── StepFailed              a step of a running plan failed; the plan is rolled back
     └── ManagerError            the manager cannot do what was asked of it
         ├── ManagerBusy         another command is running
@@ -73,6 +77,22 @@ class CallTimeout(BackendError):
 
 class Unreachable(BackendError):
     """A component, or the middleware itself, is gone."""
+
+
+class VerificationError(MidstrideError):
+    """A question about safety could not be answered. That is neither a yes nor a no, and never a pass."""
+
+
+class AlloyMissing(VerificationError):
+    """There is no Alloy Analyzer, or no Java to run it; the message says how to get it."""
+
+
+class AlloyFailed(VerificationError):
+    """The Alloy Analyzer did not come to an answer: out of time, out of memory, or it did not take the text."""
+
+
+class SolverMissing(VerificationError):
+    """An SMT solver is not installed; the message says how to get it."""
 
 
 class StepFailed(MidstrideError):

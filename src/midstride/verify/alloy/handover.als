@@ -11,15 +11,19 @@ fun coming[swap: Connector -> Output -> Output]: Connector -> Output {
   { conn: Connector, new: Output | some old: Output | conn -> old -> new in swap }
 }
 
+/* No (port, topic) occurs twice. */
+pred each_once[swap: Connector -> Output -> Output] {
+  all conn: Connector, o: Output | lone conn.swap[o] and lone conn.swap.o
+  no leaving[swap] & coming[swap]
+}
+
 pred can_handover[s: System, swap: Connector -> Output -> Output] {
   some swap
   leaving[swap].Output in s.conns
   leaving[swap] in s.roles
   no coming[swap] & s.roles
   Connector.(leaving[swap] + coming[swap]) in s.comps.outputs
-  // no (port, topic) occurs twice
-  all conn: Connector, o: Output | lone conn.swap[o] and lone conn.swap.o
-  no leaving[swap] & coming[swap]
+  each_once[swap]
   // each new one satisfies the topic as it stands
   all conn: Connector, new: coming[swap][conn] |
     satisfy[s.cur_mode[assoc_outputs.new].mode_guars[new], conn.conn_guar]

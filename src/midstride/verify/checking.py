@@ -1,0 +1,90 @@
+"""Verdicts on configurations and plans: dump, run Alloy, trace back (what `midstride verify` and the manager call)."""
+
+from __future__ import annotations
+
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from midstride.errors import VerificationError
+from midstride.model.configuration import Configuration
+from midstride.model.specification import Specification, initial
+from midstride.plan.document import plan_from_document
+from midstride.plan.plan import Plan
+from midstride.verify.export import Dump, dump_configuration, dump_plan
+from midstride.verify.run import TIME_LIMIT, Alloy, Outcome, find
+from midstride.verify.text import JUDGED
+from midstride.verify.trace import findings, first_failure, instance
+from midstride.verify.universe import TooLarge
+from midstride.verify.verdict import Answer, Verdict
+
+Detail = Callable[[int | None], Dump]
+
+
+def verify_plan(
+    plan: Plan | Mapping[str, Any], name: str = "plan", *, alloy: Alloy | None = None, limit: float = TIME_LIMIT
+) -> Verdict:
+    """Whether every step of a plan (or of its document) may be taken, does what it says and keeps the system valid.
+
+    UNKNOWN where that cannot be found out, with the reason: no Analyzer, no time, too large. Raises SpecificationError
+    where the document is no plan, PlanRefused where its start and target do not meet.
+    """
+    known = plan if isinstance(plan, Plan) else plan_from_document(plan)
+    subject = f"the plan of {len(known.steps)} steps"
+    return _judged(subject, lambda number: dump_plan(known, name, number), alloy, limit)
+
+
+def verify_configuration(
+    s: Configuration,
+    name: str = "configuration",
+    told: str = "the configuration",
+    *,
+    alloy: Alloy | None = None,
+    limit: float = TIME_LIMIT,
+) -> Verdict:
+    """Whether a configuration is valid. UNKNOWN as above."""
+    return _judged(told, lambda _: dump_configuration(s, name, told), alloy, limit)
+
+
+def verify_specification(
+    specification: Specification, *, alloy: Alloy | None = None, limit: float = TIME_LIMIT
+) -> Verdict:
+    """Whether the configuration that a specification starts as is valid. UNKNOWN as above."""
+    told = "the configuration it starts as"
+    return verify_configuration(initial(specification), specification.name, told, alloy=alloy, limit=limit)
+
+
+def judge(dump: Dump, alloy: Alloy, limit: float = TIME_LIMIT, detail: Detail | None = None) -> Verdict:
+    """The verdict on a dump; ``detail`` dumps one step with what makes it fail. Raises AlloyFailed."""
+    begun, scope = time.monotonic(), dump.scope
+    outcomes = _solve(dump, alloy, limit)
+    number = first_failure(dump, instance(dump, outcomes))
+    if detail is not None and number is not None:
+        dump = detail(number)
+        outcomes = _solve(dump, alloy, limit)
+    found = tuple(findings(dump, outcomes))
+    return Verdict(
+        answer=Answer.VIOLATED if found else Answer.HOLDS,
+        subject=dump.subject,
+        scope=scope,
+        by=alloy.told,
+        findings=found,
+        seconds=round(time.monotonic() - begun, 3),
+        steps=tuple(step.describe() for step in dump.steps),
+    )
+
+
+def _solve(dump: Dump, alloy: Alloy, limit: float) -> dict[str, Outcome]:
+    with tempfile.TemporaryDirectory(prefix="midstride-verify-") as folder:
+        source = Path(folder) / "dump.als"
+        source.write_text(dump.text, encoding="utf-8")
+        return alloy.solve(source, JUDGED, limit=limit)
+
+
+def _judged(subject: str, dump: Detail, alloy: Alloy | None, limit: float) -> Verdict:
+    try:
+        return judge(dump(None), alloy or find(), limit, dump)
+    except (TooLarge, VerificationError) as error:
+        return Verdict(Answer.UNKNOWN, subject, "nothing was judged", "Alloy", because=str(error))

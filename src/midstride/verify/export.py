@@ -1,0 +1,181 @@
+"""Configurations and plans as Alloy text (pure text: nothing is run here), and what the atoms in it stand for.
+
+A dump is exact: every atom and every tuple is given, so the verdict on it is a verdict on that configuration
+or plan, not on a scope. It carries the specification along, so that it can be opened by itself.
+"""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+from midstride.model.action import Create, SetParameters
+from midstride.model.best import best
+from midstride.model.configuration import Configuration, Instance, configure
+from midstride.plan.plan import Plan
+from midstride.plan.step import Step
+from midstride.verify.formulas import NotInTheDump, formula
+from midstride.verify.scene import Scene
+from midstride.verify.text import Judged, JudgedStep, StepName, configuration_detail, step_detail, written
+from midstride.verify.universe import Universe
+
+
+@dataclass(frozen=True, slots=True)
+class Stray:
+    """What cannot be dumped, because the specification has no such thing. ``step`` is None for the start."""
+
+    step: int | None
+    told: str
+
+
+@dataclass(frozen=True, slots=True)
+class Dump:
+    """Alloy text, what its atoms stand for, and the configurations it dumps.
+
+    `Verdict` says all that `Verified` and `Rules` ask, and what does not hold besides; these two are for people who
+    open it. ``detail`` is the step (or the configuration after it) of which the dump says why it fails.
+    """
+
+    subject: str
+    text: str
+    bearers: dict[str, object]
+    configurations: tuple[Configuration, ...]
+    steps: tuple[Step, ...] = ()
+    strays: tuple[Stray, ...] = ()
+    atoms: int = 0
+    detail: int | None = None
+
+    @property
+    def scope(self) -> str:
+        count = len(self.configurations)
+        return f"exact: {count} configuration{'s' if count != 1 else ''}, {self.atoms} atoms"
+
+
+def dump_configuration(s: Configuration, name: str, told: str = "the configuration") -> Dump:
+    """One configuration, to be judged by the specification's validity. Raises TooLarge."""
+    universe = Universe()
+    scene = Scene(universe, s.world)
+    for instance in _sorted(s):
+        scene.instance(instance)
+    bare, strays = _attached(s)
+    scene.overloads()
+    system = scene.system(bare, 0, told)
+    text = written(universe, f"{name}: {told}", Judged(detail=configuration_detail(system)))
+    return Dump(told, text, universe.names.bearers, (s,), (), strays, universe.size, 0)
+
+
+def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
+    """Every step of a plan: precondition, effect, validity; and whether it arrives at ``best`` of its target.
+
+    The configurations on the way are the model's, as far as the steps can be taken at all; whether the preconditions
+    hold and the effects are right is Alloy's to say. With ``detail``, that step alone (0: the start), and why it
+    fails. Raises TooLarge.
+    """
+    universe = Universe()
+    scene = Scene(universe, plan.change.start.world)
+    way = _Way(scene, plan)
+    goal, strays = _goal(plan, way.configurations[-1])
+    if goal is not None:
+        for instance in _sorted(goal):
+            scene.instance(instance)
+    scene.overloads()
+    asked = range(len(plan.steps) + 1) if detail is None else range(max(0, detail - 1), detail + 1)
+    systems: dict[int, str] = {}
+    for number in asked:
+        each = way.configurations[number]
+        same = number - 1 in systems and each is way.configurations[number - 1]
+        told = f"after step {number}" if number else "at the start"
+        systems[number] = systems[number - 1] if same else scene.system(each, number, told)
+    steps = []
+    for number, step in enumerate(plan.steps, start=1):
+        if number in asked and number - 1 in asked and number not in way.impossible:
+            named = StepName(number, step.describe())
+            given = formula(scene, step.action, systems[number - 1], systems[number])
+            steps.append(JudgedStep(universe.names.give(f"step{number}", named), given, named))
+    judged = Judged(steps)
+    if detail is not None:
+        judged.detail = configuration_detail(systems[detail])
+        judged.detail |= step_detail(universe, steps[0].formula) if steps else {}
+    elif goal is not None:
+        judged.end = (systems[len(plan.steps)], scene.system(goal, len(plan.steps) + 1, "at the target"))
+    text = written(universe, f"{name}: a plan of {len(plan.steps)} steps, by strategy {plan.strategy}", judged)
+    return Dump(
+        subject=f"the plan of {len(plan.steps)} steps",
+        text=text,
+        bearers=universe.names.bearers,
+        configurations=way.configurations,
+        steps=plan.steps,
+        strays=(*way.strays, *strays),
+        atoms=universe.size + len(steps),
+        detail=detail,
+    )
+
+
+def _sorted(s: Configuration) -> list[Instance]:
+    return sorted(s.instances.values(), key=lambda instance: instance.name)
+
+
+class _Way:
+    """The configurations on the way of a plan, and the steps that speak of what there is not."""
+
+    def __init__(self, scene: Scene, plan: Plan) -> None:
+        self.strays: list[Stray] = []
+        self.impossible: set[int] = set()
+        s = plan.change.start
+        for instance in _sorted(s):
+            scene.instance(instance)
+        taken = [s]
+        for number, step in enumerate(plan.steps, start=1):
+            action = step.action
+            try:
+                if isinstance(action, Create):
+                    scene.instance(action.instance)
+                formula(scene, action, "s", "t")
+            except (NotInTheDump, ValueError) as error:
+                self.strays.append(Stray(number, str(error)))
+                self.impossible.add(number)
+            else:
+                if isinstance(action, SetParameters):  # parameters have no part in the specification
+                    self.strays += [Stray(number, str(reason)) for reason in action.check(s)]
+                # Where it cannot even be carried out, that its precondition fails is for Alloy to say.
+                with suppress(KeyError):
+                    s = action.effect(s)
+            taken.append(s)
+        self.configurations = tuple(taken)
+
+
+def _attached(s: Configuration) -> tuple[Configuration, tuple[Stray, ...]]:
+    """``s`` without the attachments that cannot be dumped, since they are none of this system."""
+    strays = []
+    for port, connector in sorted(s.attachments()):
+        if connector not in s.world.connectors or not s.has_port(port):
+            missing = connector if s.has_port(port) else port
+            strays.append(Stray(None, f"{port} is attached to {connector}, and there is no {missing} in this system"))
+            s = s.without_attachment(port, connector)
+    return s, tuple(strays)
+
+
+def _goal(plan: Plan, end: Configuration) -> tuple[Configuration | None, list[Stray]]:
+    """The structure of the target, its instances called what they are called at the end of the plan.
+
+    Parameters are compared here: they have no part in the specification.
+    """
+    change, target = plan.change, plan.change.target
+    instances, attachments, strays = [], [], []
+    for role in target.nodes:
+        wanted = target.instance(role)
+        there = end.instances_of(role)
+        if len(there) == 1 and there[0].component.same_body(wanted.component):
+            wanted = replace(wanted, name=there[0].name, component=there[0].component)
+            if there[0].parameters != wanted.parameters:
+                strays.append(Stray(None, f"at the end {wanted.name} has other parameters than the target says"))
+        else:
+            names = ", ".join(instance.name for instance in there)
+            told = f"{names} is there" if names else "nothing is there"
+            strays.append(Stray(None, f"at the end {role} should be one {wanted.component.name}, and {told}"))
+        instances.append(wanted)
+        for port, connector in target.attachments_of(role, wanted.name):
+            attachments.append((port, change.identities.get(connector, connector)))
+    if strays:
+        return None, strays
+    return best(configure(change.start.world, instances, attachments)), strays

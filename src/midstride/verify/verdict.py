@@ -1,0 +1,109 @@
+"""Verdicts are data: HOLDS, VIOLATED or UNKNOWN, with what was judged, by what, how far, and what does not hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Literal
+
+
+class Answer(Enum):
+    """UNKNOWN is neither a yes nor a no: nothing could be judged, and ``Verdict.because`` says why."""
+
+    HOLDS = "holds"
+    VIOLATED = "violated"
+    UNKNOWN = "unknown"
+
+    def __str__(self) -> str:
+        return self.value.upper()
+
+
+Kind = Literal["precondition", "effect", "assumption", "cap", "capacity", "attachment", "rule", "end", "name"]
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One link of the chain from an assumption to what falls short, for the picture."""
+
+    thing: Literal["functionality", "assumption", "input", "topic", "output", "environment"]
+    name: str
+    told: str
+    satisfied: bool
+    under: tuple[Link, ...] = ()
+
+    def to_document(self) -> dict[str, Any]:
+        document: dict[str, Any] = {
+            "thing": self.thing, "name": self.name, "told": self.told, "satisfied": self.satisfied
+        }  # fmt: skip
+        if self.under:
+            document["under"] = [link.to_document() for link in self.under]
+        return document
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that does not hold, in the file's own names.
+
+    ``step`` counts from 1; None is the configuration at the start (or the only one), the declarations, or the end.
+    """
+
+    kind: Kind
+    step: int | None
+    where: str
+    subject: str
+    because: str
+    assumption: str | None = None
+    chain: Link | None = None
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.subject}: {self.because}"
+
+    def to_document(self) -> dict[str, Any]:
+        return {
+            "kind": self.kind,
+            "step": self.step,
+            "where": self.where,
+            "subject": self.subject,
+            "assumption": self.assumption,
+            "because": self.because,
+            "chain": None if self.chain is None else self.chain.to_document(),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The answer to one question. ``steps`` are a judged plan's, in words; ``failed`` is the first that fails."""
+
+    answer: Answer
+    subject: str
+    scope: str
+    by: str
+    findings: tuple[Finding, ...] = ()
+    because: str | None = None
+    seconds: float = 0.0
+    steps: tuple[str, ...] = field(default=())
+
+    @property
+    def holds(self) -> bool:
+        return self.answer is Answer.HOLDS
+
+    @property
+    def failed(self) -> int | None:
+        return min((finding.step for finding in self.findings if finding.step is not None), default=None)
+
+    def to_document(self) -> dict[str, Any]:
+        return {
+            "verdict": self.answer.value,
+            "subject": self.subject,
+            "scope": self.scope,
+            "by": self.by,
+            "because": self.because,
+            "findings": [finding.to_document() for finding in self.findings],
+            "steps": list(self.steps),
+            "failed": self.failed,
+            "seconds": self.seconds,
+        }
+
+    def __str__(self) -> str:
+        told = f"{self.answer}: {self.subject} ({self.scope}; {self.by})"
+        return told if self.because is None else f"{told}: {self.because}"
