@@ -1,4 +1,4 @@
-"""The proofs without bounds: F1, F2 and the first sentence of F3 (semantics.md) for systems of any size.
+"""The proofs without bounds: F1, F2, F3 and F6 (semantics.md) for systems of any size.
 
 `terms` (formulas as SMT-LIB text), `theory` and `rules` (sections 1 to 3), `actions` (section 4), `goals` and `facts`
 (what is proved), `solvers` (z3 and cvc5), `run` (verdicts), `words` (counterexamples told).

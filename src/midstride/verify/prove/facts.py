@@ -1,4 +1,4 @@
-"""F2 and the first sentence of F3 (semantics.md section 5), for one structure of any size.
+"""F2 and F3 (semantics.md section 5), for structures of any size.
 
 That ``best`` is greatest is proved of the algorithm, as an invariant: it starts above every valid assignment, each
 lowering stays above, it can go on while anyone is unsatisfied, and where it ends is valid. That it ends is the
@@ -116,6 +116,25 @@ def _more(t: Theory) -> Case:
     return Case([], asked, [Part("it is satisfied", t.satisfied(after, f))], (s, after), active(t, s))
 
 
+def _grows(t: Theory) -> Case:
+    """`best` of the larger structure is no worse than this join, so it is no worse than `best` of the smaller one."""
+    a = t.start("less")
+    attached = t.logic.function("attached_more", (PORT, TOPIC), "Bool")
+    more = t.state("more", a.live, attached, a.mode)
+    b = _assignment(t, more, "more")
+    join = more.in_modes(lambda f: if_(t.at_least(a.mode(f), b.mode(f)), a.mode(f), b.mode(f)))
+    asked = [
+        Part(
+            "no attachment is taken away",
+            t.logic.all((PORT, TOPIC), lambda p, k: implies(a.attached(p, k), attached(p, k))),
+        ),
+        Part("the one is satisfied with less", t.everyone_satisfied(a)),
+        Part("the other is satisfied with more", t.everyone_satisfied(b)),
+    ]
+    conclusion = [Part("everyone is satisfied with more", t.everyone_satisfied(join))]
+    return Case([], asked, conclusion, (a, b, join), active(t, join))
+
+
 def _goal(name: str, kind: str, claim: str, build: Callable[[Theory], Case], *rules: str) -> Goal:
     return Goal(name, kind, claim, build, rules=rules)
 
@@ -130,4 +149,5 @@ FACT_GOALS: tuple[Goal, ...] = (
     _goal("best: end", "F2", "where it ends is valid, and the greatest", _end),
     _goal("best: unique", "F2", "there is but one greatest", _unique, _CHAINS),
     _goal("more attached", "F3", "more attachments never unsatisfy a functionality", _more),
+    _goal("best grows", "F3", "valid with less, joined with valid with more, is valid with more", _grows, "M2"),
 )

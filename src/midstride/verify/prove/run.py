@@ -168,7 +168,7 @@ def _proved(goal: Goal, name: solvers.Name, seconds: float, dropped: tuple[str, 
         answer: solvers.Answer = "unknown"
         for strategy in solvers.STRATEGIES[name]:
             session = solvers.open_session(name, seconds, strategy)
-            session.say(script(goal, number, dropped))
+            solvers.tell(session, script(goal, number, dropped))
             answer = solvers.ask(session)
             if answer != "unknown":
                 break
@@ -200,7 +200,7 @@ def _model(goal: Goal, name: solvers.Name, dropped: tuple[str, ...], seconds: fl
         case = goal.build(t)
         wanted = not_(and_(*(part.formula for part in case.conclusion))) if violated else case.occurs
         session = solvers.open_session(name, seconds)
-        session.say(t.logic.script([*premises(t, case, dropped), ("wanted", wanted)]))
+        solvers.tell(session, t.logic.script([*premises(t, case, dropped), ("wanted", wanted)]))
         if solvers.ask(session) != "sat":
             continue
         if violated:
@@ -213,13 +213,13 @@ def _shrink(t: Theory, session: solvers.Session) -> None:
     """Leaves out of the model found whatever it can do without, one relation after another."""
     for atom in _atoms(t):
         if solvers.value(session, atom) == "false":
-            session.say(f"(assert (not {atom}))\n")
+            solvers.tell(session, f"(assert (not {atom}))\n")
             kept = solvers.ask(session)
         else:
-            session.say(f"(push 1)\n(assert (not {atom}))\n")
+            solvers.tell(session, f"(push 1)\n(assert (not {atom}))\n")
             kept = solvers.ask(session)
             if kept != "sat":
-                session.say(f"(pop 1)\n(assert {atom})\n")
+                solvers.tell(session, f"(pop 1)\n(assert {atom})\n")
                 kept = solvers.ask(session)
         if kept != "sat":
             raise MidstrideError("a solver takes back a model that it gave")

@@ -85,6 +85,12 @@ def version_of(name: Name) -> str | None:
         return None
 
 
+def tell(session: Session, text: str) -> None:
+    """Say what asks nothing. An answer is a complaint then, and an error: what was not understood would be missing."""
+    if told := session.say(text).strip():
+        raise MidstrideError(f"a solver does not understand what it is told: {told[:500]}")
+
+
 def ask(session: Session) -> Answer:
     """Whether what was said can be true. What is neither yes nor no is ``unknown``, a complaint an error."""
     told = session.say("(check-sat)\n").strip()
