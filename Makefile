@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long bench lint
+.PHONY: help demo test test-long bench lint alloy
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -21,6 +21,9 @@ test-long: ## the tests that take minutes
 bench: ## every benchmark, one after another: a table each, and JSON
 	@tools/setup test
 	@tools/in-venv tools/bench $(ARGS)
+
+alloy: ## fetch the Alloy Analyzer (needs Java and Maven), which `midstride verify` asks
+	@tools/alloy
 
 lint: ## ruff and mypy
 	@tools/setup test

@@ -2,7 +2,8 @@
 
 A test that needs ROS is marked ``ros2`` or ``ros1`` and imports it inside the test (or a fixture), so that it can be
 collected where there is none. There it is skipped, with the reason; not so where ``MIDSTRIDE_NEEDS_ROS2`` says that
-ROS 2 is part of the environment: then it runs, and fails.
+ROS 2 is part of the environment: then it runs, and fails. So it is with tests marked ``alloy``, which need the Alloy
+Analyzer and Java (``MIDSTRIDE_NEEDS_ALLOY``).
 """
 
 from __future__ import annotations
@@ -40,14 +41,34 @@ _NEEDS = {"ros2": "rclpy", "ros1": "rospy"}
 _NOT_OURS = ("ignore:module 'sre_:DeprecationWarning", "ignore:.*pkg_resources.*:UserWarning")
 
 
+def _demanded(marker: str) -> bool:
+    return bool(os.environ.get(f"MIDSTRIDE_NEEDS_{marker.upper()}"))
+
+
 def _missing(marker: str) -> bool:
     """Whether tests of this marker cannot run here, and need not."""
-    demanded = os.environ.get(f"MIDSTRIDE_NEEDS_{marker.upper()}")
-    return not demanded and importlib.util.find_spec(_NEEDS[marker]) is None
+    return not _demanded(marker) and importlib.util.find_spec(_NEEDS[marker]) is None
+
+
+def _no_alloy() -> str | None:
+    """Why tests that need Alloy cannot run here, and need not."""
+    from midstride.errors import AlloyMissing
+    from midstride.verify.run import find
+
+    if not _demanded("alloy"):
+        try:
+            find()
+        except AlloyMissing as error:
+            return str(error)
+    return None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     missing = {marker: _missing(marker) for marker in _NEEDS}
+    needing_alloy = [item for item in items if item.get_closest_marker("alloy")]
+    if needing_alloy and (because := _no_alloy()) is not None:
+        for item in needing_alloy:
+            item.add_marker(pytest.mark.skip(reason=because))
     for item in items:
         for marker, module in _NEEDS.items():
             if not item.get_closest_marker(marker):

@@ -77,7 +77,7 @@ def plan_from_document(document: Mapping[str, Any]) -> Plan:
     """The plan that a document says, its figures taken over as they stand there.
 
     Nothing is judged: :mod:`midstride.plan.validate` does that. Raises SpecificationError where the document is no
-    plan, PlanRefused where its start and target do not meet.
+    plan, PlanRefused where its start and target do not meet, or a step speaks of what there is not.
     """
     try:
         start = specification_from_document(document["start"])
@@ -85,7 +85,7 @@ def plan_from_document(document: Mapping[str, Any]) -> Plan:
         running = _started(start, document.get("running") or {}, document.get("standing") or {})
         change = Change.between(running, start, target)
         known = dict(change.start.instances)
-        steps = [_step(change, known, entry) for entry in document["steps"]]
+        steps = [_numbered(number, change, known, entry) for number, entry in enumerate(document["steps"], start=1)]
         return Plan(
             strategy=str(document["strategy"]),
             change=change,
@@ -122,6 +122,13 @@ def _refs(named: Mapping[str, str]) -> list[tuple[FunctionalityRef, str]]:
     return [(FunctionalityRef.parse(text), mode) for text, mode in named.items()]
 
 
+def _numbered(number: int, change: Change, known: dict[str, Instance], entry: Mapping[str, Any]) -> Step:
+    try:
+        return _step(change, known, entry)
+    except PlanRefused as error:
+        raise PlanRefused(f"step {number}: {error}") from None
+
+
 def _step(change: Change, known: dict[str, Instance], entry: Mapping[str, Any]) -> Step:
     """One step. ``known`` are the instances there have been so far, those that steps create included."""
     action = _action(change, known, entry)
@@ -139,9 +146,7 @@ def _mode_index(known: Mapping[str, Instance], ref: FunctionalityRef, mode: str)
     try:
         return known[ref.component].component.functionalities[ref.functionality].mode_index(mode)
     except KeyError:
-        raise SpecificationError(
-            f"not a plan: {ref} and its mode {mode} are not known where a step speaks of them"
-        ) from None
+        raise PlanRefused(f"there is no {ref} with a mode {mode}") from None
 
 
 def _action(change: Change, known: Mapping[str, Instance], entry: Mapping[str, Any]) -> Action:
@@ -177,4 +182,4 @@ def _component(change: Change, name: str) -> Component:
     for specification in (change.target, change.specification):
         if name in specification.components:
             return specification.components[name]
-    raise PlanRefused(f"the plan creates a {name}, a component that neither of its specifications has")
+    raise PlanRefused(f"it creates a {name}, a component that neither of its specifications has")

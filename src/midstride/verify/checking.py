@@ -8,17 +8,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from midstride.errors import VerificationError
+from midstride.errors import AlloyFailed, PlanRefused, VerificationError
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
 from midstride.plan.document import plan_from_document
 from midstride.plan.plan import Plan
 from midstride.verify.export import Dump, dump_configuration, dump_plan
 from midstride.verify.run import TIME_LIMIT, Alloy, Outcome, find
-from midstride.verify.text import JUDGED
-from midstride.verify.trace import findings, first_failure, instance
+from midstride.verify.trace import confirm, findings, first_failure, instance
 from midstride.verify.universe import TooLarge
-from midstride.verify.verdict import Answer, Verdict
+from midstride.verify.verdict import Answer, Finding, Verdict
 
 Detail = Callable[[int | None], Dump]
 
@@ -29,9 +28,13 @@ def verify_plan(
     """Whether every step of a plan (or of its document) may be taken, does what it says and keeps the system valid.
 
     UNKNOWN where that cannot be found out, with the reason: no Analyzer, no time, too large. Raises SpecificationError
-    where the document is no plan, PlanRefused where its start and target do not meet.
+    where the document is no plan.
     """
-    known = plan if isinstance(plan, Plan) else plan_from_document(plan)
+    try:
+        known = plan if isinstance(plan, Plan) else plan_from_document(plan)
+    except PlanRefused as error:  # what it speaks of is not there: nothing of it can be told to Alloy
+        finding = Finding("name", None, "the plan", "its document", str(error))
+        return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", (finding,))
     subject = f"the plan of {len(known.steps)} steps"
     return _judged(subject, lambda number: dump_plan(known, name, number), alloy, limit)
 
@@ -56,15 +59,19 @@ def verify_specification(
     return verify_configuration(initial(specification), specification.name, told, alloy=alloy, limit=limit)
 
 
-def judge(dump: Dump, alloy: Alloy, limit: float = TIME_LIMIT, detail: Detail | None = None) -> Verdict:
+def judge(dump: Dump, alloy: Alloy, limit: float, detail: Detail) -> Verdict:
     """The verdict on a dump; ``detail`` dumps one step with what makes it fail. Raises AlloyFailed."""
     begun, scope = time.monotonic(), dump.scope
     outcomes = _solve(dump, alloy, limit)
     number = first_failure(dump, instance(dump, outcomes))
-    if detail is not None and number is not None:
+    if number is not None and number != dump.detail:
         dump = detail(number)
-        outcomes = _solve(dump, alloy, limit)
+        outcomes = _solve(dump, alloy, max(1.0, limit - (time.monotonic() - begun)))
     found = tuple(findings(dump, outcomes))
+    if number is not None and not found:
+        raise AlloyFailed(f"Alloy contradicts itself: it refuses step {number}, and by itself it finds nothing wrong")
+    if not found:
+        confirm(dump, outcomes)
     return Verdict(
         answer=Answer.VIOLATED if found else Answer.HOLDS,
         subject=dump.subject,
@@ -72,7 +79,7 @@ def judge(dump: Dump, alloy: Alloy, limit: float = TIME_LIMIT, detail: Detail | 
         by=alloy.told,
         findings=found,
         seconds=round(time.monotonic() - begun, 3),
-        steps=tuple(step.describe() for step in dump.steps),
+        steps=tuple(step.describe() for step in dump.steps or ()),
     )
 
 
@@ -80,7 +87,7 @@ def _solve(dump: Dump, alloy: Alloy, limit: float) -> dict[str, Outcome]:
     with tempfile.TemporaryDirectory(prefix="midstride-verify-") as folder:
         source = Path(folder) / "dump.als"
         source.write_text(dump.text, encoding="utf-8")
-        return alloy.solve(source, JUDGED, limit=limit)
+        return alloy.solve(source, limit=limit)
 
 
 def _judged(subject: str, dump: Detail, alloy: Alloy | None, limit: float) -> Verdict:

@@ -6,6 +6,7 @@ or plan, not on a scope. It carries the specification along, so that it can be o
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -32,15 +33,17 @@ class Stray:
 class Dump:
     """Alloy text, what its atoms stand for, and the configurations it dumps.
 
-    `Verdict` says all that `Verified` and `Rules` ask, and what does not hold besides; these two are for people who
-    open it. ``detail`` is the step (or the configuration after it) of which the dump says why it fails.
+    ``fields`` are those of the answer's Findings, ``checks`` what must hold where these are all empty. ``detail`` is
+    the step (0: the start) of which the dump says why it fails; ``steps`` is None where it is of no plan.
     """
 
     subject: str
     text: str
     bearers: dict[str, object]
     configurations: tuple[Configuration, ...]
-    steps: tuple[Step, ...] = ()
+    fields: frozenset[str]
+    checks: tuple[str, ...]
+    steps: tuple[Step, ...] | None = None
     strays: tuple[Stray, ...] = ()
     atoms: int = 0
     detail: int | None = None
@@ -60,8 +63,18 @@ def dump_configuration(s: Configuration, name: str, told: str = "the configurati
     bare, strays = _attached(s)
     scene.overloads()
     system = scene.system(bare, 0, told)
-    text = written(universe, f"{name}: {told}", Judged(detail=configuration_detail(system)))
-    return Dump(told, text, universe.names.bearers, (s,), (), strays, universe.size, 0)
+    judged = Judged(detail=configuration_detail(system))
+    return Dump(
+        subject=told,
+        text=written(universe, f"{name}: {told}", judged),
+        bearers=universe.names.bearers,
+        configurations=(s,),
+        fields=frozenset(judged.fields),
+        checks=judged.checks,
+        strays=strays,
+        atoms=universe.size,
+        detail=0,
+    )
 
 
 def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
@@ -104,6 +117,8 @@ def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
         text=text,
         bearers=universe.names.bearers,
         configurations=way.configurations,
+        fields=frozenset(judged.fields),
+        checks=judged.checks,
         steps=plan.steps,
         strays=(*way.strays, *strays),
         atoms=universe.size + len(steps),
@@ -137,11 +152,20 @@ class _Way:
             else:
                 if isinstance(action, SetParameters):  # parameters have no part in the specification
                     self.strays += [Stray(number, str(reason)) for reason in action.check(s)]
+                self.strays += [Stray(number, told) for told in _told_otherwise(s, step)]
                 # Where it cannot even be carried out, that its precondition fails is for Alloy to say.
                 with suppress(KeyError):
                     s = action.effect(s)
             taken.append(s)
         self.configurations = tuple(taken)
+
+
+def _told_otherwise(s: Configuration, step: Step) -> Iterator[str]:
+    """Where a step says that a functionality leaves another mode than the one it is in."""
+    for change in step.modes:
+        if change.functionality in s.modes and s.mode(change.functionality).name != change.before:
+            now = s.mode(change.functionality).name
+            yield f"it says that {change.functionality} is in mode {change.before}, and there it is in mode {now}"
 
 
 def _attached(s: Configuration) -> tuple[Configuration, tuple[Stray, ...]]:

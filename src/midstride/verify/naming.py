@@ -8,7 +8,7 @@ from typing import Final
 # Alloy's own words, and those of the specification that a dump carries along.
 _TAKEN: Final = frozenset(
     """abstract after all always and as asm_satisfied assert assoc_inputs assoc_outputs Assumption attach before
-    better but cap_holds capacities_hold Capped chains check Clause coming Component comps conn_guar
+    Best better but cap_holds capacities_hold Capped chains check Clause coming Component comps conn_guar
     conn_satisfied Connector conns create cur_mode declared degrad_mode degrade degrade_all detach disj each_once
     else enabled enum env_guars env_pubs eventually exactly expect extends fact Findings fits for fun funcs
     Functionality handover historically holders iden iff implies in Input input_asm input_satisfied inputs Int int
@@ -16,7 +16,7 @@ _TAKEN: Final = frozenset(
     norm_mode not on once one open or Output outputs Overload Port ports pred Predicate preorder private pub_guar
     Publisher releases remove roles Rules rules run same_world sat satisfies_now satisfy seq set sig since Slot
     slots some Step steps String structured sum System this triggered unchanged univ unsatisfied until upgrade
-    upgrade_all valid valid_sys var Verdict VerdictBest Verified works worse""".split()
+    upgrade_all valid valid_sys var Verdict Verified works worse""".split()
 )
 _STRANGE: Final = re.compile(r"[^A-Za-z0-9]+")
 
@@ -34,7 +34,7 @@ class Names:
         if not base[0].isalpha():
             base = f"x{base}"
         name, number = base, 1
-        while name in _TAKEN or name in self._taken or name.startswith("can_"):
+        while name in _TAKEN or name in self._taken or name.startswith("can_") or name.endswith(("_may", "_holds")):
             number += 1
             name = f"{base}_{number}"
         self._taken.add(name)

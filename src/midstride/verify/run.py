@@ -181,7 +181,7 @@ def _jar(named: Path | None) -> Path:
 
 
 def places() -> list[Path]:
-    """Where `make alloy` puts it: beside the Makefile of the checkout, else in the user's cache."""
+    """Where it is looked for: beside the Makefile of a checkout (`make alloy`), and in the user's cache."""
     checkout = Path(__file__).resolve().parents[3]
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
     beside = [checkout / ".cache" / "alloy"] if (checkout / "Makefile").is_file() else []

@@ -11,9 +11,7 @@ from midstride.verify.library import carried
 from midstride.verify.universe import Universe
 
 # The commands of a dump: whether all holds, what does not, whether the rules are kept, whether the end is best.
-# JUDGED is the two that a verdict is made of.
-VERIFIED, VERDICT, RULES, BEST = "Verified", "Verdict", "Rules", "VerdictBest"
-JUDGED = "Verdict*"
+VERIFIED, VERDICT, RULES, BEST = "Verified", "Verdict", "Rules", "Best"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +40,19 @@ class Judged:
     end: tuple[str, str] | None = None
     detail: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def fields(self) -> dict[str, str]:
+        """The fields of Findings, each with its type: an answer must have them all."""
+        detail = {name: kind for name, kind in _DETAIL.items() if name in self.detail}
+        return _ALWAYS | detail | (_END if self.end is not None else {})
 
+    @property
+    def checks(self) -> tuple[str, ...]:
+        """The checks that have no counterexample where nothing is found."""
+        return (VERIFIED, RULES) if self.end is None else (VERIFIED, RULES, BEST)
+
+
+_ALWAYS: Final = {"refused": "set Step", "wrong": "set Step", "invalid": "set System", "faults": "set Clause"}
 _DETAIL: Final = {
     "unsatisfied": "Functionality -> Assumption",
     "crowded": "set Connector",
@@ -124,16 +134,13 @@ def _steps(steps: list[JudgedStep]) -> str:
 
 def _findings(universe: Universe, judged: Judged, rules: Mapping[str, str]) -> str:
     """The signature and the facts that make `Verdict` an account of what does not hold."""
-    fields = {"refused": "set Step", "wrong": "set Step", "invalid": "set System", "faults": "set Clause"}
     values = {
         "invalid": "{ s: System | not valid[s] }",
         "faults": " + ".join(f"({held} implies none else {name})" for held, name in rules.items()),
     }
     values |= judged.detail
-    fields |= {name: kind for name, kind in _DETAIL.items() if name in judged.detail}
     if judged.end is not None:
         reached, goal = judged.end
-        fields |= _END
         values |= {
             "missing": f"{goal}.roles - {reached}.roles",
             "extra": f"{reached}.roles - {goal}.roles",
@@ -142,7 +149,7 @@ def _findings(universe: Universe, judged: Judged, rules: Mapping[str, str]) -> s
         }
     lines = ["/* What does not hold. */", "abstract sig Clause {}"]
     lines += [f"one sig {name} extends Clause {{}}" for name in universe.clauses.values()]
-    lines += ["one sig Findings {", *(f"  {name}: {kind}," for name, kind in fields.items()), "}", "fact {"]
+    lines += ["one sig Findings {", *(f"  {name}: {kind}," for name, kind in judged.fields.items()), "}", "fact {"]
     lines += [f"  Findings.{name} = {value}" for name, value in values.items()]
     for step in judged.steps:
         lines.append(f"  {step.atom} in Findings.refused iff not {step.atom}_may")

@@ -13,6 +13,7 @@ from midstride.model.action import Action
 from midstride.model.component import Assumption, FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Judge, cap_violation
+from midstride.plan.step import Step
 from midstride.verify.chain import chain
 from midstride.verify.export import Dump
 from midstride.verify.run import Outcome
@@ -27,11 +28,11 @@ _DISAGREE = "so says Alloy; the model sees no reason, so one of the two is wrong
 class Instance:
     """The fields of an Alloy instance, its atoms turned into what they stand for."""
 
-    def __init__(self, outcome: Outcome, bearers: Mapping[str, object]) -> None:
-        self._values = outcome.values
+    def __init__(self, outcome: Outcome, bearers: Mapping[str, object], fields: frozenset[str]) -> None:
+        self._values = outcome.values.get(_FINDINGS, {})
         self._bearers = bearers
-        if _FINDINGS not in self._values:
-            raise AlloyFailed("Alloy's answer has no findings in it")
+        if missing := sorted(fields - self._values.keys()):
+            raise AlloyFailed(f"Alloy's answer does not say all that was asked ({', '.join(missing)})")
 
     def bearer(self, atom: str) -> object:
         try:
@@ -41,8 +42,7 @@ class Instance:
 
     def field(self, field: str) -> list[tuple[object, ...]]:
         """The tuples of a field of Findings; none where the dump does not ask for it."""
-        entries = self._values[_FINDINGS].get(field, [])
-        return [tuple(self.bearer(each) for each in entry) for entry in entries]
+        return [tuple(self.bearer(each) for each in entry) for entry in self._values.get(field, [])]
 
     def steps(self, field: str) -> list[StepName]:
         return [named for (named,) in self.field(field) if isinstance(named, StepName)]
@@ -60,14 +60,21 @@ def instance(dump: Dump, outcomes: Mapping[str, Outcome]) -> Instance:
     told = outcomes.get(VERDICT)
     if told is None or not told.satisfiable:
         raise AlloyFailed("the dump contradicts itself: Alloy finds no instance of it")
-    return Instance(told, dump.bearers)
+    return Instance(told, dump.bearers, dump.fields)
+
+
+def confirm(dump: Dump, outcomes: Mapping[str, Outcome]) -> None:
+    """That nothing was found is said a second time, by the checks. Raises AlloyFailed where they say otherwise."""
+    for check in dump.checks:
+        if check not in outcomes or outcomes[check].satisfiable:
+            raise AlloyFailed(f"Alloy contradicts itself: it finds nothing, and the check {check} does not hold")
 
 
 def first_failure(dump: Dump, found: Instance) -> int | None:
     """The first step (0: the start) that fails, or whose configuration is not valid; None where there is none."""
     numbers = [stray.step for stray in dump.strays if stray.step is not None]
     numbers += [named.number for field in ("refused", "wrong") for named in found.steps(field)]
-    numbers += [named.number for named in found.systems("invalid") if named.number <= len(dump.steps)]
+    numbers += [named.number for named in found.systems("invalid") if named.number < len(dump.configurations)]
     return min(numbers, default=None)
 
 
@@ -107,8 +114,8 @@ class _Tracer:
             yield Finding("rule", None, "the declarations", "rule", str(clause))
 
     def start(self) -> Iterator[Finding]:
-        where = "at the start" if self.dump.steps else "the configuration"
-        if not self.dump.steps:
+        where = "the configuration" if self.dump.steps is None else "at the start"
+        if self.dump.steps is None:
             for stray in self.dump.strays:
                 yield Finding("attachment", None, where, "attachment", stray.told)
         if 0 in self.invalid:
@@ -116,11 +123,11 @@ class _Tracer:
 
     def steps(self) -> Iterator[Finding]:
         number = first_failure(self.dump, self.instance)
-        if number:
-            yield from self._step(number)
+        if number and self.dump.steps is not None:
+            yield from self._step(number, self.dump.steps[number - 1])
 
     def end(self, best: Outcome | None) -> Iterator[Finding]:
-        if not self.dump.steps:
+        if self.dump.steps is None:
             return
         where = "at the end"
         for stray in self.dump.strays:
@@ -139,8 +146,7 @@ class _Tracer:
 
     # -- one step, one configuration ------------------------------------------------------------------------
 
-    def _step(self, number: int) -> Iterator[Finding]:
-        step = self.dump.steps[number - 1]
+    def _step(self, number: int, step: Step) -> Iterator[Finding]:
         where = f"step {number}, {step.describe()}"
         strays = [stray for stray in self.dump.strays if stray.step == number]
         if strays:
