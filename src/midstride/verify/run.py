@@ -13,11 +13,13 @@ import shutil
 import signal
 import subprocess
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
+from threading import Event
 from typing import Any, Final
 
 from midstride.errors import AlloyFailed, AlloyMissing
@@ -31,6 +33,7 @@ JAVA: Final = 17
 # How long a dump may take (s), where nothing else is said; a check of the specification has its own.
 TIME_LIMIT: Final = 300.0
 _GRACE: Final = 2.0
+_LOOK: Final = 0.2
 
 _HOW: Final = (
     f"`make alloy` fetches it (with Maven, {ARTIFACT}); or name the file with --alloy or the variable {VARIABLE}"
@@ -64,6 +67,7 @@ class Alloy:
         solver: str = "sat4j",
         memory: int | None = None,
         quick: bool = True,
+        stop: Event | None = None,
     ) -> dict[str, Outcome]:
         """Execute the commands of a file whose names fit the pattern, in one process.
 
@@ -76,10 +80,10 @@ class Alloy:
             line += [f"-Xmx{memory}m"] if memory else []
             output = Path(folder) / "out"
             line += ["-jar", str(self.jar), "exec", "-q", "-f", "-t", "json", "-s", solver, "-o", str(output)]
-            return self._execute([*line, "-c", commands, str(source)], output, limit)
+            return self._execute([*line, "-c", commands, str(source)], output, limit, stop)
 
-    def _execute(self, line: Sequence[str], output: Path, limit: float) -> dict[str, Outcome]:
-        said = run(line, limit)
+    def _execute(self, line: Sequence[str], output: Path, limit: float, stop: Event | None) -> dict[str, Outcome]:
+        said = run(line, limit, stop)
         receipt = output / "receipt.json"
         if said.code != 0 or not receipt.is_file():
             raise AlloyFailed(_reason(said.text))
@@ -98,8 +102,8 @@ class Said:
     text: str
 
 
-def run(line: Sequence[str], limit: float) -> Said:
-    """A process in a group of its own, ended with all its children after ``limit`` (s): AlloyFailed then."""
+def run(line: Sequence[str], limit: float, stop: Event | None = None) -> Said:
+    """A process in a group of its own. After ``limit`` (s), or by ``stop``, it is ended with its children: AlloyFailed."""
     try:
         process = subprocess.Popen(
             line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
@@ -107,13 +111,23 @@ def run(line: Sequence[str], limit: float) -> Said:
     except OSError as error:
         raise AlloyMissing(f"{line[0]} cannot be started: {error}") from error
     try:
-        text, _ = process.communicate(timeout=limit)
-    except subprocess.TimeoutExpired:
-        raise AlloyFailed(f"no answer within {limit:g} s") from None
+        text = _listened(process, limit, stop)
     finally:
         if process.poll() is None:
             _end(process)
     return Said(process.returncode, text.decode("utf-8", "replace"))
+
+
+def _listened(process: subprocess.Popen[bytes], limit: float, stop: Event | None) -> bytes:
+    """What the process writes until its end. Only where somebody may set ``stop`` is it looked at, now and then."""
+    end = time.monotonic() + limit
+    while (left := end - time.monotonic()) > 0:
+        try:
+            return process.communicate(timeout=left if stop is None else min(left, _LOOK))[0]
+        except subprocess.TimeoutExpired:
+            if stop is not None and stop.is_set():
+                raise AlloyFailed("stopped") from None
+    raise AlloyFailed(f"no answer within {limit:g} s")
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

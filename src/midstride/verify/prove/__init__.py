@@ -5,6 +5,6 @@
 """
 
 from midstride.verify.prove.run import GOALS, Proof, Weakened, prove, prove_goal
-from midstride.verify.prove.solvers import NAMES, SolverAbsent, version_of
+from midstride.verify.prove.solvers import NAMES, version_of
 
-__all__ = ["GOALS", "NAMES", "Proof", "SolverAbsent", "Weakened", "prove", "prove_goal", "version_of"]
+__all__ = ["GOALS", "NAMES", "Proof", "Weakened", "prove", "prove_goal", "version_of"]

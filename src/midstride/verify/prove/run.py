@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, Final
 
-from midstride.errors import MidstrideError
+from midstride.errors import SolverMissing, VerificationError
 from midstride.verify.prove import solvers
 from midstride.verify.prove.facts import FACT_GOALS
 from midstride.verify.prove.goals import ACTION_GOALS, Case, Goal
@@ -111,7 +111,7 @@ def prove_goal(goal: Goal, names: Sequence[solvers.Name] = solvers.NAMES, second
         try:
             answer, reason = _proved(goal, name, seconds)
             there.append(name)
-        except solvers.SolverAbsent as absent:
+        except SolverMissing as absent:
             answer, reason = Answer.UNKNOWN, str(absent)
         took[name] = time.perf_counter() - started
         answers.append(answer)
@@ -222,7 +222,7 @@ def _shrink(t: Theory, session: solvers.Session) -> None:
                 solvers.tell(session, f"(pop 1)\n(assert {atom})\n")
                 kept = solvers.ask(session)
         if kept != "sat":
-            raise MidstrideError("a solver takes back a model that it gave")
+            raise VerificationError("a solver takes back a model that it gave")
 
 
 def _atoms(t: Theory) -> list[Term]:

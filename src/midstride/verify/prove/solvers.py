@@ -7,17 +7,13 @@ from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, Literal, Protocol
 
-from midstride.errors import MidstrideError
+from midstride.errors import SolverMissing, VerificationError
 
 Name = Literal["z3", "cvc5"]
 Answer = Literal["sat", "unsat", "unknown"]
 NAMES: Final[tuple[Name, ...]] = ("z3", "cvc5")
 _DECIDED: Final[tuple[Literal["sat", "unsat"], ...]] = ("sat", "unsat")
 _PACKAGE: Final[dict[Name, str]] = {"z3": "z3-solver", "cvc5": "cvc5"}
-
-
-class SolverAbsent(MidstrideError):
-    """A solver is asked for that is not installed."""
 
 
 class Session(Protocol):
@@ -67,13 +63,13 @@ def _imported(name: Name) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise SolverAbsent(
+        raise SolverMissing(
             f"the solver {name} is not installed, so nothing is proved by it: pip install 'midstride[proof]'"
         ) from None
 
 
 def open_session(name: Name, seconds: float, strategy: str | None = None) -> Session:
-    """A conversation in which no answer takes longer than that. Raises SolverAbsent."""
+    """A conversation in which no answer takes longer than that. Raises SolverMissing."""
     return _SESSIONS[name](seconds, strategy or STRATEGIES[name][0])
 
 
@@ -88,7 +84,7 @@ def version_of(name: Name) -> str | None:
 def tell(session: Session, text: str) -> None:
     """Say what asks nothing. An answer is a complaint then, and an error: what was not understood would be missing."""
     if told := session.say(text).strip():
-        raise MidstrideError(f"a solver does not understand what it is told: {told[:500]}")
+        raise VerificationError(f"a solver does not understand what it is told: {told[:500]}")
 
 
 def ask(session: Session) -> Answer:
@@ -99,14 +95,14 @@ def ask(session: Session) -> Answer:
             return answer
     if told.startswith("unknown") or "timeout" in told or "canceled" in told:  # cvc5 says why: `unknown (TIMEOUT)`
         return "unknown"
-    raise MidstrideError(f"a solver answers what is not an answer: {told[:500]}")
+    raise VerificationError(f"a solver answers what is not an answer: {told[:500]}")
 
 
 def value(session: Session, term: str) -> str:
     """The value of a term in the model just found."""
     told = session.say(f"(get-value ({term}))\n").strip()
     if not told.endswith("))"):
-        raise MidstrideError(f"a solver does not tell a value: {told[:500]}")
+        raise VerificationError(f"a solver does not tell a value: {told[:500]}")
     inside = told[:-2].rstrip()
     if not inside.endswith(")"):
         return inside.split()[-1]
@@ -115,4 +111,4 @@ def value(session: Session, term: str) -> str:
         depth += (inside[place] == ")") - (inside[place] == "(")
         if depth == 0:
             return inside[place:]
-    raise MidstrideError(f"a solver does not tell a value: {told[:500]}")
+    raise VerificationError(f"a solver does not tell a value: {told[:500]}")
