@@ -21,6 +21,7 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "generate": ("generate", "skeletons of the nodes, launch and package files"),
     "lsp": ("lsp", "the language server, for editors"),
     "plan": ("plan", "show the plan for a change, what it disrupts and why"),
+    "verify": ("verify", "have Alloy judge a specification, a plan or what is running"),
     "prove": ("prove", "prove that every action is safe, for systems of any size"),
     "export": ("files", "print a specification as JSON"),
     "up": ("up", "start a system and its manager, and watch it"),

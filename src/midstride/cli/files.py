@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from midstride.errors import SpecificationError
 from midstride.model.document import parse_json, specification_from_document
@@ -18,6 +20,16 @@ def read(path: Path) -> Specification:
         return _stride(path)
     try:
         return _parsed(text)
+    except SpecificationError as error:
+        raise _named(path, error.problems) from None
+
+
+def read_json(path: Path) -> Any:
+    """The value in a JSON file; ``-`` is standard input. Raises SpecificationError where it cannot be read."""
+    try:
+        return parse_json(sys.stdin.read() if str(path) == "-" else _text(path))
+    except UnicodeDecodeError as error:
+        raise SpecificationError(f"standard input cannot be read: {error}") from None
     except SpecificationError as error:
         raise _named(path, error.problems) from None
 

@@ -223,7 +223,8 @@ def _value(value: ParameterValue) -> Any:
     return list(value) if isinstance(value, list) else value
 
 
-def _values_of(parameters: Mapping[str, ParameterValue]) -> Document:
+def parameters_to_document(parameters: Mapping[str, ParameterValue]) -> Document:
+    """The values of parameters, by name."""
     return {name: _value(value) for name, value in sorted(parameters.items())}
 
 
@@ -234,7 +235,7 @@ def _node(node: Node, specification: Specification) -> Document:
     stated = _stated(
         {
             "attachments": {name: list(node.attachments[name]) for name in ports if node.attachments[name]},
-            "parameters": _values_of(node.parameters),
+            "parameters": parameters_to_document(node.parameters),
         }
     )
     return {"component": node.component, **stated}

@@ -20,6 +20,7 @@ from midstride.errors import ManagerError, MidstrideError, PlanRefused, StepFail
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.model.snapshot import configuration_to_document
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 from midstride.plan.lowering import degradations
@@ -33,6 +34,7 @@ from midstride.runtime.executor import Executor
 from midstride.runtime.falling import FallClock
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.link import Link
+from midstride.runtime.live import live
 from midstride.runtime.recording import Recording, to_documents
 from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Announcement
@@ -157,6 +159,12 @@ class Manager:
         document["running"] = running
         document["unwritten"] = self._unwritten
         return document
+
+    async def live(self) -> dict[str, Any]:
+        """The configuration as its components themselves tell it; ``silent`` are those that did not answer in time."""
+        found = await live(self.configuration, self._link, self._backend.clock, self._gone)
+        document = configuration_to_document(found.configuration)
+        return {"revision": self.revision, "silent": list(found.silent), "configuration": document}
 
     async def peek(self, instance: str) -> dict[str, Any]:
         """The state of one component by its own word (wire/commands.py). Raises CallTimeout or Unreachable."""

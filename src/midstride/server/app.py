@@ -81,6 +81,11 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         """What is live and in which modes, as each component itself says it."""
         return JSONResponse(await manager.status())
 
+    @router.get("/configuration", responses=_answers(documents.Live))
+    async def configuration() -> Response:
+        """What is live, attached and in which mode, as each component itself says it, with the world it lives in."""
+        return JSONResponse(await manager.live())
+
     @router.get("/specification", responses=_REFUSED)
     async def specification() -> Response:
         """The specification that the system runs, in its JSON form."""

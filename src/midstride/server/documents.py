@@ -82,6 +82,14 @@ class Status(Outgoing):
     topics: list[Any]
 
 
+class Live(Outgoing):
+    """The configuration by its components' own word; `silent` did not answer: of these the manager's word is taken."""
+
+    revision: int
+    silent: list[str]
+    configuration: dict[str, Any]
+
+
 class Plan(Outgoing):
     """A plan (interfaces.md, JSON), and the configuration's revision that it was made for."""
 

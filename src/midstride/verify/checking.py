@@ -5,12 +5,14 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from midstride.errors import AlloyFailed, PlanRefused, VerificationError
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
+from midstride.plan.differences import differences
 from midstride.plan.document import plan_from_document
 from midstride.plan.plan import Plan
 from midstride.verify.export import Dump, dump_configuration, dump_plan
@@ -22,21 +24,38 @@ from midstride.verify.verdict import Answer, Finding, Verdict
 Detail = Callable[[int | None], Dump]
 
 
+@dataclass(frozen=True, slots=True)
+class Asking:
+    """How Alloy is asked: by which Analyzer (None: the one that is found), how long it may take (s), and who keeps the
+    text it is asked with."""
+
+    alloy: Alloy | Path | None = None
+    limit: float = TIME_LIMIT
+    keep: Callable[[str], None] = lambda _: None
+
+
 def verify_plan(
-    plan: Plan | Mapping[str, Any], name: str = "plan", *, alloy: Alloy | None = None, limit: float = TIME_LIMIT
+    plan: Plan | Mapping[str, Any],
+    name: str = "plan",
+    *,
+    start: Specification | None = None,
+    asking: Asking | None = None,
 ) -> Verdict:
     """Whether every step of a plan (or of its document) may be taken, does what it says and keeps the system valid.
 
-    UNKNOWN where that cannot be found out, with the reason: no Analyzer, no time, too large. Raises SpecificationError
-    where the document is no plan.
+    Where ``start`` is given, the plan must be one of that specification. UNKNOWN where an answer cannot be had, with
+    the reason: no Analyzer, no time, too large. Raises SpecificationError where the document is no plan.
     """
     try:
         known = plan if isinstance(plan, Plan) else plan_from_document(plan)
     except PlanRefused as error:  # what it speaks of is not there: nothing of it can be told to Alloy
-        finding = Finding("name", None, "the plan", "its document", str(error))
-        return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", (finding,))
+        return _unfit(str(error))
+    if start is not None and (found := differences(start, known.start)):
+        first = "; ".join(line.strip() for line in str(found[0]).splitlines())
+        more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
+        return _unfit(f"it starts from another specification than the {start.name} given: {first}{more}")
     subject = f"the plan of {len(known.steps)} steps"
-    return _judged(subject, lambda number: dump_plan(known, name, number), alloy, limit)
+    return _judged(subject, lambda number: dump_plan(known, name, number), asking or Asking())
 
 
 def verify_configuration(
@@ -44,19 +63,17 @@ def verify_configuration(
     name: str = "configuration",
     told: str = "the configuration",
     *,
-    alloy: Alloy | None = None,
-    limit: float = TIME_LIMIT,
+    asking: Asking | None = None,
 ) -> Verdict:
     """Whether a configuration is valid. UNKNOWN as above."""
-    return _judged(told, lambda _: dump_configuration(s, name, told), alloy, limit)
+    return _judged(told, lambda _: dump_configuration(s, name, told), asking or Asking())
 
 
-def verify_specification(
-    specification: Specification, *, alloy: Alloy | None = None, limit: float = TIME_LIMIT
-) -> Verdict:
+def verify_specification(specification: Specification, *, asking: Asking | None = None) -> Verdict:
     """Whether the configuration that a specification starts as is valid. UNKNOWN as above."""
-    told = "the configuration it starts as"
-    return verify_configuration(initial(specification), specification.name, told, alloy=alloy, limit=limit)
+    return verify_configuration(
+        initial(specification), specification.name, "the configuration it starts as", asking=asking
+    )
 
 
 def judge(dump: Dump, alloy: Alloy, limit: float, detail: Detail) -> Verdict:
@@ -90,8 +107,16 @@ def _solve(dump: Dump, alloy: Alloy, limit: float) -> dict[str, Outcome]:
         return alloy.solve(source, limit=limit)
 
 
-def _judged(subject: str, dump: Detail, alloy: Alloy | None, limit: float) -> Verdict:
+def _unfit(because: str) -> Verdict:
+    finding = Finding("name", None, "the plan", "its document", because)
+    return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", (finding,))
+
+
+def _judged(subject: str, dump: Detail, asking: Asking) -> Verdict:
     try:
-        return judge(dump(None), alloy or find(), limit, dump)
+        whole = dump(None)
+        asking.keep(whole.text)
+        alloy = asking.alloy if isinstance(asking.alloy, Alloy) else find(asking.alloy)
+        return judge(whole, alloy, asking.limit, dump)
     except (TooLarge, VerificationError) as error:
         return Verdict(Answer.UNKNOWN, subject, "nothing was judged", "Alloy", because=str(error))

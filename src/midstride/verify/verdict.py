@@ -88,6 +88,11 @@ class Verdict:
         return self.answer is Answer.HOLDS
 
     @property
+    def headline(self) -> str:
+        """What was judged, and the answer."""
+        return f"{self.answer}: {self.subject}"
+
+    @property
     def failed(self) -> int | None:
         return min((finding.step for finding in self.findings if finding.step is not None), default=None)
 
@@ -105,5 +110,5 @@ class Verdict:
         }
 
     def __str__(self) -> str:
-        told = f"{self.answer}: {self.subject} ({self.scope}; {self.by})"
+        told = f"{self.headline} ({self.scope}; {self.by})"
         return told if self.because is None else f"{told}: {self.because}"

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 
 import click
 
 from midstride.cli.app import json_option
-from midstride.errors import MidstrideError
 
 _FILE = click.Path(path_type=Path)
-# Graphviz is quick on what people draw; what it has not drawn by then nobody could read.
-_DRAWING_SECONDS = 60.0
 
 
 @click.command("graph")
@@ -27,48 +22,26 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 
     SVG and PNG need Graphviz; dot and Mermaid (mmd) do not.
     """
+    from midstride.cli import pictures
     from midstride.cli.files import load
     from midstride.cli.output import print_json, wants_json
     from midstride.generate.drawing import to_dot, to_mermaid
     from midstride.generate.view import view
 
-    kind = "dot" if output is None else output.suffix.lstrip(".").lower()
-    if kind not in {"dot", "gv", "mmd", "svg", "png"}:
-        raise click.UsageError(f"`{output}` does not say what to draw: its name ends in .svg, .png, .dot or .mmd")
+    if output is not None:
+        pictures.kind_of(output)
     drawn = view(load(file), annotate=annotate, collapse=collapse)
-    text = to_mermaid(drawn) if kind == "mmd" else to_dot(drawn)
     if output is None:
+        text = to_dot(drawn)
         if wants_json():
             print_json({"dot": text})
         else:
             click.echo(text, nl=False)
         return 0
-    data = _graphviz(text, kind) if kind in {"svg", "png"} else text.encode()
-    try:
-        output.write_bytes(data)
-    except OSError as error:
-        raise MidstrideError(f"{output} cannot be written: {error.strerror}") from None
+    pictures.write(output, lambda: to_dot(drawn), lambda: to_mermaid(drawn))
     if wants_json():
         print_json({"file": str(output), "boxes": len(drawn.boxes), "topics": len(drawn.topics)})
     return 0
-
-
-def _graphviz(text: str, kind: str) -> bytes:
-    program = shutil.which("dot")
-    if program is None:
-        raise MidstrideError(
-            "drawing SVG or PNG needs Graphviz (`dot`), which is not installed; "
-            "install your system's package graphviz, or ask for .dot or .mmd"
-        )
-    try:
-        done = subprocess.run(
-            [program, f"-T{kind}"], input=text.encode(), capture_output=True, timeout=_DRAWING_SECONDS, check=True
-        )
-    except subprocess.TimeoutExpired:
-        raise MidstrideError(f"Graphviz took longer than {_DRAWING_SECONDS:g} s; try --collapse") from None
-    except subprocess.CalledProcessError as error:
-        raise MidstrideError(f"Graphviz failed: {error.stderr.decode(errors='replace').strip()}") from None
-    return done.stdout
 
 
 @click.command("impact")

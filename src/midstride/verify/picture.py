@@ -1,0 +1,107 @@
+"""What a verdict found, drawn: as text, as Graphviz's dot, and for Mermaid. Pure text; others render it.
+
+Each finding stands beside its chain: from the functionality by its assumption and inputs to their topics, and to who
+publishes there. What is not satisfied is red.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+from textwrap import wrap
+from typing import Final, Literal
+
+from midstride.verify.verdict import Finding, Link, Verdict
+
+_WIDTH: Final = 44
+_RED, _GREEN = "#fce8e6", "#e6f4ea"
+# Dot's shape, and Mermaid's brackets, of each thing.
+_SHAPES: Final = {
+    "finding": ("note", '["', '"]'),
+    "functionality": ("box", '["', '"]'),
+    "assumption": ("plaintext", '["', '"]'),
+    "input": ("box", '["', '"]'),
+    "topic": ("ellipse", '(["', '"])'),
+    "output": ("box", '["', '"]'),
+    "environment": ("box", '["', '"]'),
+}
+
+
+def chain_lines(link: Link, depth: int = 0) -> Iterator[str]:
+    """A chain as indented lines, from the functionality down."""
+    told = f"{link.name} ({link.told})" if link.told else link.name
+    yield f"{'  ' * depth}{told}: {'satisfied' if link.satisfied else 'not satisfied'}"
+    for under in link.under:
+        yield from chain_lines(under, depth + 1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """One box of the picture, and the box it hangs from."""
+
+    id: str
+    above: str | None
+    thing: Literal["finding", "functionality", "assumption", "input", "topic", "output", "environment"]
+    lines: tuple[str, ...]
+    good: bool
+
+
+def to_dot(verdict: Verdict) -> str:
+    """The findings of a verdict for Graphviz's ``dot``."""
+    lines = [
+        "digraph verdict {",
+        f'  graph [rankdir=LR, fontname="Helvetica", labelloc=t, label="{_dot(verdict.headline)}"];',
+        '  node [fontname="Helvetica", fontsize=11, style=filled];',
+        '  edge [color="#5f6368", arrowsize=0.7];',
+    ]
+    for drawn in _drawn(verdict):
+        label = "\\n".join(_dot(line) for line in drawn.lines)
+        colour = _GREEN if drawn.good else _RED
+        lines.append(f'  {drawn.id} [shape={_SHAPES[drawn.thing][0]}, fillcolor="{colour}", label="{label}"];')
+        if drawn.above is not None:
+            lines.append(f"  {drawn.above} -> {drawn.id};")
+    return "\n".join([*lines, "}", ""])
+
+
+def to_mermaid(verdict: Verdict) -> str:
+    """The findings of a verdict as a Mermaid flow chart."""
+    lines = ["flowchart LR"]
+    for drawn in _drawn(verdict):
+        _, left, right = _SHAPES[drawn.thing]
+        text = "<br/>".join(_mermaid(line) for line in drawn.lines)
+        lines.append(f"  {drawn.id}{left}{text}{right}:::{'good' if drawn.good else 'bad'}")
+        if drawn.above is not None:
+            lines.append(f"  {drawn.above} --> {drawn.id}")
+    lines += [f"  classDef good fill:{_GREEN},stroke:#5f6368", f"  classDef bad fill:{_RED},stroke:#5f6368", ""]
+    return "\n".join(lines)
+
+
+def _drawn(verdict: Verdict) -> Iterator[_Drawn]:
+    for number, finding in enumerate(verdict.findings, start=1):
+        name = f"f{number}"
+        yield _Drawn(name, None, "finding", tuple(_finding(finding)), False)
+        if finding.chain is not None:
+            yield from _links(finding.chain, name, name)
+
+
+def _finding(finding: Finding) -> Iterator[str]:
+    yield from wrap(finding.where, _WIDTH)
+    yield from wrap(f"{finding.subject}: {finding.because}", _WIDTH)
+
+
+def _links(link: Link, name: str, above: str) -> Iterator[_Drawn]:
+    own = f"{name}_1" if above == name else name
+    lines = [link.name, *wrap(link.told, _WIDTH)]
+    yield _Drawn(own, above, link.thing, tuple(lines), link.satisfied)
+    for number, under in enumerate(link.under, start=1):
+        yield from _links(under, f"{own}_{number}", own)
+
+
+def _dot(text: str) -> str:
+    return text.replace("\\", "\\\\").replace('"', '\\"')
+
+
+def _mermaid(text: str) -> str:
+    """Text that Mermaid takes for nothing else."""
+    return "".join(c if c.isalnum() or c in " _-./:," else f"#{ord(c)};" for c in escape(text, quote=False))
