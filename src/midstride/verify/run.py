@@ -103,7 +103,7 @@ class Said:
 
 
 def run(line: Sequence[str], limit: float, stop: Event | None = None) -> Said:
-    """A process in a group of its own. After ``limit`` (s), or by ``stop``, it is ended with its children: AlloyFailed."""
+    """A process in a group of its own. After ``limit`` (s), or by ``stop``, it ends with its children: AlloyFailed."""
     try:
         process = subprocess.Popen(
             line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True

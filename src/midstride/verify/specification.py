@@ -1,0 +1,167 @@
+"""The Alloy specification put to the Analyzer: every `check` and `run` of it must come out as it says it will.
+
+Small scopes take little but starting up, so there a module's commands share one process; large ones run one
+command a process, several at a time where processors and memory allow.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from typing import Any, Final
+
+from midstride.errors import AlloyFailed
+from midstride.verify import library
+from midstride.verify.library import Command
+from midstride.verify.run import Alloy, Outcome, available_memory, fast_solver
+from midstride.verify.verdict import Answer
+
+# MiB that one process may use, and how long (s) it may take where nothing else is said.
+MEMORY: Final = 2048
+SECONDS: Final = 1800.0
+SCOPES: Final = (3, 5)
+_SMALL: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """What one process is asked: one command, or all of a module."""
+
+    module: str
+    commands: tuple[Command, ...]
+
+    def __str__(self) -> str:
+        return str(self.commands[0]) if len(self.commands) == 1 else self.module
+
+    @property
+    def asked(self) -> str:
+        return self.commands[0].name if len(self.commands) == 1 else "*"
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """How a task came out. HOLDS: each of its commands as expected; UNKNOWN: the Analyzer gave no answer."""
+
+    task: Task
+    answer: Answer
+    seconds: float
+    because: str | None = None
+
+    @property
+    def told(self) -> str:
+        """What was asked, in words."""
+        if len(self.task.commands) > 1:
+            checks = [command.scope for command in self.task.commands if command.kind == "check"]
+            runs = len(self.task.commands) - len(checks)
+            return f"{_counted(len(checks), 'check')} to scope {max(checks, default=0)}, {_counted(runs, 'run')}"
+        (command,) = self.task.commands
+        if command.kind == "run":
+            return f"can happen, at scope {command.scope}"
+        article = "a" if command.expected else "no"
+        return f"has {article} counterexample, {'at' if command.expected else 'to'} scope {command.scope}"
+
+    def to_document(self) -> dict[str, Any]:
+        return {
+            "check": str(self.task),
+            "commands": [command.name for command in self.task.commands],
+            "claim": self.told,
+            "verdict": self.answer.value,
+            "because": self.because,
+            "seconds": round(self.seconds, 3),
+        }
+
+
+def _counted(number: int, what: str) -> str:
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+def tasks(scope: int, modules: Sequence[str] = library.MODULES) -> list[Task]:
+    """All commands of the modules, as they are run; what takes longest, checked to the full scope, comes first."""
+    known = {module: tuple(library.commands(module, scope)) for module in modules}
+    if scope <= _SMALL:
+        return [Task(module, commands) for module, commands in known.items()]
+    single = [Task(module, (command,)) for module, commands in known.items() for command in commands]
+    return sorted(single, key=lambda task: -task.commands[0].scope)
+
+
+def at_once() -> int:
+    """How many processes this machine has processors and memory for; at least one."""
+    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min(processors, available_memory() // MEMORY))
+
+
+def check_specification(
+    alloy: Alloy,
+    scope: int = SCOPES[1],
+    *,
+    modules: Sequence[str] = library.MODULES,
+    texts: Mapping[str, str] | None = None,
+    jobs: int | None = None,
+    limit: float = SECONDS,
+) -> Iterator[Checked]:
+    """Run every command of the specification, its checks to ``scope``; each task as it is done, in no order.
+
+    ``limit`` bounds each task (s). ``texts`` stand in for modules of those names. Ends its processes when left early.
+    """
+    stop = Event()
+    solver = "sat4j" if scope <= _SMALL else fast_solver(alloy)
+    with tempfile.TemporaryDirectory(prefix="midstride-specification-") as folder:
+        for module in library.MODULES:
+            text = (texts or {}).get(module) or library.scoped(module, scope)
+            (Path(folder) / f"{module}.als").write_text(text, encoding="utf-8")
+
+        def checked(task: Task) -> Checked:
+            begun = time.monotonic()
+            answer, because = _checked(alloy, Path(folder), task, solver, scope <= _SMALL, limit, stop)
+            return Checked(task, answer, time.monotonic() - begun, because)
+
+        with ThreadPoolExecutor(jobs or at_once()) as pool:
+            waiting = [pool.submit(checked, task) for task in tasks(scope, modules)]
+            try:
+                for done in as_completed(waiting):
+                    yield done.result()
+            finally:
+                stop.set()
+                pool.shutdown(cancel_futures=True)
+
+
+def _checked(
+    alloy: Alloy, folder: Path, task: Task, solver: str, quick: bool, limit: float, stop: Event
+) -> tuple[Answer, str | None]:
+    try:
+        outcomes = alloy.solve(
+            folder / f"{task.module}.als",
+            task.asked,
+            limit=limit,
+            solver=solver,
+            memory=MEMORY,
+            quick=quick,
+            stop=stop,
+        )
+    except AlloyFailed as error:
+        return Answer.UNKNOWN, str(error)
+    unanswered = [command.name for command in task.commands if command.name not in outcomes]
+    if unanswered:
+        return Answer.UNKNOWN, f"Alloy did not answer {', '.join(unanswered)}"
+    wrong = [command for command in task.commands if outcomes[command.name].satisfiable is not command.expected]
+    if wrong:
+        return Answer.VIOLATED, "; ".join(_otherwise(command, outcomes[command.name]) for command in wrong)
+    return Answer.HOLDS, None
+
+
+def _otherwise(command: Command, outcome: Outcome) -> str:
+    """What came out instead, and of what."""
+    if not outcome.satisfiable:
+        missing = "a counterexample" if command.kind == "check" else "an instance"
+        return f"{command} should have {missing} at scope {command.scope}, and has none"
+    name = f"${command.name}_"
+    bound = {skolem.removeprefix(name): tuples for skolem, tuples in outcome.skolems.items()}
+    told = ", ".join(f"{who} = {' + '.join(' -> '.join(entry) for entry in tuples)}" for who, tuples in bound.items())
+    kind = "a counterexample" if command.kind == "check" else "an instance"
+    return f"{command} has {kind}, and should have none" + (f": {told}" if told else "")
