@@ -88,6 +88,18 @@ def test_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
     run(scenario())
 
 
+def test_a_name_that_the_graph_forgot_to_drop_is_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            known = r.backend._names
+            monkeypatch.setattr(r.backend, "_names", lambda: [*known(), "/talker"])
+            assert "/talker" not in (await r.backend.endpoints()).nodes
+            await r.start("talker", TALKER)
+            assert "/talker" in (await r.backend.endpoints()).nodes
+
+    run(scenario())
+
+
 def test_the_name_of_a_killed_component_can_be_used_again(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:

@@ -13,13 +13,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
 import rclpy
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.context import Context
-from rclpy.node import Node
+from rclpy.node import Node, NodeNameNonExistentError
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
@@ -39,8 +40,9 @@ from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
 _LISTEN: Final = 0.3
 # How long the name of a process that has ended may stay in the graph: the lease of the tuned discovery and a bit (s).
 _LINGER: Final = 5.0
-# How long a component of an earlier manager may take to be found in the graph (s).
-_FIND: Final = 5.0
+# How long a component of an earlier manager may take to be found in the graph (s): a piece of news that is lost on a busy
+# machine comes again after 3 s.
+_FIND: Final = 15.0
 _JOIN: Final = 2.0
 _POLL: Final = 0.02
 
@@ -180,11 +182,28 @@ class Ros2Backend:
                 continue
             publishers += _of(node.get_publishers_info_by_topic(topic), topic)
             subscribers += _of(node.get_subscriptions_info_by_topic(topic), topic)
-        visible = frozenset(name for name in self._names() if not names.is_hidden(name))
+        visible = frozenset(name for name in self._names() if not names.is_hidden(name) and self._lives(name))
         return Endpoints(visible, tuple(sorted(publishers)), tuple(sorted(subscribers)))
 
     def _names(self) -> list[str]:
         return [names.full(name, inside) for name, inside in self._joined().get_node_names_and_namespaces()]
+
+    def _lives(self, full_name: str) -> bool:
+        """Whether a node in the graph has any endpoint there, as every one has.
+
+        The graph may keep the name of a node that has gone, for good, when the last word of its
+        process overtook the news of its end; its endpoints do go.
+        """
+        node = self._joined()
+        name, inside = names.split(full_name)
+        with suppress(NodeNameNonExistentError):
+            if node.get_publisher_names_and_types_by_node(name, inside):
+                return True
+            if node.get_subscriber_names_and_types_by_node(name, inside):
+                return True
+        # Asked for by name, the graph answers for the first of that name, which may be the one that has gone.
+        infos = node.get_publishers_info_by_topic(events.TOPIC)
+        return any(names.full(info.node_name, info.node_namespace) == full_name for info in infos)
 
     async def _must_be_free(self, instance: str, full_name: str) -> None:
         """Raises StartFailed where a node of that name runs: two would both answer.
@@ -194,7 +213,7 @@ class Ros2Backend:
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         lingers = self._ended.get(full_name)
         deadline = time.monotonic() + (0.0 if lingers is None else _LINGER)
-        while full_name in self._names():
+        while full_name in self._names() and self._lives(full_name):
             if time.monotonic() >= deadline:
                 raise StartFailed(f"{instance}: a node {full_name} is running already; end it, or use another name")
             await asyncio.sleep(_POLL)
