@@ -40,8 +40,8 @@ from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
 _LISTEN: Final = 0.3
 # How long the name of a process that has ended may stay in the graph: the lease of the tuned discovery and a bit (s).
 _LINGER: Final = 5.0
-# How long a component of an earlier manager may take to be found in the graph (s): a piece of news that is lost on a busy
-# machine comes again after 3 s.
+# How long a component of an earlier manager may take to be found in the graph (s): news that is lost on a busy machine
+# comes again after 3 s.
 _FIND: Final = 15.0
 _JOIN: Final = 2.0
 _POLL: Final = 0.02
