@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 from midstride.errors import AlloyFailed, PlanRefused, VerificationError
@@ -17,7 +18,8 @@ from midstride.plan.document import plan_from_document
 from midstride.plan.plan import Plan
 from midstride.verify.export import Dump, dump_configuration, dump_plan
 from midstride.verify.run import TIME_LIMIT, Alloy, Outcome, find
-from midstride.verify.trace import confirm, findings, first_failure, instance
+from midstride.verify.text import VERDICT
+from midstride.verify.trace import confirm, findings, first_failure, instance, unexplained
 from midstride.verify.universe import TooLarge
 from midstride.verify.verdict import Answer, Finding, Verdict
 
@@ -26,12 +28,13 @@ Detail = Callable[[int | None], Dump]
 
 @dataclass(frozen=True, slots=True)
 class Asking:
-    """How Alloy is asked: by which Analyzer (None: the one that is found), how long it may take (s), and who keeps the
-    text it is asked with."""
+    """How Alloy is asked: by which Analyzer (None: the one that is found), how long it may take (s), who keeps the text
+    it is asked with, and what ends it before its time."""
 
     alloy: Alloy | Path | None = None
     limit: float = TIME_LIMIT
     keep: Callable[[str], None] = lambda _: None
+    stop: Event | None = None
 
 
 def verify_plan(
@@ -76,16 +79,17 @@ def verify_specification(specification: Specification, *, asking: Asking | None 
     )
 
 
-def judge(dump: Dump, alloy: Alloy, limit: float, detail: Detail) -> Verdict:
+def _judge(dump: Dump, alloy: Alloy, asking: Asking, detail: Detail) -> Verdict:
     """The verdict on a dump; ``detail`` dumps one step with what makes it fail. Raises AlloyFailed."""
     begun, scope = time.monotonic(), dump.scope
-    outcomes = _solve(dump, alloy, limit)
-    number = first_failure(dump, instance(dump, outcomes))
-    if number is not None and number != dump.detail:
+    outcomes = _solve(dump, alloy, "*", asking.limit, asking.stop)
+    answer = instance(dump, outcomes)
+    failed = first_failure(dump, answer) is not None
+    if (number := unexplained(dump, answer)) is not None:
         dump = detail(number)
-        outcomes = _solve(dump, alloy, max(1.0, limit - (time.monotonic() - begun)))
+        outcomes = _solve(dump, alloy, VERDICT, max(1.0, begun + asking.limit - time.monotonic()), asking.stop)
     found = tuple(findings(dump, outcomes))
-    if number is not None and not found:
+    if failed and not found:
         raise AlloyFailed(f"Alloy contradicts itself: it refuses step {number}, and by itself it finds nothing wrong")
     if not found:
         confirm(dump, outcomes)
@@ -100,15 +104,15 @@ def judge(dump: Dump, alloy: Alloy, limit: float, detail: Detail) -> Verdict:
     )
 
 
-def _solve(dump: Dump, alloy: Alloy, limit: float) -> dict[str, Outcome]:
+def _solve(dump: Dump, alloy: Alloy, commands: str, limit: float, stop: Event | None) -> dict[str, Outcome]:
     with tempfile.TemporaryDirectory(prefix="midstride-verify-") as folder:
         source = Path(folder) / "dump.als"
         source.write_text(dump.text, encoding="utf-8")
-        return alloy.solve(source, limit=limit)
+        return alloy.solve(source, commands, limit=limit, stop=stop)
 
 
 def _unfit(because: str) -> Verdict:
-    finding = Finding("name", None, "the plan", "its document", because)
+    finding = Finding("document", None, "the plan", "its document", because)
     return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", (finding,))
 
 
@@ -117,6 +121,6 @@ def _judged(subject: str, dump: Detail, asking: Asking) -> Verdict:
         whole = dump(None)
         asking.keep(whole.text)
         alloy = asking.alloy if isinstance(asking.alloy, Alloy) else find(asking.alloy)
-        return judge(whole, alloy, asking.limit, dump)
+        return _judge(whole, alloy, asking, dump)
     except (TooLarge, VerificationError) as error:
         return Verdict(Answer.UNKNOWN, subject, "nothing was judged", "Alloy", because=str(error))

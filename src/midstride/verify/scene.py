@@ -79,7 +79,10 @@ class Scene:
         name, component = instance.name, instance.component
         if name in self.declared:
             if not self.knows(instance):
-                raise ValueError(f"{name} is two different components in one dump")
+                known = self.declared[name]
+                raise ValueError(
+                    f"there is a {name} already, a {known.name}, and it would be a {component.name} as well"
+                )
             return
         universe = self.universe
         self.declared[name] = component

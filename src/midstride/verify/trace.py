@@ -78,6 +78,15 @@ def first_failure(dump: Dump, found: Instance) -> int | None:
     return min(numbers, default=None)
 
 
+def unexplained(dump: Dump, found: Instance) -> int | None:
+    """The first step that fails, where only its own detailed dump tells why; None where this one does."""
+    number = first_failure(dump, found)
+    strays = {stray.step for stray in dump.strays}
+    if number in {None, dump.detail} | strays or number in {named.number for named in found.steps("wrong")}:
+        return None
+    return number
+
+
 def findings(dump: Dump, outcomes: Mapping[str, Outcome]) -> list[Finding]:
     """What does not hold: the declarations, else the start, else the first step that fails, else the end.
 

@@ -18,7 +18,9 @@ class Answer(Enum):
         return self.value.upper()
 
 
-Kind = Literal["precondition", "effect", "assumption", "cap", "capacity", "attachment", "rule", "end", "name"]
+Kind = Literal[
+    "precondition", "effect", "assumption", "cap", "capacity", "attachment", "rule", "end", "name", "document"
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,6 +93,12 @@ class Verdict:
     def headline(self) -> str:
         """What was judged, and the answer."""
         return f"{self.answer}: {self.subject}"
+
+    @property
+    def words(self) -> str:
+        """The answer with its reasons, on one line."""
+        reasons = [str(finding) for finding in self.findings] or [self.because or self.scope]
+        return f"{self.headline}: {'; '.join(reasons)}"
 
     @property
     def failed(self) -> int | None:

@@ -1,0 +1,266 @@
+"""Plans as Alloy judges them: what is right holds, and every fault planted in one is caught and told by its names."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pytest
+
+from midstride.model.action import Action, Create, Degrade, Detach, Handover
+from midstride.model.configuration import Configuration
+from midstride.verify.checking import Asking, verify_plan
+from midstride.verify.run import Alloy, find
+from midstride.verify.verdict import Answer, Finding, Verdict
+from tests.verify.systems import ROVER, TALKER, Document, loop, plan, specification
+
+pytestmark = pytest.mark.alloy
+
+Spoil = Callable[[Document], object]
+
+
+@pytest.fixture(scope="module")
+def alloy() -> Alloy:
+    return find()
+
+
+def judged(document: Document, alloy: Alloy) -> Verdict:
+    return verify_plan(document, asking=Asking(alloy))
+
+
+# -- what is right -------------------------------------------------------------------------------------------
+
+
+def test_the_seven_step_plan_of_the_talker_holds(alloy: Alloy) -> None:
+    found = plan(specification(TALKER), talker="NewTalker")
+    verdict = judged(found.to_document(), alloy)
+    assert str(verdict) == "HOLDS: the plan of 7 steps (exact: 8 configurations, 34 atoms; Alloy 6.2.0)"
+    assert verdict.steps == tuple(step.describe() for step in found.steps)
+    assert (verdict.findings, verdict.failed, verdict.because) == ((), None, None)
+
+
+def test_a_long_plan_of_a_real_system_holds(alloy: Alloy) -> None:
+    found = loop(("controller", "vehicle_cmd_gate"))
+    assert len(found.steps) >= 30
+    verdict = verify_plan(found, asking=Asking(alloy))
+    assert verdict.holds, verdict
+
+
+def test_a_hand_over_within_a_cap_and_a_capacity_holds(alloy: Alloy) -> None:
+    found = plan(specification(ROVER), "minimal", planner="SmallPlanner", left="NewCamera")
+    assert any(isinstance(action, Handover) for action in found.actions)
+    assert judged(found.to_document(), alloy).holds
+
+
+# -- faults in plans -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Planted:
+    """A fault in a plan: where, and what must be told of it."""
+
+    fault: str
+    of: str
+    spoil: Spoil
+    step: int | None
+    kind: str
+    words: tuple[str, ...]
+    subject: str | None = None
+    assumption: str | None = None
+
+
+def plans() -> dict[str, Document]:
+    rover = specification(ROVER)
+    return {
+        "talker": plan(specification(TALKER), talker="NewTalker").to_document(),
+        "large planner": plan(rover, planner="LargePlanner").to_document(),
+        "small planner": plan(rover, planner="SmallPlanner").to_document(),
+        "camera": plan(rover, "minimal", left="NewCamera").to_document(),
+        "no cameras": plan(rover, "minimal", left=None, right=None).to_document(),
+    }
+
+
+def drop(*numbers: int) -> Spoil:
+    """Without the steps of these numbers."""
+    return lambda plan: plan.update(steps=[step for n, step in enumerate(plan["steps"], 1) if n not in numbers])
+
+
+def order(*numbers: int) -> Spoil:
+    """These steps first, in this order, then the others."""
+
+    def spoil(plan: Document) -> None:
+        steps = plan["steps"]
+        rest = [n for n in range(1, len(steps) + 1) if n not in numbers]
+        plan["steps"] = [steps[n - 1] for n in (*numbers, *rest)]
+
+    return spoil
+
+
+def edit(number: int, **changes: object) -> Spoil:
+    """Another word in a step."""
+    return lambda plan: plan["steps"][number - 1].update(changes)
+
+
+PLANTED = [
+    Planted(
+        "a step is missing: the degrade before a detach",
+        "talker", drop(1),
+        1, "precondition", ("step 1, detach talker.out from /chatter", "nobody satisfies /chatter"),
+        "listener.listen in mode normal", "in",
+    ),
+    Planted(
+        "two steps are swapped: removed before it is isolated",
+        "large planner", order(1, 2, 3, 5, 4),
+        4, "precondition", ("step 4, remove planner", "it is still attached to /image"), "planner.in",
+    ),
+    Planted(
+        "a hand-over to an output in a degraded mode",
+        "camera", drop(2),
+        2, "precondition", ("hand over /image", "the new output does not satisfy the topic", "left_2.out"), "handover",
+    ),
+    Planted(
+        "a cap is exceeded: attached before the other one is detached",
+        "small planner", order(6, 7, 8, 9),
+        4, "precondition", ("attach planner_2.cmd to /cmd", "the cap on publishers would be exceeded"), "attach",
+    ),
+    Planted(
+        "a capacity is exceeded: created before the other one is removed",
+        "large planner", order(6),
+        1, "precondition", ("create planner_2", "a resource would be exceeded", "gpu"), "create",
+    ),
+    Planted(
+        "the plan ends elsewhere: the target is another",
+        "large planner", lambda plan: plan["target"]["nodes"]["planner"].update(component="SmallPlanner"),
+        None, "end", ("planner should be one SmallPlanner", "planner_2"), "target",
+    ),
+    Planted(
+        "an attachment of the target is missing",
+        "camera", lambda plan: plan["target"]["nodes"]["motor"].pop("attachments"),
+        None, "end", ("attached to /cmd, and should not be",), "motor.in",
+    ),
+    Planted(
+        "a foreign name: there is no such topic",
+        "large planner", edit(9, connector="/cmmd"),
+        9, "name", ("attach planner_2.cmd to /cmmd", "there is no topic /cmmd"),
+    ),
+    Planted(
+        "a foreign name: the step that creates it is missing",
+        "large planner", drop(6),
+        None, "document", ("step 7: there is no planner_2.plan with a mode normal",),
+    ),
+    Planted(
+        "a name that is taken",
+        "camera", lambda plan: (edit(1, component="right")(plan), drop(2, 3)(plan)),
+        1, "name", ("there is a right already, a Camera",),
+    ),
+    Planted(
+        "an effect other than the action's: it says that another mode is left",
+        "large planner", edit(1, modes={"motor.drive": {"from": "degraded", "to": "degraded"}}),
+        1, "name", ("it says that motor.drive is in mode degraded, and there it is in mode normal",),
+    ),
+    Planted(
+        "the redundant second is detached as well",
+        "no cameras", drop(1, 2),
+        2, "precondition", ("step 2, detach right.out from /image", "nobody satisfies /image"),
+        "planner.plan in mode normal", "in",
+    ),
+    Planted(
+        "contracts that do not fit",
+        "large planner", edit(7, connector="/cmd"),
+        7, "precondition", ("attach planner_2.in to /cmd", "the contracts do not fit"), "attach",
+    ),
+    Planted(
+        "one port twice in one hand-over",
+        "camera", lambda plan: plan["steps"][2]["swaps"].append(plan["steps"][2]["swaps"][0]),
+        3, "precondition", ("a port occurs twice on one topic",), "handover",
+    ),
+    Planted(
+        "the last step is missing: not everything is raised again",
+        "talker", drop(7),
+        None, "end", ("it could be in mode normal",), "listener.listen",
+    ),
+    Planted(
+        "the start is not valid",
+        "large planner", lambda plan: plan.update(standing={"planner.plan": "degraded"}),
+        None, "document", ("motor.drive in mode normal", "planner.cmd in mode degraded: nothing is guaranteed"),
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("planted", PLANTED, ids=lambda planted: planted.fault)
+def test_a_fault_in_a_plan_is_caught_and_told_by_its_names(planted: Planted, alloy: Alloy) -> None:
+    document = copy.deepcopy(plans()[planted.of])
+    planted.spoil(document)
+    verdict = judged(document, alloy)
+    told = "\n".join(map(str, verdict.findings))
+    assert (verdict.answer, verdict.failed) == (Answer.VIOLATED, planted.step), verdict
+    assert {finding.kind for finding in verdict.findings} == {planted.kind}
+    assert [word for word in planted.words if word not in told] == [], told
+    finding = verdict.findings[0]
+    assert finding.subject == (planted.subject or finding.subject)
+    assert finding.assumption == planted.assumption
+    assert "please report" not in told
+    if planted.assumption is not None:
+        leads_to_what_is_short(finding)
+
+
+def leads_to_what_is_short(finding: Finding) -> None:
+    """The chain begins at the functionality, and leads by what is not satisfied to a topic."""
+    link = finding.chain
+    assert link is not None and finding.subject.startswith(link.name)
+    things = []
+    while link is not None:
+        assert not link.satisfied
+        things.append(link.thing)
+        link = next((under for under in link.under if not under.satisfied), None)
+    assert things[:4] == ["functionality", "assumption", "input", "topic"]
+
+
+# -- faults in actions ---------------------------------------------------------------------------------------
+
+
+def born_normal(self: Create, s: Configuration) -> Configuration:
+    s = s.with_instance(self.instance)
+    return s.with_modes(dict.fromkeys(self.instance.functionality_refs(), 0))
+
+
+def keeps_the_old(self: Handover, s: Configuration) -> Configuration:
+    for swap in self.swaps:
+        s = s.with_attachment(swap.new, swap.connector)
+    return s
+
+
+def does_nothing(self: Action, s: Configuration) -> Configuration:
+    return s
+
+
+@pytest.mark.parametrize(
+    ("of", "action", "effect", "step"),
+    [
+        pytest.param("camera", Create, born_normal, 1, id="a create that begins in the normal mode"),
+        pytest.param("camera", Handover, keeps_the_old, 3, id="a hand-over that leaves the old one attached"),
+        pytest.param("large planner", Degrade, does_nothing, 1, id="a degrade that changes nothing"),
+    ],
+)
+def test_a_fault_in_an_actions_effect_is_caught(
+    of: str,
+    action: type[Action],
+    effect: Callable[[Action, Configuration], Configuration],
+    step: int,
+    alloy: Alloy,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    document = plans()[of]
+    monkeypatch.setattr(action, "effect", effect)
+    verdict = judged(document, alloy)
+    assert verdict.failed == step
+    assert [(f.kind, f.because) for f in verdict.findings] == [("effect", "its effect is not what the action does")]
+
+
+def test_a_fault_in_an_actions_precondition_is_caught(alloy: Alloy, monkeypatch: pytest.MonkeyPatch) -> None:
+    document = plans()["talker"]
+    drop(1)(document)
+    monkeypatch.setattr(Detach, "check", lambda self, s: ())
+    verdict = judged(document, alloy)
+    assert (verdict.failed, verdict.findings[0].subject) == (1, "listener.listen in mode normal")
