@@ -39,7 +39,10 @@ Told = Callable[[str, str, dict[str, Any]], None]
 
 @dataclass(slots=True)
 class Executor:
-    """Carries out actions. ``moved`` is told each new configuration, ``tell`` each thing worth knowing."""
+    """Carries out actions. ``moved`` is told each new configuration, ``tell`` each thing worth knowing.
+
+    ``after_step`` looks at each step of a plan once it is done: the step has failed where it raises.
+    """
 
     link: Link
     launcher: Launcher
@@ -47,6 +50,7 @@ class Executor:
     moved: Moved
     tell: Told
     is_gone: Callable[[str], bool] = lambda _: False
+    after_step: Callable[[Configuration], Awaitable[None]] | None = None
     before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
     starting: Callable[[Sequence[Instance]], None] = lambda _: None
     drain_timeout: float = DRAIN_TIMEOUT
@@ -68,6 +72,9 @@ class Executor:
                 if isinstance(action, Create):
                     await self._start_ahead(actions[index:])
                 await self.perform(action)
+                done.append((action, before))
+                if self.after_step is not None:
+                    await self.after_step(self.configuration)
             except (MidstrideError, asyncio.CancelledError) as error:
                 self.tell("step_failed", f"{self.describe(action)} failed: {error}", position)
                 await self._abandon_started(actions[index:])
@@ -79,7 +86,6 @@ class Executor:
                 if problem is not None:
                     because += f"; and the roll-back failed: {problem}"
                 raise StepFailed(because, outcome) from error
-            done.append((action, before))
             self.tell("step_done", f"{index + 1}/{len(actions)} done", position)
 
     async def perform(self, action: Action) -> None:
@@ -91,10 +97,13 @@ class Executor:
         await self.moved(after)
 
     def _is_void(self, action: Action) -> bool:
-        """Whether the action only takes something from a component whose process has ended: then it is so already."""
+        """Whether nothing is to be done on the components: the action only takes something from a process that has
+        ended, or the port has its endpoint on that topic, and keeps it, by another contract of the topic."""
         match action:
-            case Detach(port, _):
-                return self.is_gone(port.component)
+            case Attach(port, connector):
+                return self._has_endpoint(port, connector)
+            case Detach(port, connector):
+                return self.is_gone(port.component) or self._has_endpoint(port, connector)
             case Degrade(modes):
                 return all(self.is_gone(ref.component) for ref in modes)
             case Remove(component):
@@ -118,6 +127,15 @@ class Executor:
                 await self._hand_over(action)
             case SetParameters():
                 await self.link.change(action.component, "set", parameters=dict(action.parameters))
+
+    def _has_endpoint(self, port: PortRef, connector: str) -> bool:
+        """Whether ``port`` is attached to another connector of the same topic: to its contract before or after a
+        change. The components know the topic alone."""
+        connectors = self.configuration.world.connectors
+        return any(
+            other != connector and connectors[other].topic == connectors[connector].topic
+            for other in self.configuration.attached_to(port)
+        )
 
     def describe(self, action: Action) -> str:
         """The action in words, with modes by name."""
