@@ -2,46 +2,24 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
-import sys
-import tempfile
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
+from tests.backends.ros1_support import own_master_uri
+from tests.cli.conftest import Midstride, nothing_lost, running
+
 SEEDS = Path(__file__).parents[1] / "lang" / "seeds"
-
-
-class Midstride:
-    """The command line, with a folder of its own for what runs."""
-
-    def __init__(self, runtime: Path) -> None:
-        self.environment = {**os.environ, "XDG_RUNTIME_DIR": str(runtime)}
-
-    def __call__(self, *words: str) -> subprocess.CompletedProcess[str]:
-        command = [sys.executable, "-m", "midstride", *words]
-        return subprocess.run(
-            command,
-            capture_output=True,
-            text=True,
-            timeout=100,
-            check=False,
-            env=self.environment,
-            stdin=subprocess.DEVNULL,
-        )
 
 
 @pytest.fixture
 def midstride() -> Iterator[Midstride]:
-    runtime = Path(tempfile.mkdtemp(prefix="ms"))  # short: sockets live in it
-    made = Midstride(runtime)
-    yield made
-    made("down")
-    shutil.rmtree(runtime)
+    yield from running()
 
 
 @pytest.fixture
@@ -51,36 +29,61 @@ def patrol(tmp_path: Path) -> Path:
     return tmp_path / "patrol.stride"
 
 
-def test_the_sample_is_generated_and_runs(midstride: Midstride, patrol: Path, tmp_path: Path) -> None:
+def modes(midstride: Midstride) -> dict[str, str]:
+    """The mode of each functionality; the component of each role."""
+    status = midstride("status", "--json").json
+    assert status["valid"], status
+    return {
+        **{f"{entry['role']}.{row['name'].partition('.')[2]}": row["mode"]
+           for entry in status["components"] for row in entry["functionalities"]},
+        **{entry["role"]: entry["component"] for entry in status["components"]},
+    }  # fmt: skip
+
+
+@pytest.mark.timeout(240)
+@pytest.mark.parametrize(
+    "backend", ["sim", pytest.param("ros2", marks=pytest.mark.ros2), pytest.param("ros1", marks=pytest.mark.ros1)]
+)
+def test_the_sample_is_generated_runs_and_is_changed(
+    backend: str, midstride: Midstride, patrol: Path, tmp_path: Path
+) -> None:
+    """Both files of language.md, without an edit: from the text to a replacement in the running system."""
     folder = tmp_path / "made"
-    done = midstride("generate", str(patrol), "-o", str(folder))
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.endswith(f"Start it with `midstride up {folder}/patrol.stride`.\n")
-    assert midstride("check", "--strict", str(folder / "patrol.stride")).returncode == 0
-    up = midstride("up", str(folder / "patrol.stride"), "--backend", "sim", "--detach")
-    assert up.returncode == 0, up.stdout + up.stderr
-    status = json.loads(midstride("status", "--json").stdout)
-    modes = {row["name"]: row["mode"] for entry in status["components"] for row in entry["functionalities"]}
-    assert modes == {"lidar.sense": "normal", "detector.detect": "normal", "controller.control": "normal"}
-    assert midstride("down").returncode == 0
-
-
-@pytest.mark.ros2
-@pytest.mark.timeout(180)
-def test_it_runs_on_ros_2(midstride: Midstride, tmp_path: Path) -> None:
-    """Three nodes of messages that every ROS 2 has, generated and started."""
-    specification = tmp_path / "chain.stride"
-    specification.write_text(CHAIN, encoding="utf-8")
-    done = midstride("generate", str(specification), "-o", str(tmp_path))
-    assert done.returncode == 0, done.stderr
-    up = midstride("up", str(specification), "--backend", "ros2", "--detach")
-    assert up.returncode == 0, up.stdout + up.stderr
-    status = json.loads(midstride("status", "--json").stdout)
-    modes = {row["mode"] for entry in status["components"] for row in entry["functionalities"]}
-    assert modes == {"normal"}
-    replaced = midstride("replace", "filter", "Other", "--yes", "--json")
-    assert replaced.returncode == 0, replaced.stdout + replaced.stderr
-    assert json.loads(replaced.stdout)["outcome"] == "done"
+    generated = midstride("generate", str(patrol), "-o", str(folder), *(["--ros", "1"] if backend == "ros1" else []))
+    assert generated.status == 0, generated.err
+    assert generated.out.endswith(f"Start it with `midstride up {folder}/patrol.stride`.\n")
+    file = folder / "patrol.stride"
+    assert midstride("check", "--strict", str(file)).status == 0
+    with own_master_uri() if backend == "ros1" else nullcontext() as uri:
+        master = {} if uri is None else {"ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1"}
+        up = midstride("up", str(file), "--backend", backend, "--detach", **master)
+        assert up.status == 0, up.out + up.err
+        whole = {"lidar.sense": "normal", "detector.detect": "normal", "controller.control": "normal"}
+        played = {"lidar": "Lidar", "detector": "ObstacleDetector", "controller": "MotorController"}
+        assert modes(midstride) == whole | played
+        # Both detectors hold the camera, so the old one must go first; and the controller is to be kept at normal.
+        refused = midstride("replace", "detector", "StereoDetector", "--yes", "--json")
+        assert (refused.status, refused.json["outcome"]) == (1, "refused")
+        assert "keep controller.control at normal" in refused.json["because"]
+        assert modes(midstride) == whole | played
+        calm = folder / "calm.stride"
+        text = file.read_text(encoding="utf-8")
+        calm.write_text(text.replace("keep  controller.control at normal", "keep controller.control at stop"))
+        assert midstride("apply", str(calm), "--yes", "--json").json["plan"]["steps"] == []
+        replaced = midstride("replace", "detector", "StereoDetector", "--yes", "--json", timeout=100)
+        assert replaced.status == 0, replaced.out + replaced.err
+        assert set(replaced.json["fallen"]) == {"detector.detect", "controller.control"}
+        assert modes(midstride) == whole | played | {"detector": "StereoDetector"}
+        # A lidar holds nothing: another one comes beside it, and nothing falls.
+        more = 'component SecondLidar like Lidar { run "python3 -m patrol.second" }\n'
+        calm.write_text(calm.read_text() + more)
+        again = midstride("generate", str(calm), "-o", str(folder), *(["--ros", "1"] if backend == "ros1" else []))
+        assert "written" in again.out and "second.py" in again.out
+        handed = midstride("replace", "lidar", "SecondLidar", "--from", str(calm), "--yes", "--json", timeout=100)
+        assert handed.status == 0, handed.out + handed.err
+        assert not any(handed.json["fallen"].values())
+        assert nothing_lost(handed.json["swaps"])
+        assert midstride("down", **master).status == 0
 
 
 CHAIN = """system chain
@@ -134,17 +137,17 @@ def test_generated_again_what_was_written_is_still_there(midstride: Midstride, t
     specification = tmp_path / "chain.stride"
     specification.write_text(CHAIN, encoding="utf-8")
     folder = tmp_path / "made"
-    assert midstride("generate", str(specification), "-o", str(folder)).returncode == 0
+    assert midstride("generate", str(specification), "-o", str(folder)).status == 0
     source = folder / "source.py"
     source.write_text(
         source.read_text().replace("class Source(SourceBase):", "MINE = 1\n\n\nclass Source(SourceBase):")
     )
     (folder / "setup.py").write_text("# all mine\n")
     again = midstride("generate", str(specification), "-o", str(folder))
-    assert again.returncode == 0
-    assert "written" not in again.stdout
+    assert again.status == 0
+    assert "written" not in again.out
     specification.write_text(CHAIN.replace("mode off { }", "mode low { guarantee out : Text }\n    mode off { }", 1))
-    done = json.loads(midstride("generate", str(specification), "-o", str(folder), "--json").stdout)
+    done = midstride("generate", str(specification), "-o", str(folder), "--json").json
     states = {entry["file"]: (entry["state"], entry["note"]) for entry in done["files"]}
     assert states["source.py"] == ("written", "new: make_low")
     assert states["chain.stride"] == ("written", None)
@@ -154,7 +157,7 @@ def test_generated_again_what_was_written_is_still_there(midstride: Midstride, t
     assert (folder / "setup.py").read_text() == "# all mine\n"
     (folder / "chain.stride").write_text(CHAIN + "# mine\n")
     kept = midstride("generate", str(specification), "-o", str(folder))
-    assert "kept" in kept.stdout
+    assert "kept" in kept.out
     assert (folder / "chain.stride").read_text().endswith("# mine\n")
 
 
@@ -162,7 +165,7 @@ def test_for_ros_1_there_are_catkins_files(midstride: Midstride, tmp_path: Path)
     specification = tmp_path / "chain.stride"
     specification.write_text(CHAIN, encoding="utf-8")
     folder = tmp_path / "made"
-    assert midstride("generate", str(specification), "-o", str(folder), "--ros", "1").returncode == 0
+    assert midstride("generate", str(specification), "-o", str(folder), "--ros", "1").status == 0
     assert "catkin_install_python(PROGRAMS filters/first.py" in (folder / "CMakeLists.txt").read_text()
     assert 'args="$(dirname)/../chain.stride"' in (folder / "launch" / "chain.launch").read_text()
     assert os.access(folder / "up.sh", os.X_OK)
@@ -178,6 +181,6 @@ def test_what_cannot_be_generated_is_said(midstride: Midstride, tmp_path: Path) 
         "functionality f { produces out   mode a { }   mode b { } } }\n"
     )
     done = midstride("generate", str(specification), "-o", str(tmp_path / "made"))
-    assert (done.returncode, done.stdout) == (1, "")
-    assert "output out of C has no type" in done.stderr
+    assert (done.status, done.out) == (1, "")
+    assert "output out of C has no type" in done.err
     assert not (tmp_path / "made").exists()
