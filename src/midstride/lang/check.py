@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from immutables import Map
 
+from midstride.lang.advice import Advice
 from midstride.lang.components import UNRESOLVED, Components
 from midstride.lang.consequences import Consequences
 from midstride.lang.contracts import Contracts
@@ -154,6 +155,7 @@ class _Building:
         problems = check_specification(specification)
         unfit_alone = not faulty and {p.code for p in problems if p.severity == "error"} == {"E020"}
         consequences = Consequences(specification) if unfit_alone else None
+        advice = Advice(specification)
         for problem in problems:
             if problem.code in _OURS or (faulty and problem.code in _CONSEQUENCES) or not problem.subject:
                 continue
@@ -167,7 +169,7 @@ class _Building:
             if problem.code == "E020":
                 notes = self._contracts_of(problem, specification)
                 follows = None if consequences is None else consequences.of(problem)
-            help = problem.help or None
+            help = advice.on(problem, "" if place is None else place.text)
             self.reporter.report(problem.code, place, problem.message, help=help, notes=notes, follows=follows)
 
     def _contracts_of(self, problem: Problem, specification: Specification) -> list[Note]:

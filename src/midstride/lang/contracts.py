@@ -170,7 +170,8 @@ class Contracts:
             return True
         package, _, rest = canonical_type(name.text).partition("/msg/")
         assert self.messages is not None
-        help = did_you_mean(rest, self.messages.types(package))
+        types = tuple(self.messages.types(package))
+        help = did_you_mean(rest, types) or f"its types: {', '.join(types[:8])}{', …' if len(types) > 8 else ''}"
         self.reporter.report("E130", name.span, f"package `{package}` has no message type `{rest}`", help=help)
         return False
 
@@ -277,7 +278,7 @@ class Contracts:
         if stated - {kind}:
             told = " and ".join(sorted(_TOLD[name] for name in stated))
             message = f"{path.text} of {type_} is {_TOLD[kind]}, and `{constraint.span.text}` asks for {told}"
-            self.reporter.report("E138", constraint.span, message)
+            self.reporter.report("E138", constraint.span, message, help=_by_value(known, constraint))
             return False
         return True
 
@@ -287,6 +288,17 @@ def _shortened(names: list[str]) -> list[str]:
 
 
 _TOLD: Final = {"number": "a number", "text": "a text", "boolean": "true or false"}
+
+
+def _by_value(message: Message, constraint: FieldConstraint) -> str | None:
+    """How the constraint reads with the value of the constant that it names."""
+    for value in constraint.values:
+        if isinstance(value.value, str) and value.value in message.constants:
+            at = value.span.start - constraint.span.start
+            text = constraint.span.text
+            constant = message.constants[value.value]
+            return f"constants are written by their value: `{text[:at]}{constant}{text[at + len(value.span.text) :]}`"
+    return None
 
 
 def _kind_of(values: ValueSet) -> set[str]:

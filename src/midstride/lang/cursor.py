@@ -33,6 +33,9 @@ RESERVED: Final = frozenset(BELONGS)
 
 Handlers = Mapping[str, Callable[[], None]]
 
+# Signs that other languages have where this one has the other, or none (`node: talker`).
+_CONFUSED: Final = {":", "="}
+
 # Longer digits say nothing more, and turning them into numbers takes time.
 _LONGEST_NUMBER: Final = 40
 _LARGEST: Final = 1e18
@@ -77,6 +80,18 @@ class Cursor:
             return Span(self.tokens.source, end, end)
         return self.span()
 
+    def rest_of_line(self) -> str:
+        """What stands from here to the end of the line, or to where the next statement or a brace begins."""
+        start, line = self.i, self._line(self.i)
+        end = start + 1
+        while (
+            self.kinds[end] not in {"end", "{", "}"}
+            and not (self.kinds[end] == "name" and self.texts[end] in RESERVED)
+            and self._line(end) == line
+        ):
+            end += 1
+        return self.span(start).to(self.span(end - 1)).text
+
     def found(self) -> str:
         """The token found, in words."""
         kind, text = self.kinds[self.i], self.texts[self.i]
@@ -107,11 +122,15 @@ class Cursor:
         return False
 
     def expect(self, sign: str, before: str, follow: tuple[str, ...] = ()) -> None:
-        """Read ``sign``. Where one of ``follow`` stands instead, it was merely forgotten, and reading goes on."""
+        """Read ``sign``. Where one of ``follow`` stands instead, it was merely forgotten, and reading goes on; so it
+        does behind `:` for `=` and the other way round."""
         if self.kinds[self.i] == sign:
             self.i += 1
             return
         panic = self.fail(f"`{sign}` {before}")
+        if {sign, self.kinds[self.i]} == _CONFUSED:
+            self.i += 1
+            return
         if self.kinds[self.i] not in follow or (self.kinds[self.i] == "name" and self.texts[self.i] in RESERVED):
             raise panic
 
@@ -123,6 +142,10 @@ class Cursor:
         """A declared name, or a use of one. A word of the language is none, and is taken for one only before
         ``then``."""
         if self.kinds[self.i] != "name":
+            if self.kinds[self.i] in _CONFUSED and self.kinds[self.i + 1] == "name":
+                self.fail(what, "leave it out")
+                self.i += 1
+                return self.name(what, then)
             number = self.kinds[self.i] == "number"
             raise self.fail(what, "a name begins with a letter" if number else None)
         text = self.texts[self.i]
@@ -243,6 +266,10 @@ class Cursor:
             if kind == "}":
                 self.i += 1
                 if opened is not None:
+                    if self._closes_too_early(start, handlers):
+                        message = f"this `}}` closes {what}, and `{self.texts[self.i]}`, which belongs in it, follows"
+                        self.reporter.report("E124", self.span(start), message, help="leave it out")
+                        continue
                     return frozenset(lost)
                 self.reporter.report("E124", self.span(start), "this `}` closes nothing", help="leave it out")
                 continue
@@ -290,6 +317,20 @@ class Cursor:
             self.texts[at]
         ].startswith("at")
         return outer and (line == opened_line or column <= indentation + 1)
+
+    def _closes_too_early(self, at: int, handlers: Handlers) -> bool:
+        """Whether the brace at ``at`` is one too many: what follows fits this block and no outer one, and the brace
+        does not stand where the one that closes the block would."""
+        word = self.texts[self.i]
+        if self.kinds[self.i] != "name" or word not in handlers:
+            return False
+        if any(word in outer for _, outer in self._open[:-1]) or "at the outermost" in BELONGS[word]:
+            return False
+        opened_line, _ = self.tokens.source.position(self.tokens.starts[self._open[-1][0]])
+        line, column = self.tokens.source.position(self.tokens.starts[at])
+        before = self.tokens.source.line(line)[: column - 1]
+        opening = self.tokens.source.line(opened_line)
+        return bool(before.strip()) or len(before) > len(opening) - len(opening.lstrip())
 
     def _not_closed(self, what: str, opened: int, before: str) -> None:
         note = Note("it is opened here", self.span(opened))

@@ -94,7 +94,8 @@ class Diagnostic:
 
     def __str__(self) -> str:
         line, column = self.position
-        return f"{self.file_name}:{line}:{column}: {self.severity}[{self.code}]: {self.message}"
+        told = f"{self.file_name}:{line}:{column}: {self.severity}[{self.code}]: {self.message}"
+        return f"{told} ({self.help})" if self.help else told
 
 
 def _note_json(note: Note) -> dict[str, Any]:

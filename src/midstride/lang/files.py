@@ -10,12 +10,14 @@ import os
 import stat
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.parser import parse
 from midstride.lang.source import Source, Span
+from midstride.lang.suggest import did_you_mean
 from midstride.lang.syntax import File, IncludeStatement, Item, NamespaceBlock
 
 Read = Callable[[Path], str]
@@ -25,6 +27,7 @@ MAX_TOTAL: Final = 16 * 2**20  # characters of all files
 MAX_FILES: Final = 256  # files that are read
 MAX_PLACES: Final = 1024  # files times namespaces they are included in
 MAX_DEPTH: Final = 32  # includes of includes
+_MOST_NEARBY: Final = 1000  # files that a misspelt name is compared with
 
 
 class Unreadable(Exception):
@@ -179,8 +182,23 @@ class Loader:
         try:
             return self._parsed(read_source(Path(key), self.read, shown))
         except Unreadable as error:
-            self.reporter.report(error.code, span, f"`{text}` cannot be included: {error}", help=error.help)
+            help = error.help or _nearby(key, shown)
+            self.reporter.report(error.code, span, f"`{text}` cannot be included: {error}", help=help)
             return None
+
+
+def _nearby(path: str, shown: str) -> str | None:
+    """What else may have been meant by a file that is not there; where it has been looked for, if nothing."""
+    if os.path.exists(path):
+        return None
+    folder, name = os.path.split(path)
+    try:
+        with os.scandir(folder or ".") as entries:
+            files = [entry.name for entry in islice(entries, _MOST_NEARBY) if entry.name.endswith(".stride")]
+    except (OSError, ValueError):
+        files = []
+    near = did_you_mean(name, files)
+    return near or f"it is looked for beside this file, as `{shown}`"
 
 
 def join(namespace: str, name: str) -> str:

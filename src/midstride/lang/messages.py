@@ -29,10 +29,11 @@ _LARGEST: Final = 1 << 20
 @dataclass(frozen=True, slots=True)
 class Message:
     """The fields of a message type. The type of a field: ``number``, ``text``, ``boolean``, ``list``, or a message
-    type."""
+    type. ``constants`` have their values as they are written."""
 
     name: str
     fields: Mapping[str, str] = field(default_factory=dict)
+    constants: Mapping[str, str] = field(default_factory=dict)
 
 
 class Messages(Protocol):
@@ -104,9 +105,10 @@ class Installed:
             return None if other is None else other.message(name)
         try:
             with open(folder / f"{rest}.msg", encoding="utf-8", errors="replace") as stream:
-                return Message(name, parse_fields(stream.read(_LARGEST), package))
+                text = stream.read(_LARGEST)
         except OSError:
             return None
+        return Message(name, parse_fields(text, package), parse_constants(text))
 
     def _other(self) -> Messages | None:
         if self._load_fallback is not None:
@@ -131,6 +133,12 @@ def parse_fields(text: str, package: str) -> dict[str, str]:
         base, array, name = match[1], match[3], match[4]
         fields[name] = "list" if array else _kind(base, package)
     return fields
+
+
+def parse_constants(text: str) -> dict[str, str]:
+    """The constants that an interface file declares."""
+    matches = (_FIELD.match(line) for line in text.splitlines())
+    return {match[4]: match.string[match.end() :].partition("#")[0].strip() for match in matches if match and match[5]}
 
 
 def _kind(base: str, package: str) -> str:
@@ -159,7 +167,10 @@ class _Rosbags:
         definition = self._fields.get(name)
         if definition is None:
             return None
-        return Message(name, {field: _rosbags_kind(kind) for field, kind in definition[1]})
+        constants, fields = definition
+        return Message(
+            name, {field: _rosbags_kind(kind) for field, kind in fields}, {c: str(value) for c, _, value in constants}
+        )
 
     def types(self, package: str) -> Iterable[str]:
         prefix = f"{package}/msg/"

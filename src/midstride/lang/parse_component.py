@@ -83,6 +83,9 @@ class ComponentParser(ContractParser):
     def _run(self) -> Run:
         start = self.i
         self.i += 1
+        if self.kinds[self.i] in {"name", "path"}:
+            words = self.rest_of_line()
+            raise self.fail("a command in double quotes after `run`", f'write `run "{words}"`')
         command = self.text("a command in double quotes after `run`")
         takes = self.seconds("the time that starting takes") if self.accept_word("takes") else None
         return Run(command, takes, self.since(start))

@@ -7,6 +7,7 @@ from typing import Final
 
 from midstride.lang.cursor import RESERVED, Cursor, Panic
 from midstride.lang.lexer import string_value
+from midstride.lang.suggest import nearest
 from midstride.lang.syntax import (
     ContractExpression,
     FieldConstraint,
@@ -278,9 +279,18 @@ class ContractParser(Cursor):
             if self.texts[self.i] in RESERVED and self.kinds[self.i + 1] not in {"=", "."}:
                 return False
             changeable = self.kinds[self.i + 1] == "name" and self.accept_word("changeable")
+            if self.kinds[self.i + 1] == "name" and nearest(self.texts[self.i], ["changeable"]):
+                self.fail("the name of a parameter", "did you mean `changeable`?")
+                self.i += 1
+                changeable = True
             name = self.dotted("the name of a parameter")
             self.expect("=", f"after `{name.text}`", ("name", "number", "string", "["))
-            entries.append(ParameterEntry(name, self.parameter_value(), changeable))
+            value = self.parameter_value()
+            entries.append(ParameterEntry(name, value, changeable))
+            if self.texts[self.i] in {*HERTZ, *SECONDS} and self.kinds[self.i + 1] not in {"=", ":", "."}:
+                help = f"write `{name.text} = {value.span.text}`: what it is measured in is the node's to know"
+                self.reporter.report("E120", self.span(), "a parameter's value has no unit", help=help)
+                self.i += 1
             return True
 
         if self.kinds[self.i] != "{":

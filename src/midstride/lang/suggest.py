@@ -17,18 +17,31 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     best = allowed + 1
     lower = word.lower()
     for name in sorted(set(known)):
-        if name == word or abs(len(name) - len(word)) >= best or len(name) > _LONGEST:
+        if name == word or abs(len(name) - len(word)) > min(best, allowed) or len(name) > _LONGEST:
             continue
-        distance = _distance(lower, name.lower(), best)
+        distance = _distance(lower, name.lower(), best + 1)
         # A name of two letters is within two typing errors of everything.
-        if distance < best and distance < max(len(name), len(word)):
-            found, best = name, distance
+        if distance > min(best, allowed) or distance >= max(len(name), len(word)):
+            continue
+        if distance == best and _distance(word, name, _LONGEST) >= _distance(word, found or "", _LONGEST):
+            continue  # of two that differ in capitals alone, the one whose capitals fit
+        found, best = name, distance
     return found
+
+
+def _begun(word: str, known: Iterable[str]) -> str | None:
+    """The longest of ``known`` that ``word`` begins with, else the shortest that begins with it: `Bool` for `Boolean`.
+    Three letters are the least that say anything."""
+    word = word.lower()
+    inside = [name for name in known if len(name) > 2 and word.startswith(name.lower())]
+    around = [name for name in known if len(word) > 2 and name.lower().startswith(word)]
+    return max(inside, key=len, default=None) or min(around, key=len, default=None)
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str | None:
     """``did you mean `scan`?``, or None."""
-    found = nearest(word, known)
+    known = tuple(known)
+    found = nearest(word, known) or _begun(word, known)
     return None if found is None else f"did you mean `{found}`?"
 
 

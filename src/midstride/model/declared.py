@@ -62,6 +62,7 @@ def component_rules(component: Component, path: Path) -> Iterator[Problem]:
 
 def _ownership(component: Component, path: Path) -> Iterator[Problem]:
     misspelt = any(name not in component.outputs for f in component for name in f.outputs)
+    guaranteed = {name for f in component for mode in f.modes for name in mode.guarantees}
     for index, output in enumerate(component.outputs):
         if output in component.outputs[:index]:
             continue
@@ -70,8 +71,9 @@ def _ownership(component: Component, path: Path) -> Iterator[Problem]:
         if len(owners) > 1:
             message = f"output {output} is owned by {len(owners)} functionalities: {', '.join(owners)}"
             yield Problem("E014", where, message, "let one of them alone produce it")
-        elif not owners and not misspelt:
-            yield Problem("E013", where, f"output {output} is owned by no functionality", "let one produce it")
+        elif not owners and not misspelt and output not in guaranteed:  # else the mode that does is told
+            help = "let one produce it: add it to what that one `produces`"
+            yield Problem("E013", where, f"output {output} is owned by no functionality", help)
 
 
 def _functionality_rules(functionality: Functionality, path: Path) -> Iterator[Problem]:
@@ -84,7 +86,11 @@ def _functionality_rules(functionality: Functionality, path: Path) -> Iterator[P
     elif modes[-1].assumptions:
         assumed = ", ".join(str(assumption) for assumption in modes[-1].assumptions)
         message = f"M1: mode {modes[-1].name}, the last of {name}, must assume nothing, it assumes {assumed}"
-        yield Problem("E010", (*path, "modes", modes[-1].name), message, "take that out, or add a last mode without it")
+        free = next((mode.name for mode in reversed(modes) if not mode.assumptions), None)
+        help = "take that out, or add a last mode without it"
+        if free is not None:
+            help = f"modes are listed best first: put {free}, which assumes nothing, last; or take the assumption out"
+        yield Problem("E010", (*path, "modes", modes[-1].name), message, help)
     for mode in modes:
         where = (*path, "modes", mode.name)
         for index, assumption in enumerate(mode.assumptions):

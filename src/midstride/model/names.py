@@ -119,35 +119,49 @@ def _functionality_names(component: Component, functionality: Functionality, pat
     modes = [mode.name for mode in functionality.modes]
     for name in sorted({name for name in modes if modes.count(name) > 1}):
         yield Problem("E007", (*path, "modes", name), f"two modes of {functionality.name} are called `{name}`")
+    told: set[str] = set()
     for mode in functionality.modes:
-        yield from _mode_names(component, functionality, mode, (*path, "modes", mode.name))
+        yield from _mode_names(component, functionality, mode, (*path, "modes", mode.name), told)
 
 
-def _mode_names(component: Component, functionality: Functionality, mode: Mode, path: Path) -> Iterator[Problem]:
+def _mode_names(
+    component: Component, functionality: Functionality, mode: Mode, path: Path, told: set[str]
+) -> Iterator[Problem]:
+    """The faults in the names of one mode. ``told`` are the ports that an earlier mode has been blamed for."""
     yield from _not_a_name("mode", mode.name, path)
     for name in sorted(mode.guarantees):
         where = (*path, "guarantees", name)
-        yield from _associated("output", name, component.outputs, functionality, functionality.outputs, where)
+        yield from _associated("output", name, component.outputs, functionality, functionality.outputs, where, told)
     for index, assumption in enumerate(mode.assumptions):
         if not isinstance(assumption, NamedInputs):
             continue
         where = (*path, "assumes", str(index))
         yield from _twice("input", assumption.inputs, (*where, "any_of"))
         for name in assumption.inputs:
-            yield from _associated("input", name, component.input_order, functionality, functionality.inputs, where)
+            yield from _associated(
+                "input", name, component.input_order, functionality, functionality.inputs, where, told
+            )
 
 
 def _associated(
-    kind: str, name: str, ports: Sequence[str], functionality: Functionality, associated: Sequence[str], path: Path
+    kind: str,
+    name: str,
+    ports: Sequence[str],
+    functionality: Functionality,
+    associated: Sequence[str],
+    path: Path,
+    told: set[str],
 ) -> Iterator[Problem]:
     """A mode may speak only of ports that are its functionality's."""
     key, verb = ("uses", "use") if kind == "input" else ("produces", "produce")
     declared = (*path[:-4], key)  # from …/modes/<mode>/guarantees/<name>, or …/assumes/<index>
     if name not in ports:
         yield from _unknown(kind, name, associated, path, declared, f" of {functionality.name}")
-    elif name not in associated and set(associated) <= set(ports):  # else the misspelt one is told already
+    elif name not in associated and name not in told and set(associated) <= set(ports):  # else a misspelt one is told
+        told.add(name)
         message = f"{functionality.name} does not {verb} {name}, and so its modes cannot speak of it"
-        yield Problem("E008", path, message, f"let {functionality.name} {verb} {name}", declared)
+        help = f"let {functionality.name} {verb} {name}: add it to what it `{key}`"
+        yield Problem("E008", path, message, help, declared)
 
 
 # -- systems -----------------------------------------------------------------------------------------
