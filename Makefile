@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long bench lint alloy
+.PHONY: help demo test test-long bench lint alloy verify
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -24,6 +24,11 @@ bench: ## every benchmark, one after another: a table each, and JSON
 
 alloy: ## fetch the Alloy Analyzer (needs Java and Maven), which `midstride verify` asks
 	@tools/alloy
+
+verify: ## every proof, and every check of the Alloy specification to scope 5 (ARGS='--scope 3' takes a minute)
+	@tools/setup test
+	@[ -n "$$MIDSTRIDE_ALLOY" ] || tools/alloy
+	@tools/in-venv midstride prove --alloy $(ARGS)
 
 lint: ## ruff and mypy
 	@tools/setup test

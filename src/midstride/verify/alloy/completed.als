@@ -288,6 +288,7 @@ run DetachRefusesTooMuch {
 run DegradeRefusesTooMuch {
   some s, s_: System, c: s.comps, f: c.funcs, c_: Component - s.comps, f_: Functionality - s.avail_funcs {
     well_formed[s] and valid_sys[s] and valid_sys[s_] and f.degraded = False
+    all i: Input | lone s.conns & roles.i  -- not by 5
     f_.cur_mode = f.degrad_mode and f_.degraded = True
     f_.assoc_inputs = f.assoc_inputs and f_.assoc_outputs = f.assoc_outputs
     f_.norm_mode = f.norm_mode and f_.degrad_mode = f.degrad_mode
