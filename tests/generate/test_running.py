@@ -55,8 +55,8 @@ def test_the_sample_is_generated_runs_and_is_changed(
     file = folder / "patrol.stride"
     assert midstride("check", "--strict", str(file)).status == 0
     with own_master_uri() if backend == "ros1" else nullcontext() as uri:
-        master = {} if uri is None else {"ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1"}
-        up = midstride("up", str(file), "--backend", backend, "--detach", **master)
+        midstride.environment |= {} if uri is None else {"ROS_MASTER_URI": uri, "ROS_IP": "127.0.0.1"}
+        up = midstride("up", str(file), "--backend", backend, "--detach")
         assert up.status == 0, up.out + up.err
         whole = {"lidar.sense": "normal", "detector.detect": "normal", "controller.control": "normal"}
         played = {"lidar": "Lidar", "detector": "ObstacleDetector", "controller": "MotorController"}
@@ -83,7 +83,7 @@ def test_the_sample_is_generated_runs_and_is_changed(
         assert handed.status == 0, handed.out + handed.err
         assert not any(handed.json["fallen"].values())
         assert nothing_lost(handed.json["swaps"])
-        assert midstride("down", **master).status == 0
+        assert midstride("down").status == 0
 
 
 CHAIN = """system chain
