@@ -12,6 +12,7 @@ from midstride.model.document import specification_from_document
 from midstride.model.specification import Specification
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
+from midstride.runtime.verifying import Verifier
 from midstride.runtime.workspace import Workspace
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -33,13 +34,14 @@ def managed(
     body: Callable[[Manager, Simulator], Awaitable[T]],
     simulator: Simulator | None = None,
     specification: Specification | None = None,
+    verifier: Verifier | None = None,
 ) -> T:
     """Bring the example up in virtual time, run ``body``, and shut everything down."""
     simulator = simulator or Simulator()
 
     async def main() -> T:
         workspace = Workspace(folder)
-        manager = Manager(specification or example(name), simulator, workspace, EXAMPLES / name)
+        manager = Manager(specification or example(name), simulator, workspace, EXAMPLES / name, verifier)
         await manager.up()
         try:
             return await body(manager, simulator)

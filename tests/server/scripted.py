@@ -58,8 +58,8 @@ class ScriptedManager:
         document = await self._answer("plan", request)
         return SimpleNamespace(to_document=lambda: document)
 
-    async def change(self, request: Request, *, expected: int | None = None) -> Any:
-        return await self._answer("change", (request, expected))
+    async def change(self, request: Request, *, expected: int | None = None, verify: bool = False) -> Any:
+        return await self._answer("change", (request, expected, verify))
 
     def log(self, since: int = 0) -> Any:
         return self.events.since(since)

@@ -98,10 +98,10 @@ def test_a_change_is_asked_with_the_revision_it_was_shown_at() -> None:
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
         manager.answers["change"] = {"outcome": "done", "swaps": [{"gap": None}]}
         added = {"role": "second", "component": "Listener", "attachments": {"in": ["/chatter"]}}
-        response = await client.post("/change", json={"request": {"add": [added]}, "expected": 3})
+        response = await client.post("/change", json={"request": {"add": [added]}, "expected": 3, "verify": True})
         assert response.json() == manager.answers["change"]
-        request, expected = manager.asked[-1][1]
-        assert expected == 3
+        request, expected, verify = manager.asked[-1][1]
+        assert (expected, verify) == (3, True)
         assert (request.add[0].role, request.add[0].attachments["in"]) == ("second", ("/chatter",))
 
     served(test)

@@ -47,7 +47,7 @@ class Progress:
         elif kind == "step_failed":
             place = f"[dim]{event['index'] + 1}/{event['of']}[/dim]"
             self._console.print(f"  [red]✗[/red] {place} {escape(_words(event))}")
-        elif kind in {"measuring", "waiting"}:
+        elif kind in {"measuring", "verifying", "waiting"}:
             self._doing(event["words"])
             if self._status is None:
                 self._console.print(f"  {escape(event['words'])}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncIterator, Awaitable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,9 +34,11 @@ from midstride.runtime.executor import Executor
 from midstride.runtime.falling import FallClock
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.link import Link
-from midstride.runtime.live import live
+from midstride.runtime.live import Live, live
 from midstride.runtime.recording import Recording, to_documents
+from midstride.runtime.verifying import Verifier, Watch
 from midstride.runtime.workspace import Workspace
+from midstride.verify.verdict import Verdict
 from midstride.wire.messages import Announcement
 
 
@@ -51,7 +53,14 @@ class Running:
 class Manager:
     """One running system. Every public coroutine raises MidstrideError kinds only."""
 
-    def __init__(self, specification: Specification, backend: Backend, workspace: Workspace, directory: Path) -> None:
+    def __init__(
+        self,
+        specification: Specification,
+        backend: Backend,
+        workspace: Workspace,
+        directory: Path,
+        verifier: Verifier | None = None,
+    ) -> None:
         self.specification = specification
         self.configuration = Configuration(world=specification.world)
         self.revision = 0
@@ -59,6 +68,7 @@ class Manager:
         self._backend = backend
         self._workspace = workspace
         self._directory = directory
+        self._verifier = verifier or Verifier()
         self._turn = asyncio.Lock()
         self._running: Running | None = None
         self._gone: dict[str, Exited] = {}  # ended by themselves, and still in the model
@@ -196,8 +206,11 @@ class Manager:
 
     # -- changing -----------------------------------------------------------------------------------
 
-    async def change(self, request: Request, *, expected: int | None = None) -> dict[str, Any]:
+    async def change(self, request: Request, *, expected: int | None = None, verify: bool = False) -> dict[str, Any]:
         """Carry out ``request``: the outcome document of interfaces.md.
+
+        With ``verify``, Alloy judges the plan first, and nothing is begun unless it holds; after each step, what is
+        live is judged as well, and a step after which it does not hold has failed.
 
         ``expected`` is the revision a preview was made at; where the configuration has moved on
         since, the change is refused, since its user has seen another plan.
@@ -209,11 +222,31 @@ class Manager:
                 plan, target = self._plan(request)
                 self._writable()
             except (PlanRefused, ManagerError) as error:
-                self.events.add("outcome", f"refused: {error}", outcome="refused")
-                return _refused(str(error))
-            return await self._execute(plan, target)
+                return self._refuse(str(error))
+            if not verify:
+                return await self._execute(plan, target)
+            self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
+            verdict = await self._verifier.plan(plan)
+            self._verified(verdict)
+            if not verdict.holds:
+                return {**self._refuse(verdict.words), "verdict": verdict.to_document()}
+            outcome = await self._execute(plan, target, self._watch(plan))
+            return {**outcome, "verdict": verdict.to_document()}
 
-    async def _execute(self, plan: Plan, target: Specification) -> dict[str, Any]:
+    def _watch(self, plan: Plan) -> Watch:
+        def told(s: Configuration) -> Awaitable[Live]:
+            return live(s, self._link, self._backend.clock, self._gone)
+
+        return Watch(self._verifier, tuple(plan.configurations()), told, self._verified)
+
+    def _verified(self, verdict: Verdict) -> None:
+        self.events.add("verified", str(verdict), verdict=verdict.to_document())
+
+    def _refuse(self, because: str) -> dict[str, Any]:
+        self.events.add("outcome", f"refused: {because}", outcome="refused")
+        return _refused(because)
+
+    async def _execute(self, plan: Plan, target: Specification, watch: Watch | None = None) -> dict[str, Any]:
         clock = self._backend.clock
         actions = [step.action for step in plan.steps]
         documents = plan.step_documents()
@@ -226,6 +259,7 @@ class Manager:
         self.configuration = plan.change.start
         executor = self._executor(falls)
         executor.before_handover = recording.witness
+        executor.after_step = None if watch is None else watch.look
         outcome, because = "done", None
         try:
             await executor.run(actions, documents)

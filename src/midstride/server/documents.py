@@ -46,10 +46,15 @@ class ChangeRequest(Incoming):
 
 
 class Change(Incoming):
-    """A request to be carried out; `expected`: only if the configuration is still of that revision (else 409)."""
+    """A request to be carried out.
+
+    `expected`: only if the configuration is still of that revision (else it is refused). `verify`: only if Alloy finds
+    every step of the plan safe, and what is live after each of them.
+    """
 
     request: ChangeRequest
     expected: int | None = None
+    verify: bool = False
 
 
 class Error(Outgoing):
@@ -106,6 +111,7 @@ class Outcome(Outgoing):
     fallen: dict[str, float] | None = None
     swaps: list[dict[str, Any]] = Field(default_factory=list)
     because: str | None = None
+    verdict: dict[str, Any] | None = Field(default=None, description="what Alloy found, where it was asked")
 
 
 class Why(Outgoing):

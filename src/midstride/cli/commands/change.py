@@ -15,7 +15,9 @@ from midstride.cli.systems import find, system_option
 
 def _change_options(function: Any) -> Any:
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask.")
-    return json_option(system_option(asking.strategy_option(yes(function))))
+    told = "Begin only if Alloy finds every step safe, and go on only if what is live is so after each."
+    verify = click.option("--verify", is_flag=True, help=told)
+    return json_option(system_option(asking.strategy_option(verify(yes(function)))))
 
 
 def _declarations(function: Any) -> Any:
@@ -33,10 +35,12 @@ def _declarations(function: Any) -> Any:
 @click.argument("component")
 @_declarations
 @_change_options
-def replace_command(node: str, component: str, file: Path | None, system: str | None, strategy: str, yes: bool) -> int:
+def replace_command(
+    node: str, component: str, file: Path | None, system: str | None, strategy: str, verify: bool, yes: bool
+) -> int:
     """Replace what plays NODE by COMPONENT, on the same topics."""
     request = {"replace": [[node, component]], "components": _components(file), "strategy": strategy}
-    return change(system, request, f"replace {node} by {component}", yes)
+    return change(system, request, f"replace {node} by {component}", yes, verify)
 
 
 @click.command("add")
@@ -54,32 +58,34 @@ def add_command(
     file: Path | None,
     system: str | None,
     strategy: str,
+    verify: bool,
     yes: bool,
 ) -> int:
     """Add NODE, a COMPONENT, and attach its ports to topics."""
     new = asking.node(node, component, attachments, parameters)
     request = {"add": [new], "components": _components(file), "strategy": strategy}
-    return change(system, request, f"add {node} ({component})", yes)
+    return change(system, request, f"add {node} ({component})", yes, verify)
 
 
 @click.command("remove")
 @click.argument("nodes", nargs=-1, required=True, metavar="NODE...")
 @_change_options
-def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, yes: bool) -> int:
+def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, verify: bool, yes: bool) -> int:
     """Remove nodes; what relies on them falls as far as it must."""
-    return change(system, {"remove": list(nodes), "strategy": strategy}, f"remove {', '.join(nodes)}", yes)
+    request = {"remove": list(nodes), "strategy": strategy}
+    return change(system, request, f"remove {', '.join(nodes)}", yes, verify)
 
 
 @click.command("apply")
 @click.argument("new", type=click.Path(path_type=Path))
 @_change_options
-def apply_command(new: Path, system: str | None, strategy: str, yes: bool) -> int:
+def apply_command(new: Path, system: str | None, strategy: str, verify: bool, yes: bool) -> int:
     """Change the running system to the specification NEW."""
     from midstride.cli.files import load
     from midstride.model.document import specification_to_document
 
     request = {"to": specification_to_document(load(new)), "strategy": strategy}
-    return change(system, request, f"apply {new.name}", yes)
+    return change(system, request, f"apply {new.name}", yes, verify)
 
 
 def _components(file: Path | None) -> list[Document]:
@@ -92,7 +98,7 @@ def _components(file: Path | None) -> list[Document]:
     return [component_to_document(specification.components[name]) for name in sorted(specification.components)]
 
 
-def change(system: str | None, request: Document, title: str, yes: bool) -> int:
+def change(system: str | None, request: Document, title: str, yes: bool, verify: bool) -> int:
     """Show the plan, ask, carry it out with its progress, and report. The exit status."""
     from midstride.cli.output import is_interactive, print_json, wants_json
 
@@ -107,7 +113,7 @@ def change(system: str | None, request: Document, title: str, yes: bool) -> int:
             click.echo("Nothing was changed.", err=True)
             return 1
         expected = preview["revision"]
-    answer = carry_out(client, {"request": request, "expected": expected}, title, show_plan=yes)
+    answer = carry_out(client, {"request": request, "expected": expected, "verify": verify}, title, show_plan=yes)
     if wants_json():
         print_json(answer)
     return 0 if answer["outcome"] == "done" else 1
