@@ -138,17 +138,19 @@ def _handover(scene: Scene, action: Handover, s: str, t: str) -> Formula:
     swaps = [
         (_connector(scene, swap.connector), _port(scene, swap.old), _port(scene, swap.new)) for swap in action.swaps
     ]
-    swap = " + ".join(" -> ".join(each) for each in swaps) or "none -> none -> none"
-    new = " and ".join(f"satisfies_now[{s}, {k}, {n}]" for k, _, n in swaps) or "some none"
-    # The same swap twice is one tuple in Alloy: that alone is judged here.
+    # What the specification has no tuple for is judged here: the same swap twice is one tuple, an input is in none.
+    outputs = [each for each in swaps if all(port in scene.universe.sigs["Output"] for port in each[1:])]
+    swap = " + ".join(" -> ".join(each) for each in outputs) or "none -> none -> none"
+    new = " and ".join(f"satisfies_now[{s}, {k}, {n}]" for k, _, n in outputs) or "some univ"
     once = "some univ" if len(set(swaps)) == len(swaps) else "some none"
+    only = "some univ" if len(outputs) == len(swaps) else "some none"
     return Formula(
-        f"{once} and can_handover_within[{s}, {swap}]",
-        f"{once} and can_handover_within[{s}, {swap}] and handover[{s}, {t}, {swap}]",
+        f"{once} and {only} and can_handover_within[{s}, {swap}]",
+        f"{once} and {only} and can_handover_within[{s}, {swap}] and handover[{s}, {t}, {swap}]",
         (
             ("no swap is named", "some univ" if swaps else "some none"),
             ("a port occurs twice on one topic", f"{once} and each_once[{swap}]"),
-            ("a port is not an output of a live component", f"({_ports(swaps)}) in {s}.comps.outputs"),
+            ("a port is not an output of a live component", f"{only} and ({_ports(outputs)}) in {s}.comps.outputs"),
             ("the old output is not attached", f"leaving[{swap}] in {s}.roles"),
             ("the new output is attached already", f"no coming[{swap}] & {s}.roles"),
             ("the new output does not satisfy the topic in its current mode", new),
