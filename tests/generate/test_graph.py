@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 
 from midstride.generate.drawing import to_dot, to_mermaid
+from midstride.generate.layout import layout
 from midstride.generate.view import Edge, view
 from midstride.lang import load, load_text
 from midstride.model.specification import Specification
@@ -83,6 +84,44 @@ def test_many_nodes_are_drawn_by_namespace() -> None:
     assert len(view(fleet(2, 3)).boxes) == 7
 
 
+def loop(length: int) -> Specification:
+    """A control loop of so many nodes, fed by a sensor outside of it at each of them."""
+    text = ["system loop\ncontract D = std_msgs/msg/String\n"]
+    text += [
+        "component C { input in : D   input fed : D   output out   functionality f { uses in, fed   produces out\n"
+    ]
+    text += ["mode normal { assume in   assume fed   guarantee out : D }   mode off { } } }\n"]
+    text += [
+        "component S { output out   functionality f { produces out   mode on { guarantee out : D }   mode off { } } }\n"
+    ]
+    for n in range(length):
+        text.append(f"topic /t{n} : D\ntopic /s{n} : D\nnode s{n} : S {{ out -> /s{n} }}\n")
+        text.append(f"node n{n} : C {{ in <- /t{n}   fed <- /s{n}   out -> /t{(n + 1) % length} }}\n")
+    return load_text("".join(text)).require()
+
+
+def test_one_arrow_of_a_loop_goes_back_and_long_ones_go_down_the_page() -> None:
+    short, long = layout(view(loop(3))), layout(view(loop(9)))
+    assert (len(short.back), short.down) == (1, False)
+    assert (len(long.back), long.down) == (1, True)
+    assert not layout(view(SAMPLE)).down
+    assert layout(view(SAMPLE, annotate=True)).down  # with the contracts beside them the boxes are wide
+    assert "rankdir=TB" in to_dot(view(loop(9)))
+    assert to_mermaid(view(loop(9))).startswith("flowchart TB\n")
+    assert to_dot(view(loop(9))).count("dir=back") == 1
+
+
+@given(specifications())
+def test_what_goes_back_is_all_that_goes_against_the_order(specification: Specification) -> None:
+    drawn = view(specification)
+    laid = layout(drawn)
+    assert sorted(laid.order) == sorted([*(box.id for box in drawn.boxes), *(topic.id for topic in drawn.topics)])
+    rank = {id: index for index, id in enumerate(laid.order)}
+    assert laid.back == {edge for edge in drawn.edges if rank[edge.start] > rank[edge.end]}
+    assert 2 * len(laid.back) <= len(drawn.edges)
+    assert layout(view(specification)) == laid
+
+
 def test_names_of_any_kind_are_quoted() -> None:
     """No name can break the drawing's language."""
     text = to_dot(view(load_text("system graph\nresource r\ncomponent end { }\nnode node_1 : end").require()))
@@ -92,7 +131,7 @@ def test_names_of_any_kind_are_quoted() -> None:
 @needs_graphviz
 @pytest.mark.parametrize("annotate", [False, True])
 def test_graphviz_draws_it(annotate: bool) -> None:
-    for specification in (SAMPLE, fleet(3, 4), fleet(10, 15)):
+    for specification in (SAMPLE, loop(3), loop(9), fleet(3, 4), fleet(10, 15)):
         drawn = view(specification, annotate=annotate)
         done = subprocess.run(["dot", "-Tsvg"], input=to_dot(drawn).encode(), capture_output=True, check=True)
         assert done.stderr == b""

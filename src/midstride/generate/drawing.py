@@ -2,54 +2,72 @@
 
 from __future__ import annotations
 
+import re
 from html import escape
 from typing import Final
 
+from midstride.generate.layout import Layout, layout
 from midstride.generate.view import Box, Edge, Port, View
 
+_WHOLE: Final = re.compile(r"(?<=@) | (?=k?Hz)| (?==)|(?<==) ")
 _COLOURS: Final = {"node": "#e8f0fe", "group": "#e6f4ea", "environment": "#fef7e0"}
 
 
 def to_dot(view: View) -> str:
-    """The view for Graphviz's ``dot``: boxes with ports, ovals for topics, dashed for the environment."""
-    ids = _ids(view)
+    """The view for Graphviz's ``dot``: boxes with ports, ovals for topics, dashed for the environment.
+
+    Inputs are on the side that arrows come from: on the left, or above where the drawing goes down the page.
+    """
+    ids, laid = _ids(view), layout(view)
+    direction, apart = ("TB", 0.4) if laid.down else ("LR", 0.7)
     lines = [
         f"digraph {_quoted(view.title)} {{",
-        '  graph [rankdir=LR, fontname="Helvetica", nodesep=0.3, ranksep=0.7];',
+        f'  graph [rankdir={direction}, fontname="Helvetica", nodesep=0.3, ranksep={apart}];',
         '  node [fontname="Helvetica", fontsize=11];',
         '  edge [fontname="Helvetica", fontsize=9, color="#5f6368", arrowsize=0.7];',
     ]
+    drawn: dict[str, str] = {}
     for box in view.boxes:
-        lines.append(f"  {ids[box.id]} [shape=plain, label=<{_table(box)}>];")
+        drawn[box.id] = f"[shape=plain, label=<{_table(box, laid)}>]"
     for topic in view.topics:
         note = f'<br/><font point-size="9" color="#5f6368">{_wrapped(topic.note)}</font>' if topic.note else ""
         label = f"{escape(topic.name)}{note}"
         style = 'shape=ellipse, style=filled, fillcolor="#ffffff", color="#5f6368", margin="0.05,0.03"'
-        lines.append(f"  {ids[topic.id]} [{style}, label=<{label}>];")
-    lines += [f"  {_dot_edge(edge, ids)};" for edge in view.edges]
+        drawn[topic.id] = f"[{style}, label=<{label}>]"
+    lines += [f"  {ids[id]} {drawn[id]};" for id in laid.order]
+    lines += [f"  {_dot_edge(edge, ids, laid)};" for edge in view.edges]
     return "\n".join([*lines, "}", ""])
 
 
-def _dot_edge(edge: Edge, ids: dict[str, str]) -> str:
-    start = ids[edge.start] + (f":{_quoted('out ' + edge.start_port)}:e" if edge.start_port else "")
-    end = ids[edge.end] + (f":{_quoted('in ' + edge.end_port)}:w" if edge.end_port else "")
-    return f"{start} -> {end}" + (" [style=dashed]" if edge.relies else "")
+def _dot_edge(edge: Edge, ids: dict[str, str], laid: Layout) -> str:
+    """An edge; one that goes back is drawn as one that comes, so that it does not turn the drawing round."""
+    out, into = ("s", "n") if laid.down else ("e", "w")
+    start = ids[edge.start] + (f":{_quoted('out ' + edge.start_port)}:{out}" if edge.start_port else "")
+    end = ids[edge.end] + (f":{_quoted('in ' + edge.end_port)}:{into}" if edge.end_port else "")
+    back = edge in laid.back
+    looks = [*(["dir=back"] if back else []), *(["style=dashed"] if edge.relies else [])]
+    return (f"{end} -> {start}" if back else f"{start} -> {end}") + (f" [{', '.join(looks)}]" if looks else "")
 
 
-def _table(box: Box) -> str:
-    """A box as a table: its title, then inputs on the left, functionalities in the middle, outputs on the right."""
+def _table(box: Box, laid: Layout) -> str:
+    """A box as a table: inputs, then its title and functionalities, then outputs; across, or down."""
     border = 'style="dashed"' if box.kind == "environment" else 'style="rounded"'
-    title = f"<tr><td colspan='3'><b>{escape(box.title)}</b></td></tr>"
     lines = box.lines if box.kind == "node" else [f"  {line}" for line in box.lines]
     middle = "<br align='left'/>".join(_line(line) for line in lines)
     if middle:
         middle += "<br align='left'/>"
-    body = ""
-    if box.inputs or box.outputs or box.lines:
-        cells = [_ports(box.inputs, "in"), f"<td>{middle}</td>" if middle else "<td></td>", _ports(box.outputs, "out")]
-        body = f"<tr>{''.join(cells)}</tr>"
+    title, text = f"<b>{escape(box.title)}</b>", f"<td>{middle}</td>" if middle else "<td></td>"
+    inputs, outputs = _ports(box.inputs, "in", laid.down), _ports(box.outputs, "out", laid.down)
+    if laid.down:
+        cells = [inputs] if box.inputs else []
+        cells += [f"<td>{title}</td>", *([text] if middle else []), *([outputs] if box.outputs else [])]
+        rows = "".join(f"<tr>{cell}</tr>" for cell in cells)
+    else:
+        rows = f"<tr><td colspan='3'>{title}</td></tr>"
+        if box.inputs or box.outputs or box.lines:
+            rows += f"<tr>{inputs}{text}{outputs}</tr>"
     attributes = f"bgcolor='{_COLOURS[box.kind]}' border='1' cellborder='0' cellspacing='2' cellpadding='3' {border}"
-    return f"<table {attributes}>{title}{body}</table>"
+    return f"<table {attributes}>{rows}</table>"
 
 
 def _line(line: str) -> str:
@@ -59,21 +77,24 @@ def _line(line: str) -> str:
     return f'<font point-size="9" color="#5f6368">{text}</font>'
 
 
-def _ports(ports: tuple[Port, ...], side: str) -> str:
+def _ports(ports: tuple[Port, ...], side: str, beside: bool) -> str:
+    """Ports in a cell, one below the other, or ``beside`` each other."""
     if not ports:
         return "<td></td>"
-    rows = []
+    cells = []
     for port in ports:
-        note = f'<br/><font point-size="9" color="#5f6368">{_wrapped(port.note, 34)}</font>' if port.note else ""
+        width = 20 if beside and len(ports) > 2 else 34
+        note = f'<br/><font point-size="9" color="#5f6368">{_wrapped(port.note, width)}</font>' if port.note else ""
         attributes = f"port='{escape(side + ' ' + port.name)}' border='1' bgcolor='white'"
-        rows.append(f"<tr><td {attributes}>{escape(port.name)}{note}</td></tr>")
-    return f"<td><table border='0' cellborder='0' cellspacing='2' cellpadding='2'>{''.join(rows)}</table></td>"
+        cells.append(f"<td {attributes}>{escape(port.name)}{note}</td>")
+    rows = f"<tr>{''.join(cells)}</tr>" if beside else "".join(f"<tr>{cell}</tr>" for cell in cells)
+    return f"<td><table border='0' cellborder='0' cellspacing='2' cellpadding='2'>{rows}</table></td>"
 
 
 def _wrapped(text: str, width: int = 46, end: str = "<br/>") -> str:
-    """``text`` broken into lines at blanks."""
+    """``text`` broken into lines at blanks; a rate (`@ 10 Hz`) and what is set (`depth = 5`) stay whole."""
     lines, line = [], ""
-    for word in text.split(" "):
+    for word in _WHOLE.sub("\u00a0", text).split(" "):
         if line and len(line) + 1 + len(word) > width:
             lines.append(line)
             line = word
@@ -89,7 +110,7 @@ def _quoted(text: str) -> str:
 def to_mermaid(view: View) -> str:
     """The view as a Mermaid flow chart; ports are written on the arrows."""
     ids = _ids(view)
-    lines = ["flowchart LR"]
+    lines = ["flowchart TB" if layout(view).down else "flowchart LR"]
     for box in view.boxes:
         notes = [f"{kind} {p.name}: {p.note}" for kind, ports in _sides(box) for p in ports if p.note]
         text = "<br/>".join([f"<b>{_mermaid(box.title)}</b>", *(_mermaid(line) for line in [*box.lines, *notes])])
