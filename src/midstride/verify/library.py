@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from typing import Final, Literal
 
@@ -22,6 +23,8 @@ _COMMAND: Final = re.compile(
 _SIGNATURE: Final = re.compile(
     r"^(?P<head>(?:abstract )?sig \w+(?: extends \w+|(?P<part> in \w+))?) \{[^}]*\}", re.MULTILINE
 )
+_DECLARED: Final = re.compile(r"^(?:abstract )?(?:sig|pred|fun) (\w+)", re.MULTILINE)
+_FIELD: Final = re.compile(r"(\w+)\s*:")
 _SCOPE: Final = re.compile(r"\bfor (\d+)((?: but)? [\w ,]+?)? expect [01]$")
 _BIG: Final = 5
 
@@ -74,3 +77,11 @@ def carried() -> str:
         lines = [line for line in text.splitlines() if not line.startswith(("module ", "open "))]
         parts.append("\n".join(lines).strip() + "\n")
     return _SIGNATURE.sub(lambda match: "" if match["part"] else f"{match['head']} {{}}", "\n".join(parts))
+
+
+@cache
+def declared() -> frozenset[str]:
+    """The names of all that a dump carries along: signatures, fields, predicates and functions."""
+    text = "\n".join(source(module) for module in _CARRIED)
+    fields = " ".join(match[0].partition("{")[2] for match in _SIGNATURE.finditer(text))
+    return frozenset(_DECLARED.findall(text)) | frozenset(_FIELD.findall(fields))

@@ -1,0 +1,200 @@
+"""Dumps as text, and single configurations as Alloy judges them."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from immutables import Map
+
+from midstride.lang import load_text
+from midstride.model.component import Component, FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
+from midstride.model.snapshot import configuration_from_document, configuration_to_document
+from midstride.model.specification import Node, Specification, initial
+from midstride.verify.checking import Asking, verify_configuration, verify_plan, verify_specification
+from midstride.verify.export import dump_configuration, dump_plan
+from midstride.verify.library import carried
+from midstride.verify.naming import Names
+from midstride.verify.picture import chain_lines, to_dot, to_mermaid
+from midstride.verify.verdict import Answer, Verdict
+from tests.verify.systems import EXAMPLES, ROVER, TALKER, plan, specification
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "alloy"
+
+# -- the text ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["talker", "rover"])
+def test_the_text_of_a_plan_is_readable_and_stays_as_it_is(name: str) -> None:
+    """`MIDSTRIDE_GOLDEN=write` writes it anew. The specification it carries along is not part of it."""
+    found = (
+        plan(specification(TALKER), talker="NewTalker")
+        if name == "talker"
+        else plan(specification(ROVER), "minimal", left="NewCamera")
+    )
+    text = dump_plan(found, name).text.partition("/* ==== the specification")[0]
+    golden = GOLDEN / f"{name}.als"
+    if os.environ.get("MIDSTRIDE_GOLDEN") == "write":
+        golden.write_text(text, encoding="utf-8")
+    assert text == golden.read_text(encoding="utf-8")
+
+
+def test_a_dump_carries_the_specification_along_and_opens_nothing() -> None:
+    text = dump_configuration(initial(specification(TALKER)), "talker").text
+    assert "pred valid_sys[s: System]" in text
+    assert not re.search(r"^(module|open) ", text, re.MULTILINE)
+
+
+def test_no_atom_takes_a_word_of_alloy_or_of_the_specification() -> None:
+    declared = set(re.findall(r"^(?:abstract |one )?(?:sig|pred|fun) (\w+)", carried(), re.MULTILINE))
+    fields = set(re.findall(r"^fun (\w+):", dump_configuration(initial(specification(TALKER)), "talker").text, re.M))
+    names = Names()
+    for word in sorted(declared | fields | {"univ", "Int", "some", "fun", "sum", "Findings", "Step", "Clause"}):
+        assert names.give(word, word) == f"{word}_2"
+
+
+@pytest.mark.parametrize("text", ["", "größe", "a b", "/a/b", "2nd", "a__b", "'", "can_bus", "step1_may"])
+def test_every_name_becomes_an_identifier_of_its_own(text: str) -> None:
+    names = Names()
+    given = [names.give(text, number) for number in range(3)]
+    assert len(set(given)) == 3
+    assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) for name in given)
+    assert [names.bearers[name] for name in given] == [0, 1, 2]
+
+
+@pytest.mark.parametrize("name", ["talker", "filter", "obstacle"])
+def test_a_configuration_comes_back_from_its_document(name: str) -> None:
+    s = initial(specification(EXAMPLES / name / f"{name}.stride"))
+    s = s.with_modes({ref: s.functionality(ref).last_mode for ref in list(s.modes)[:1]})
+    assert configuration_from_document(configuration_to_document(s)) == s
+
+
+# -- configurations ------------------------------------------------------------------------------------------
+
+
+def broken(s: Configuration, how: str) -> Configuration:
+    match how:
+        case "mode":
+            return s.with_modes({FunctionalityRef("planner", "plan"): 1})
+        case "cap":
+            return s.with_attachment(PortRef("left", "out"), "/cmd")
+        case "capacity":
+            rover = specification(ROVER)
+            large = replace(rover.instance("planner", "planner_2"), component=rover.components["LargePlanner"])
+            return s.with_instance(large)
+        case "attachment":
+            return s.with_attachment(PortRef("left", "out"), "/nowhere")
+    raise ValueError(how)
+
+
+@pytest.mark.alloy
+@pytest.mark.parametrize(
+    ("how", "kind", "words"),
+    [
+        (
+            "mode",
+            "assumption",
+            "motor.drive in mode normal: assumes in: nobody satisfies /cmd (planner.cmd in mode deg",
+        ),
+        ("cap", "cap", "/cmd"),
+        ("capacity", "capacity", "planner, planner_2: together they hold more of a resource than there is"),
+        ("attachment", "attachment", "left.out is attached to /nowhere, and there is no /nowhere in this system"),
+    ],
+)
+def test_what_is_not_valid_is_told_by_its_names(how: str, kind: str, words: str) -> None:
+    verdict = verify_configuration(broken(initial(specification(ROVER)), how))
+    assert verdict.answer is Answer.VIOLATED
+    assert [finding.kind for finding in verdict.findings] == [kind]
+    assert words in str(verdict.findings[0])
+    assert verdict.to_document()["verdict"] == "violated"
+
+
+HOSTILE = """
+system hostile
+topic /univ : std_msgs/msg/String @ 10 Hz { publishers <= 2 }
+topic /S0   : std_msgs/msg/String
+component sig {
+  output Output
+  functionality fun { produces Output  mode some { guarantee Output : std_msgs/msg/String @ 10 Hz }  mode no { } }
+}
+component one {
+  input in : std_msgs/msg/String @ 5 Hz
+  functionality set { uses in  mode all { assume in }  mode none { } }
+}
+node S0       : sig { Output -> /univ }
+node s        : sig { Output -> /univ }
+node Findings : one { in <- /univ }
+node t        : one { in <- /univ }
+"""
+
+
+@pytest.mark.alloy
+def test_names_that_mean_something_to_alloy_are_names_like_others() -> None:
+    hostile = load_text(HOSTILE, "hostile.stride").require()
+    found = plan(hostile, S0=None, t=None)
+    assert found.steps
+    verdict = verify_plan(found)
+    assert verdict.holds, verdict
+
+
+# -- what is too large ---------------------------------------------------------------------------------------
+
+
+def many(count: int) -> Specification:
+    talker = specification(TALKER)
+    nodes = {f"talker{n}": Node(f"talker{n}", "Talker", Map({"out": ("/chatter",)})) for n in range(count)}
+    return replace(talker, nodes=Map(nodes))
+
+
+def holding(count: int) -> Specification:
+    large = many(count)
+    known = large.components["Talker"]
+    talker = Component.of(
+        known.name,
+        inputs=known.inputs,
+        outputs=known.outputs,
+        functionalities=tuple(known),
+        holds={"gpu": 1.0},
+    )
+    return replace(large, components=large.components.set("Talker", talker))
+
+
+@pytest.mark.parametrize(
+    ("large", "words"),
+    [(many(400), r"\d+ atoms, and Alloy takes \d+ at most"), (holding(17), "17 components hold gpu, and at most 16")],
+    ids=["atoms", "holders"],
+)
+def test_what_is_too_large_for_alloy_is_unknown(large: Specification, words: str) -> None:
+    verdict = verify_specification(large, asking=Asking(Path("nowhere.jar")))
+    assert verdict.answer is Answer.UNKNOWN
+    assert re.search(words, str(verdict))
+
+
+# -- the picture ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.alloy
+def test_the_chain_is_told_and_drawn() -> None:
+    verdict = verify_configuration(broken(initial(specification(ROVER)), "mode"))
+    chain = verdict.findings[0].chain
+    assert chain is not None
+    assert list(chain_lines(chain)) == [
+        "motor.drive (in mode normal): not satisfied",
+        "  assumes in: not satisfied",
+        "    motor.in (geometry_msgs/msg/Twist @ 10 Hz): not satisfied",
+        "      /cmd (geometry_msgs/msg/Twist @ 10 Hz): not satisfied",
+        "        planner.cmd (in mode degraded: nothing): not satisfied",
+    ]
+    dot, mermaid = to_dot(verdict), to_mermaid(verdict)
+    for name in ("motor.drive", "assumes in", "motor.in", "/cmd", "planner.cmd"):
+        assert name in dot
+        assert name in mermaid
+    assert (dot.count(" -> "), mermaid.count(" --> ")) == (5, 5)
+
+
+def test_nothing_found_is_drawn_as_nothing() -> None:
+    assert "->" not in to_dot(Verdict(Answer.HOLDS, 'a "plan"', "exact", "Alloy"))
