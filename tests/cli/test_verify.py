@@ -1,0 +1,147 @@
+"""``verify``, and ``--verify`` on a running system, as users call them."""
+
+from __future__ import annotations
+
+import json
+import os
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.cli import main
+from tests.cli.conftest import EXAMPLES, Midstride, nothing_lost
+from tests.verify.systems import ROVER, TALKER, plan, specification
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Any:
+    def run(*words: object) -> tuple[int, str, str]:
+        status = main([str(word) for word in words])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
+
+
+@pytest.fixture
+def spoilt(tmp_path: Path) -> Path:
+    """A plan of the talker without its first step."""
+    document = plan(specification(TALKER), talker="NewTalker").to_document()
+    document["steps"].pop(0)
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps(document), encoding="utf-8")
+    return path
+
+
+@pytest.mark.alloy
+def test_a_plan_from_standard_input(run: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    status, text, _ = run("plan", TALKER, "--replace", "talker=NewTalker", "--json")
+    assert status == 0
+    monkeypatch.setattr("sys.stdin", StringIO(text))
+    status, out, err = run("verify", TALKER, "--plan", "-")
+    assert (status, err) == (0, "")
+    assert out.startswith("HOLDS: the plan of 4 steps (exact: 5 configurations, 28 atoms; Alloy 6.2.0)\nJudged in ")
+
+
+@pytest.mark.alloy
+def test_a_violation_is_told_kept_and_drawn(run: Any, spoilt: Path, tmp_path: Path) -> None:
+    kept, drawn = tmp_path / "plan.als", tmp_path / "plan.mmd"
+    status, out, _ = run("verify", TALKER, "--plan", spoilt, "-o", kept, "--picture", drawn)
+    assert status == 1
+    lines = out.splitlines()
+    assert lines[0] == "VIOLATED: the plan of 6 steps (exact: 7 configurations, 32 atoms; Alloy 6.2.0)"
+    assert lines[1] == (
+        "step 1, detach talker.out from /chatter: listener.listen in mode normal: "
+        "assumes in: nobody satisfies /chatter (it has no publisher)"
+    )
+    assert lines[2] == "    listener.listen (in mode normal): not satisfied"
+    assert "pred step1_may { can_detach[S0, topic_chatter, talker_out] }" in kept.read_text(encoding="utf-8")
+    assert "/chatter" in drawn.read_text(encoding="utf-8")
+    status, out, _ = run("verify", "--plan", spoilt, "--json")
+    document = json.loads(out)
+    assert (status, document["verdict"], document["failed"]) == (1, "violated", 1)
+    (finding,) = document["findings"]
+    assert (finding["subject"], finding["assumption"]) == ("listener.listen in mode normal", "in")
+    assert finding["chain"]["under"][0]["under"][0]["name"] == "listener.in"
+
+
+def test_a_plan_of_another_system_is_none_of_this_one(run: Any, spoilt: Path) -> None:
+    status, out, _ = run("verify", ROVER, "--plan", spoilt)
+    assert status == 1
+    assert "it starts from another specification than the rover given: topic /chatter: added" in out
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('{"outcome": "refused", "because": "no"}', "there is no plan in PLAN, it was refused: no"),
+        ("[]", "PLAN is not a plan: `midstride plan … --json` prints one"),
+        ("{}", "not a plan (KeyError: 'start')"),
+        ("{", "not JSON: Expecting property name"),
+    ],
+)
+def test_what_is_no_plan(text: str, words: str, run: Any, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text(text, encoding="utf-8")
+    status, out, err = run("verify", TALKER, "--plan", path)
+    assert (status, out) == (1, "")
+    assert words.replace("PLAN", str(path)) in err
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ((), "say what is to be judged"),
+        ((TALKER, "--live"), "--live judges what is running"),
+        ((TALKER, "--system", "talker"), "it goes with --live alone"),
+        ((TALKER, "--picture", "x.txt"), "does not say what to draw"),
+        ((TALKER, "--limit", "0"), "--limit"),
+    ],
+)
+def test_wrong_usage(line: tuple[object, ...], words: str, run: Any) -> None:
+    status, out, err = run("verify", *line)
+    assert (status, out) == (2, "")
+    assert words in err
+
+
+def test_nothing_is_live(midstride: Midstride) -> None:
+    done = midstride("verify", "--live")
+    assert done.status == 1
+    assert "no system is running" in done.err
+
+
+def verified(midstride: Midstride, *backend: str) -> None:
+    up = midstride("up", str(EXAMPLES / "talker" / "talker.stride"), "-d", *backend)
+    assert up.status == 0, up.err
+    live = midstride("verify", "--live")
+    assert live.status == 0, live.out + live.err
+    assert live.out.startswith("HOLDS: talker as it runs (exact: 1 configuration, 14 atoms; Alloy 6.2.0)")
+    done = midstride("replace", "talker", "NewTalker", "--yes", "--verify", "--json")
+    assert done.status == 0, done.out + done.err
+    assert (done.json["outcome"], done.json["verdict"]["verdict"]) == ("done", "holds")
+    assert nothing_lost(done.json["swaps"]), done.json["swaps"]
+    said = [event["words"] for event in midstride("log", "--json").json if event["kind"] == "verified"]
+    assert said == ["HOLDS: the plan of 4 steps (exact: 5 configurations, 28 atoms; Alloy 6.2.0)"]
+
+
+@pytest.mark.alloy
+def test_a_running_system_is_judged_and_changed_only_as_alloy_allows(midstride: Midstride) -> None:
+    verified(midstride, "--backend", "sim")
+
+
+@pytest.mark.alloy
+@pytest.mark.ros2
+def test_so_it_is_on_ros2(midstride: Midstride) -> None:
+    verified(midstride, "--backend", "ros2")
+
+
+def test_without_alloy_nothing_is_begun(midstride: Midstride) -> None:
+    talker = str(EXAMPLES / "talker" / "talker.stride")
+    up = midstride("up", talker, "-d", "--backend", "sim", MIDSTRIDE_ALLOY=os.devnull)
+    assert up.status == 0, up.err
+    done = midstride("replace", "talker", "NewTalker", "--yes", "--verify")
+    assert done.status == 1
+    assert "Refused, nothing was changed: UNKNOWN: the plan of 4 steps: there is no Alloy Analyzer at" in done.out
+    assert [c["component"] for c in midstride("status", "--json").json["components"]] == ["Listener", "Talker"]
