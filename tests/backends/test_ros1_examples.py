@@ -6,12 +6,9 @@ import contextlib
 import json
 import os
 import re
-import shlex
-import shutil
 import signal
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -72,36 +69,10 @@ def _connect(uri: str) -> None:
 
 @pytest.mark.timeout(180)
 def test_the_tutorial_can_be_done_on_ros_1(tmp_path: Path) -> None:
-    from tests.docs.test_tutorial import answers, blocks, edited
+    from tests.docs.test_tutorial import play
 
-    runtime = tempfile.mkdtemp(prefix="ms")  # sockets have short paths
     with own_master_uri():
-        environment = {**os.environ, "XDG_RUNTIME_DIR": runtime, "PYTHONIOENCODING": "utf-8", "COLUMNS": "200"}
-
-        def midstride(*words: str) -> subprocess.CompletedProcess[str]:
-            command = [sys.executable, "-m", "midstride", *words]
-            return subprocess.run(
-                command, cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=100, check=False
-            )
-
-        try:
-            for block in blocks():
-                if block.kind == "stride":
-                    (tmp_path / block.options["file"]).write_text(block.text, encoding="utf-8")
-                elif block.kind == "edit":
-                    path = tmp_path / block.options["file"]
-                    path.write_text(edited(path.read_text(encoding="utf-8"), block), encoding="utf-8")
-                else:
-                    text = block.text.replace("--backend sim", "--backend ros1").replace("on sim", "on ros1")
-                    for part in re.split(r"^\$ midstride ", text, flags=re.MULTILINE)[1:]:
-                        words, *expected = part.rstrip("\n").split("\n")
-                        done = midstride(*shlex.split(words))
-                        assert done.returncode == int(block.options.get("status", "0")), (words, done)
-                        assert answers(expected, done.stdout), (words, done.stdout)
-            assert midstride("status").returncode == 1, "the last chapter ends it"
-        finally:
-            midstride("down")
-            shutil.rmtree(runtime)
+        play(tmp_path, "ros1")
 
 
 # -- the side by side of docs/how-to/ros1.md -----------------------------------------------------------------------

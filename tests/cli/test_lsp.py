@@ -56,7 +56,7 @@ async def session(folder: Path) -> dict[str, Any]:
     client.text_document_did_open(types.DidOpenTextDocumentParams(item))
     await until(lambda: len(shown) == 2)
     answers["clean"] = dict(shown)
-    broken = text.replace("/obstacles   cmd", "/obstacle   cmd")
+    broken = text.replace("/obstacles   cmd", "/obstacle cmd")
     change = types.TextDocumentContentChangeWholeDocument(broken)
     version = types.VersionedTextDocumentIdentifier(2, uri)
     client.text_document_did_change(types.DidChangeTextDocumentParams(version, [change]))
@@ -97,4 +97,5 @@ def test_a_session(tmp_path: Path) -> None:
     assert answers["definition"].uri == answers["uri"]
     assert len(answers["rename"].changes[answers["uri"]]) == 2
     assert {item.label for item in answers["completion"].items} >= {"MotorController", "Lidar"}
-    assert answers["format"] is None
+    (edit,) = answers["format"]
+    assert "obstacles <- /obstacle   cmd -> /cmd_vel" in edit.new_text

@@ -60,51 +60,59 @@ def answers(expected: list[str], out: str) -> bool:
     return re.fullmatch(pattern, out if out.endswith("\n") else out + "\n") is not None
 
 
-@pytest.fixture
-def environment() -> Iterator[dict[str, str]]:
-    runtime = tempfile.mkdtemp(prefix="ms")
-    yield {**os.environ, "XDG_RUNTIME_DIR": runtime, "PYTHONIOENCODING": "utf-8", "COLUMNS": "200"}
-    subprocess.run(
-        [sys.executable, "-m", "midstride", "down"],
-        env={**os.environ, "XDG_RUNTIME_DIR": runtime},
-        capture_output=True,
-        check=False,
-        timeout=60,
-    )
-    shutil.rmtree(runtime)
+def play(folder: Path, backend: str) -> None:
+    """Do the tutorial in ``folder``, on a back end that it leaves to the reader, and hold the commands to their
+    answers."""
+    runtime = tempfile.mkdtemp(prefix="ms")  # sockets have short paths
+    environment = {**os.environ, "XDG_RUNTIME_DIR": runtime, "PYTHONIOENCODING": "utf-8", "COLUMNS": "200"}
 
+    def midstride(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "midstride", *words],
+            cwd=folder,
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            capture_output=True,
+            text=True,
+            encoding="utf-8",
+            timeout=100,
+            check=False,
+        )
 
-def test_the_tutorial_can_be_done(tmp_path: Path, environment: dict[str, str]) -> None:
     commands = 0
-    for block in blocks():
-        if block.kind == "stride":
-            (tmp_path / block.options["file"]).write_text(block.text, encoding="utf-8")
-        elif block.kind == "edit":
-            path = tmp_path / block.options["file"]
-            path.write_text(edited(path.read_text(encoding="utf-8"), block), encoding="utf-8")
-        else:
-            assert block.kind == "console", block.kind
-            for part in re.split(r"^\$ ", block.text, flags=re.MULTILINE)[1:]:
-                command, *expected = part.rstrip("\n").split("\n")
-                words = shlex.split(command)
-                assert words[0] == "midstride"
-                done = subprocess.run(
-                    [sys.executable, "-m", *words],
-                    cwd=tmp_path,
-                    env=environment,
-                    stdin=subprocess.DEVNULL,
-                    capture_output=True,
-                    text=True,
-                    encoding="utf-8",
-                    timeout=100,
-                    check=False,
-                )
-                assert done.returncode == int(block.options.get("status", "0")), (command, done.stdout, done.stderr)
-                assert answers(expected, done.stdout), f"$ {command}\n{done.stdout}\n-- instead of --\n" + "\n".join(
-                    expected
-                )
-                commands += 1
+    try:
+        for block in blocks():
+            if block.kind == "stride":
+                (folder / block.options["file"]).write_text(block.text, encoding="utf-8")
+            elif block.kind == "edit":
+                path = folder / block.options["file"]
+                path.write_text(edited(path.read_text(encoding="utf-8"), block), encoding="utf-8")
+            else:
+                assert block.kind == "console", block.kind
+                text = block.text.replace("--backend sim", f"--backend {backend}").replace("on sim", f"on {backend}")
+                for part in re.split(r"^\$ midstride ", text, flags=re.MULTILINE)[1:]:
+                    command, *expected = part.rstrip("\n").split("\n")
+                    done = midstride(*shlex.split(command))
+                    assert done.returncode == int(block.options.get("status", "0")), (command, done)
+                    told = f"$ midstride {command}\n{done.stdout}\n-- instead of --\n" + "\n".join(expected)
+                    assert answers(expected, done.stdout), told
+                    commands += 1
+        assert midstride("status").returncode == 1, "the last chapter ends it"
+    finally:
+        midstride("down")
+        shutil.rmtree(runtime)
     assert commands >= 12
+
+
+@pytest.mark.timeout(180)
+@pytest.mark.parametrize("backend", ["sim", pytest.param("ros2", marks=pytest.mark.ros2)])
+def test_the_tutorial_can_be_done(tmp_path: Path, backend: str) -> None:
+    play(tmp_path, backend)
+
+
+def test_every_command_of_the_tutorial_is_midstrides() -> None:
+    consoles = [block.text for block in blocks() if block.kind == "console"]
+    assert all(line.startswith("$ midstride ") for text in consoles for line in text.split("\n") if line[:1] == "$")
 
 
 def test_the_files_of_the_tutorial_are_canonical() -> None:
