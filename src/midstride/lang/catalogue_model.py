@@ -8,18 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from midstride.lang.catalogue_text import Parts
+from midstride.lang.catalogue_text import TALKER, Parts
 
 _JSON: Final = "example.json"
-_TALKER: Final = """component Talker {
-  output out
-  functionality talk {
-    produces out
-    mode normal { guarantee out : std_msgs/msg/String @ 10 Hz }
-    mode silent { }
-  }
-}
-"""
 _LISTENER: Final = """component Listener {
   input in : std_msgs/msg/String @ 5 Hz
   functionality listen {
@@ -30,7 +21,7 @@ _LISTENER: Final = """component Listener {
 }
 """
 _TOPIC: Final = "topic /chatter : std_msgs/msg/String @ 10 Hz\n"
-_START: Final = "system s\n" + _TOPIC + _TALKER
+_START: Final = "system s\n" + _TOPIC + TALKER
 _TALKING: Final = _START + "node talker : Talker { out -> /chatter }\n"
 _PAIR: Final = _TALKING + _LISTENER + "node listener : Listener { in <- /chatter }\n"
 

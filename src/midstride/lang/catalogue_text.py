@@ -11,7 +11,7 @@ from typing import Final, TypeAlias
 
 Parts: TypeAlias = "tuple[str | bytes] | tuple[str | bytes, str] | tuple[str | bytes, str, dict[str, str | bytes]]"
 
-_TALKER: Final = """component Talker {
+TALKER: Final = """component Talker {
   output out
   functionality talk {
     produces out
@@ -20,7 +20,7 @@ _TALKER: Final = """component Talker {
   }
 }
 """
-_CHATTER: Final = "system s\ntopic /chatter : std_msgs/msg/String @ 10 Hz\n" + _TALKER
+_CHATTER: Final = "system s\ntopic /chatter : std_msgs/msg/String @ 10 Hz\n" + TALKER
 _NODE: Final = "node talker : Talker { out -> /chatter }\n"
 _TALKING: Final = _CHATTER + _NODE
 _MANY: Final = {f"part{n}.stride": f'include "part{n + 1}.stride"\n' for n in range(40)}
@@ -145,7 +145,7 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         "an unknown statement",
         """The word begins no statement that may stand here, but resembles one that does, and was read as that one.""",
         (
-            ("system s\ntopik /chatter : std_msgs/msg/String @ 10 Hz\n" + _TALKER + _NODE,),
+            ("system s\ntopik /chatter : std_msgs/msg/String @ 10 Hz\n" + TALKER + _NODE,),
             (_CHATTER.replace("produces", "produce") + _NODE,),
         ),
     ),
@@ -178,9 +178,9 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         """Rates are more than 0, numbers of publishers whole. Numbers are at most 1e18, and whole numbers given to
         parameters have at most 64 bits.""",
         (
-            ("system s\ntopic /chatter : std_msgs/msg/String @ 0 Hz\n" + _TALKER + _NODE,),
+            ("system s\ntopic /chatter : std_msgs/msg/String @ 0 Hz\n" + TALKER + _NODE,),
             (_TALKING + "resource memory = 1e999\n",),
-            ("system s\ntopic /chatter : std_msgs/msg/String { publishers <= 1.5 }\n" + _TALKER + _NODE,),
+            ("system s\ntopic /chatter : std_msgs/msg/String { publishers <= 1.5 }\n" + TALKER + _NODE,),
             (_CHATTER.replace("  output", "  parameters { seed = 9999999999999999999 }\n  output") + _NODE,),
         ),
     ),
@@ -188,8 +188,8 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         "a unit is missing or unknown",
         """Rates are in `Hz` or `kHz`; times in `s`, `ms`, `us` or `min`.""",
         (
-            ("system s\ntopic /chatter : std_msgs/msg/String @ 10\n" + _TALKER + _NODE,),
-            ("system s\ntopic /chatter : std_msgs/msg/String @ 10 hz\n" + _TALKER + _NODE,),
+            ("system s\ntopic /chatter : std_msgs/msg/String @ 10\n" + TALKER + _NODE,),
+            ("system s\ntopic /chatter : std_msgs/msg/String @ 10 hz\n" + TALKER + _NODE,),
             (_TALKING + "limit talker.talk below baseline 2\n",),
             ("system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 1)\n",),
             ("system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 1 parsec)\n",),
@@ -206,7 +206,7 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
             (_CHATTER.replace("  output", '  run "a"\n  run "b"\n  output') + _NODE,),
             (
                 "system s\ntopic /chatter : std_msgs/msg/String { publishers <= 1   publishers <= 2 }\n"
-                + _TALKER
+                + TALKER
                 + _NODE,
             ),
         ),
@@ -377,7 +377,7 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         (
             (
                 "system s\ntopic /chatter : std_msgs/msg/String\n"
-                + _TALKER
+                + TALKER
                 + 'node a : Talker { out -> /chatter }\nnode b : Talker { out -> /chatter }\nparameters "p.yaml"\n',
                 "example.stride",
                 {"p.yaml": "a:\n  ros__parameters:\n    volume: 3\n"},

@@ -37,7 +37,6 @@ from midstride.lang.syntax import (
     TimingBlock,
     TopicDeclaration,
 )
-from midstride.model.specification import DEFAULT_SECONDS
 
 MAX_NESTING: Final = 16
 
@@ -301,6 +300,3 @@ class Parser(ComponentParser):
 
         self.block("the timing", first, {}, duration)
         return TimingBlock(self.since(first), tuple(durations))
-
-
-STEP_KINDS: Final = tuple(DEFAULT_SECONDS)
