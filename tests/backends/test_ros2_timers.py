@@ -96,7 +96,7 @@ class RclTimer:
 
 def grid(world: World, epoch: int | None, calls: list[int], period: int = PERIOD) -> GridTimer:
     node: Any = world
-    return GridTimer(node, None, world.now, period / 1e9, epoch, calls.append)
+    return GridTimer(node, None, world.now, period / 1e9, epoch, lambda first, last: calls.append(first))
 
 
 def test_the_first_call_comes_at_once_and_the_others_on_its_grid() -> None:
@@ -151,11 +151,24 @@ def test_a_late_call_is_given_the_slot_that_came_due_first_and_the_others_are_sk
     assert calls == [START + n * PERIOD for n in (1, 2, 3, 6, 7)]
 
 
+def test_a_late_call_stands_for_the_slots_that_it_missed() -> None:
+    world = World()
+    calls: list[tuple[int, int]] = []
+    node: Any = world
+    GridTimer(node, None, world.now, PERIOD / 1e9, START, lambda first, last: calls.append((first, last)))
+    world.until(START + PERIOD + 1_000)
+    world.asleep_until(START + 4 * PERIOD + 9_000_000)
+    world.until(START + 6 * PERIOD + 1_000)
+    assert calls == [
+        (START + first * PERIOD, START + last * PERIOD) for first, last in ((1, 1), (2, 4), (5, 5), (6, 6))
+    ]
+
+
 def test_the_callback_may_take_longer_than_a_period() -> None:
     world = World()
     slots: list[int] = []
 
-    def slow(slot: int) -> None:
+    def slow(slot: int, last: int) -> None:
         slots.append(slot)
         world.time += PERIOD * 5 // 2 if len(slots) == 2 else 1_000_000
 
@@ -169,7 +182,7 @@ def test_cancelling_and_going_over_within_a_callback() -> None:
     world = World()
     slots: list[int] = []
 
-    def once(slot: int) -> None:
+    def once(slot: int, last: int) -> None:
         slots.append(slot)
         if len(slots) == 2:
             timer.regrid(START + 5_000_000)

@@ -122,6 +122,25 @@ def test_where_the_new_side_dies_the_old_one_goes_on(tmp_path: Path) -> None:
     in_lab(tmp_path, main)
 
 
+def test_a_new_side_that_was_held_up_over_the_cut_writes_late_but_writes(tmp_path: Path) -> None:
+    """Its call for the slot before the cut comes after it, and no other will come for the cut's own slot."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        at = await next_slot(lab, 0.2)
+        await cut_at(lab, at)
+        now = (await lab.read("old", "grid", port="out"))["now"]
+        await lab.sleep((at - now) / 1e9 - 0.06)
+        simulator.faults.freeze("new", 0.07)
+        assert await outcomes(lab) == ("done", "done")
+        await lab.sleep(0.3)
+        rows = [row[0] for row in await lab.rows("sink")]
+        gaps = [later - earlier for earlier, later in itertools.pairwise(rows)]
+        assert 0.055e9 <= max(gaps) <= 0.065e9, "as late as it was held up, and not a slot more"
+
+    in_lab(tmp_path, main)
+
+
 def test_where_the_old_side_dies_at_the_cut_the_new_one_writes(tmp_path: Path) -> None:
     async def main(lab: Lab, simulator: Simulator) -> None:
         await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))

@@ -4,7 +4,9 @@ Semantics.md section 7, *the cut is agreed, not chased*. Both publishers are tol
 write belongs to the slot of the time grid whose call made it, or to the newest message it answers,
 or else to the moment it is made; the old side passes what belongs before T (for messages: up to
 T), the new side the rest. So neither clock nor scheduling decides, and no write passes both gates
-or none. This module is the data side's part; :mod:`midstride.node.handing` is the control side's.
+or none. A call so late that it stands for several slots belongs to the first of them on the old
+side, and to the last on the new one: T is written, if late. This module is the data side's part;
+:mod:`midstride.node.handing` is the control side's.
 """
 
 from __future__ import annotations
@@ -23,14 +25,17 @@ GRACE: Final = 0.05
 Written = tuple[int, int]  # the publisher's number, and when
 
 
-def belongs_after(runner: Runner | None, at: int, host: Host) -> bool:
-    """Whether what ``runner`` writes at this moment belongs to the new side of a cut at ``at``."""
+def belongs_after(runner: Runner | None, at: int, host: Host, slot: int = 0) -> bool:
+    """Whether what ``runner`` writes at this moment belongs to the new side of a cut at ``at``.
+
+    ``slot`` says which of the slots that a call stands for counts: 0 the first, 1 the last.
+    """
     if runner is None:
         return host.now() >= at
-    if runner.slot is not None:
+    if runner.slots is not None:
         # Both sides round their grid to whole nanoseconds: a slot is T if it is nearest to it.
         rate = runner.rate
-        return runner.slot + (0 if rate is None else int(rate.period * 0.25e9)) >= at
+        return runner.slots[slot] + (0 if rate is None else int(rate.period * 0.25e9)) >= at
     if runner.info is not None:
         return source_of(runner.info, host) > at
     return host.now() >= at
@@ -162,7 +167,7 @@ class Arriving(_Side):
                 runner.rate.regrid(epoch)
 
     def passes(self, link: OutputLink) -> bool:
-        return belongs_after(link.output.owner, self.at, self._host)
+        return belongs_after(link.output.owner, self.at, self._host, slot=1)
 
     def shows(self, link: OutputLink) -> str:
         return "open" if link in self.written else "closed"

@@ -129,8 +129,12 @@ class Host(Protocol):
 
     def read_info(self, info: Any) -> MessageInfo: ...
 
-    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int], None]) -> Timer:
-        """``callback(slot)`` is given the slot's nominal time (ns). ``epoch`` None: the first call comes at once."""
+    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Timer:
+        """``callback(first, last)``: the nominal times (ns) of the slots that the call stands for.
+
+        There is more than one where it comes late: it stands for those it has missed as well.
+        ``epoch`` None: the first call comes at once.
+        """
         ...
 
     # -- control side ----------------------------------------------------------------------------

@@ -40,8 +40,9 @@ class Runner:
         self.busy: int | None = None
         # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
         self.ready = True
-        # When in time the current call belongs: a slot of the grid, or the info of what it answers.
-        self.slot: int | None = None
+        # When in time the current call belongs: the first and the last of the slots that it stands for, or the info of
+        # what it answers.
+        self.slots: tuple[int, int] | None = None
         self.info: Any = None
         # During a cut, told of every message that reaches the functionality.
         self.watch: Callable[[Any], None] | None = None
@@ -109,9 +110,9 @@ class Runner:
 
     # -- calls -------------------------------------------------------------------------------------
 
-    def call(self, function: Function, arguments: tuple[Any, ...], slot: int | None, info: Any) -> None:
+    def call(self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any) -> None:
         """One call of user code. The caller has made sure that it may start (``ready``)."""
-        self.slot = slot
+        self.slots = slots
         self.info = info
         self.busy = self._steady()
         try:
@@ -133,7 +134,7 @@ class Runner:
 
     def _ended(self) -> None:
         self.busy = None
-        self.slot = None
+        self.slots = None
         self.info = None
 
     async def _guarded(self, coroutine: Coroutine[Any, Any, Any]) -> None:

@@ -66,11 +66,11 @@ class OnRate:
         if self._timer is not None:
             self._timer.regrid(epoch)
 
-    def _on_slot(self, slot: int) -> None:
-        self.slot = slot
+    def _on_slot(self, first: int, last: int) -> None:
+        self.slot = first
         runner = self._runner
         if runner.ready:
-            runner.call(self._function, (), slot, None)
+            runner.call(self._function, (), (first, last), None)
 
 
 class OnMessage:

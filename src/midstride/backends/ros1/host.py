@@ -118,7 +118,7 @@ class Ros1Host:
     ) -> PortSubscription:
         return PortSubscription(topic, type_, qos, callback, self.now, self._data, self._subscribers)
 
-    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int], None]) -> GridTimer:
+    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> GridTimer:
         return GridTimer(self._clock, period, epoch, callback)
 
     # -- control side --------------------------------------------------------------------------------
@@ -156,6 +156,7 @@ class Ros1Host:
     # -- life ----------------------------------------------------------------------------------------
 
     def run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
+        common.with_short_pauses()
         try:
             asyncio.run(self._run(main, serve))
         finally:

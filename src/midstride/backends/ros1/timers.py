@@ -62,7 +62,7 @@ class RosClock:
 class GridTimer:
     """See :class:`midstride.node.host.Timer`. Everything here runs on the data side."""
 
-    def __init__(self, clock: RosClock, period: float, epoch: int | None, callback: Callable[[int], None]) -> None:
+    def __init__(self, clock: RosClock, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> None:
         self._clock = clock
         self._period = max(1, round(period * 1e9))
         self._epoch = epoch
@@ -103,7 +103,7 @@ class GridTimer:
         elif due == 0 or now < due - _EARLY:
             self._aim(self._after(now))
             return
-        self._callback(due)
+        self._callback(due, max(due, self._after(now) - self._period))
         if self._due <= max(now, due):  # else the callback has set it anew
             self._follow(due)
 

@@ -25,7 +25,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from midstride.backends.common import ending_on_signals
+from midstride.backends.common import ending_on_signals, with_short_pauses
 from midstride.backends.ros2 import endpoints, events, names, own, qos
 from midstride.backends.ros2.calls import Caller
 from midstride.backends.ros2.door import Door, parameters_of
@@ -192,7 +192,7 @@ class Ros2Host:
 
         return forget
 
-    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int], None]) -> GridTimer:
+    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> GridTimer:
         return GridTimer(self._data_node, self._data_group, self.now, period, epoch, callback)
 
     # -- control side --------------------------------------------------------------------------------
@@ -230,6 +230,7 @@ class Ros2Host:
     # -- life ----------------------------------------------------------------------------------------
 
     def run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
+        with_short_pauses()
         try:
             asyncio.run(self._run(main, serve))
         finally:

@@ -29,7 +29,7 @@ class GridTimer:
         now: Callable[[], int],
         period: float,
         epoch: int | None,
-        callback: Callable[[int], None],
+        callback: Callable[[int, int], None],
     ) -> None:
         self._node = node
         self._now = now
@@ -91,19 +91,23 @@ class GridTimer:
         if self._waiting or epoch is None:  # no longer: the clock has just started
             self.regrid(now if epoch is None else epoch)
             if epoch is None:
-                self._callback(now)
+                self._callback(now, now)
             return
         if self._due - now > TOLERANCE:  # the clock has jumped back
             self._due = epoch + (now - epoch) // self._period * self._period
-        self._callback(self._due)
+        self._callback(self._due, max(self._due, self._nearest(self._next()) - self._period))
         self._follow()
+
+    def _nearest(self, moment: int) -> int:
+        """The slot nearest to ``moment``."""
+        assert self._epoch is not None
+        return self._epoch + (moment - self._epoch + self._period // 2) // self._period * self._period
 
     def _follow(self) -> None:
         """Learn which slot comes next; mend the grid where rcl has left it."""
         if self._cancelled or self._epoch is None:  # by the callback
             return
         upcoming = self._next()
-        slots = (upcoming - self._epoch + self._period // 2) // self._period
-        self._due = self._epoch + slots * self._period
+        self._due = self._nearest(upcoming)
         if abs(upcoming - self._due) > TOLERANCE:
             self.regrid(self._epoch)

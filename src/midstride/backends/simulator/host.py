@@ -123,7 +123,7 @@ class SimulatedHost:
     def read_info(self, info: Any) -> MessageInfo:
         return MessageInfo(*info)
 
-    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int], None]) -> SimulatedTimer:
+    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> SimulatedTimer:
         return SimulatedTimer(self._clock, self.enqueue, round(period * 1e9), epoch, callback)
 
     def enqueue(self, item: Callable[[], None]) -> None:

@@ -17,7 +17,7 @@ class SimulatedTimer:
         enqueue: Callable[[Callable[[], None]], None],
         period: int,
         epoch: int | None,
-        callback: Callable[[int], None],
+        callback: Callable[[int, int], None],
     ) -> None:
         self._clock = clock
         self._enqueue = enqueue
@@ -54,4 +54,4 @@ class SimulatedTimer:
             return
         self._due = max(slot + self._period, self._next(slot, self._clock.ros_now() - 1))
         self._arm()
-        self._callback(slot)
+        self._callback(slot, self._due - self._period)
