@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import nullcontext
 from pathlib import Path
@@ -161,12 +163,37 @@ def test_generated_again_what_was_written_is_still_there(midstride: Midstride, t
     assert (folder / "chain.stride").read_text().endswith("# mine\n")
 
 
+@pytest.mark.skipif(importlib.util.find_spec("setuptools") is None, reason="setuptools is not installed here")
+def test_what_colcon_installs_runs(midstride: Midstride, tmp_path: Path) -> None:
+    """Programs run by their place and programs run as modules, from the folder that colcon installs them to."""
+    specification = tmp_path / "chain.stride"
+    specification.write_text(CHAIN, encoding="utf-8")
+    folder, prefix = tmp_path / "made", tmp_path / "install"
+    assert midstride("generate", str(specification), "-o", str(folder)).status == 0
+    # As colcon-core's tasks for Python packages do it.
+    words = ["egg_info", "build", "install", "--prefix", str(prefix), "--record", str(tmp_path / "record")]
+    command = [sys.executable, "-W", "ignore", "setup.py", *words, "--single-version-externally-managed"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    shutil.rmtree(folder)
+    (packages,) = prefix.glob("lib/python3*/site-packages")
+    midstride.environment["PYTHONPATH"] = str(packages)
+    share = prefix / "share" / "chain"
+    assert (share / "launch" / "chain.launch.py").exists()
+    up = midstride("up", str(share / "chain.stride"), "--backend", "sim", "--detach")
+    assert up.status == 0, up.out + up.err
+    assert set(modes(midstride).values()) >= {"normal"}
+    assert "off" not in modes(midstride).values()
+
+
 def test_for_ros_1_there_are_catkins_files(midstride: Midstride, tmp_path: Path) -> None:
     specification = tmp_path / "chain.stride"
     specification.write_text(CHAIN, encoding="utf-8")
     folder = tmp_path / "made"
     assert midstride("generate", str(specification), "-o", str(folder), "--ros", "1").status == 0
-    assert "catkin_install_python(PROGRAMS filters/first.py" in (folder / "CMakeLists.txt").read_text()
+    installed = "install(FILES chain.stride sink.py source.py DESTINATION ${CATKIN_PACKAGE_SHARE_DESTINATION})"
+    assert installed in (folder / "CMakeLists.txt").read_text()
+    assert "packages=['filters']" in (folder / "setup.py").read_text()
     assert 'args="$(dirname)/../chain.stride"' in (folder / "launch" / "chain.launch").read_text()
     assert os.access(folder / "up.sh", os.X_OK)
     assert subprocess.run(["sh", "-n", str(folder / "up.sh")], check=False).returncode == 0

@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 
 from midstride.errors import SpecificationError
 from midstride.generate.merge import BEGIN, END, merge_component, merge_copy, merge_whole
-from midstride.generate.names import program_path, snake
+from midstride.generate.names import program, snake
 from midstride.generate.project import project
 from midstride.lang import load, load_text
 from midstride.model.component import Component
@@ -151,7 +151,9 @@ def test_awkward_names_and_types() -> None:
     ],
 )
 def test_which_file_a_command_runs(run: str, path: str | None) -> None:
-    assert program_path(run) == (None if path is None else PurePosixPath(path))
+    found = program(run)
+    assert (None if found is None else found.path) == (None if path is None else PurePosixPath(path))
+    assert found is None or found.packaged == ("-m" in run)
 
 
 def test_names_in_snake_case() -> None:

@@ -7,14 +7,22 @@ import re
 import shlex
 from collections.abc import Iterable
 from pathlib import PurePosixPath
-from typing import Final
+from typing import Final, NamedTuple
 
 _INTERPRETER: Final = re.compile(r"(/usr/bin/(env )?)?python3?(\.\d+)?")
 _WORD: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-def program_path(run: str) -> PurePosixPath | None:
-    """The file that a command runs, relative to the system's folder; None for what is no Python program in it.
+class Program(NamedTuple):
+    """The file that a command runs, relative to the system's folder; ``packaged``: it is found in its package, not
+    by its place."""
+
+    path: PurePosixPath
+    packaged: bool
+
+
+def program(run: str) -> Program | None:
+    """What a command runs; None for what is no Python program of the system's folder.
 
     ``python3 -m patrol.detector`` runs ``patrol/detector.py``, ``python3 talker.py`` runs ``talker.py``.
     """
@@ -31,11 +39,11 @@ def program_path(run: str) -> PurePosixPath | None:
         parts = words[1].split(".")
         if not all(_WORD.fullmatch(part) and not keyword.iskeyword(part) for part in parts):
             return None
-        return PurePosixPath(*parts[:-1], f"{parts[-1]}.py")
+        return Program(PurePosixPath(*parts[:-1], f"{parts[-1]}.py"), len(parts) > 1)
     path = PurePosixPath(words[0]) if words else PurePosixPath()
     if path.suffix != ".py" or path.is_absolute() or ".." in path.parts:
         return None
-    return path
+    return Program(path, False)
 
 
 def snake(name: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from midstride.generate.merge import BEGIN, END, marked
-from midstride.generate.names import program_path, snake
+from midstride.generate.names import Program, program, snake
 from midstride.generate.skeleton import Skeleton, skeleton
 from midstride.model.component import Component
 from midstride.model.specification import Specification
@@ -55,7 +55,7 @@ class _Project:
         self.sources = sources
         self.ros = ros
         self.result = Project()
-        self.programs: dict[PurePosixPath, str] = {}
+        self.programs: dict[PurePosixPath, tuple[Program, str]] = {}  # with the component that each is of
         self.packages: set[str] = set()
         self.templates = Environment(
             loader=PackageLoader("midstride.generate"),
@@ -76,15 +76,16 @@ class _Project:
         return self.result
 
     def _component(self, component: Component) -> None:
-        path = None if component.run is None else program_path(component.run)
+        run = None if component.run is None else program(component.run)
         if component.run is None:
             self.result.skipped[component.name] = "it has no `run`: it is started elsewhere"
-        elif path is None:
+        elif run is None:
             self.result.skipped[component.name] = f"`{component.run}` runs no Python file of this folder"
-        elif path in self.programs:
-            self.result.skipped[component.name] = f"it runs {path}, as {self.programs[path]} does"
+        elif run.path in self.programs:
+            self.result.skipped[component.name] = f"it runs {run.path}, as {self.programs[run.path][1]} does"
         else:
-            self.programs[path] = component.name
+            path = run.path
+            self.programs[path] = run, component.name
             made = skeleton(component, self._node(component.name), self.specification.environment)
             self.packages.update(made.packages)
             self.result.files.append(Generated(path, self._skeleton(made), "component"))
@@ -109,17 +110,21 @@ class _Project:
     def _package_files(self) -> None:
         system = self.specification.name
         package = snake(system)
-        folders = sorted({str(path.parent).replace("/", ".") for path in self.programs if len(path.parts) > 1})
+        folders = {
+            ".".join(parent.parts)
+            for run, _ in self.programs.values()
+            if run.packaged
+            for parent in run.path.parents
+            if parent.parts
+        }
         context: dict[str, Any] = {
             "system": system,
             "package": package,
             "file": self.file,
             "ros": self.ros,
             "dependencies": sorted(self.packages),
-            "packages": folders,
-            "modules": sorted(path.stem for path in self.programs if len(path.parts) == 1),
-            "programs": sorted(str(path) for path in self.programs),
-            "specifications": self._by_folder(),
+            "packages": sorted(folders),
+            "shared": self._shared(),
         }
         if self.ros == 2:
             self._whole("package.xml", "package2.xml.j2", context)
@@ -133,10 +138,12 @@ class _Project:
             self._whole(f"launch/{system}.launch", "launch.xml.j2", context)
             self._whole("up.sh", "up.sh.j2", context, executable=True)
 
-    def _by_folder(self) -> list[tuple[str, list[str]]]:
-        """The specification's files by folder (``""`` or ``/parts``), as installing wants them."""
+    def _shared(self) -> list[tuple[str, list[str]]]:
+        """What is installed into the folder that the system then runs in, by folder in it (``""`` or ``/parts``): the
+        specification's files, and the programs that are found by their place."""
         folders: dict[str, list[str]] = {}
-        for path in self.sources:
+        programs = sorted(run.path for run, _ in self.programs.values() if not run.packaged)
+        for path in [*self.sources, *programs]:
             folder = "" if len(path.parts) == 1 else f"/{path.parent}"
             folders.setdefault(folder, []).append(str(path))
         return sorted(folders.items())
