@@ -9,8 +9,8 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -132,6 +132,33 @@ class Children:
         for process in self._processes.values():
             process.close()
         self._processes.clear()
+
+
+def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], object]) -> Awaitable[T]:
+    """Have ``post`` call ``function`` in another thread; its result, for the event loop that asks."""
+    asking = asyncio.get_running_loop()
+    done: asyncio.Future[T] = asking.create_future()
+
+    def settle(result: T | None, error: BaseException | None) -> None:
+        if done.cancelled():
+            return
+        if error is None:
+            done.set_result(result)  # type: ignore[arg-type]
+        else:
+            done.set_exception(error)
+
+    def work() -> None:
+        result: T | None = None
+        raised: BaseException | None = None
+        try:
+            result = function()
+        except BaseException as error:
+            raised = RuntimeError(str(error)) if isinstance(error, StopIteration) else error
+        with suppress(RuntimeError):  # the loop is closed: the process is ending, and nobody waits
+            asking.call_soon_threadsafe(settle, result, raised)
+
+    post(work)
+    return done
 
 
 def with_short_pauses() -> None:

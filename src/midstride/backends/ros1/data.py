@@ -13,6 +13,8 @@ import traceback
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, TypeVar
 
+from midstride.backends.common import on_thread
+
 T = TypeVar("T")
 
 
@@ -54,29 +56,7 @@ class DataSide:
 
     def run(self, function: Callable[[], T]) -> Awaitable[T]:
         """Queue ``function`` at once; its result, for the event loop that asks."""
-        asking = asyncio.get_running_loop()
-        done: asyncio.Future[T] = asking.create_future()
-
-        def settle(result: T | None, error: BaseException | None) -> None:
-            if done.cancelled():
-                return
-            if error is None:
-                done.set_result(result)  # type: ignore[arg-type]
-            else:
-                done.set_exception(error)
-
-        def work() -> None:
-            result: T | None = None
-            raised: BaseException | None = None
-            try:
-                result = function()
-            except BaseException as error:
-                raised = RuntimeError(str(error)) if isinstance(error, StopIteration) else error
-            if not asking.is_closed():
-                asking.call_soon_threadsafe(settle, result, raised)
-
-        self.post(work)
-        return done
+        return on_thread(function, self.post)
 
     def drive(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
         """Run ``coroutine`` to its end, then call ``done``. In the thread."""

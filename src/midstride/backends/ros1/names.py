@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
+from midstride.backends.naming import full as full
+from midstride.backends.naming import split as split
+
 STRING: Final = "std_msgs/String"
 # Every component's announcements, and every component's state: JSON in a std_msgs/String.
 ANNOUNCEMENT: Final = "/midstride/announcement"
@@ -13,22 +16,6 @@ MANAGER: Final = "/midstride_manager_"
 # The type of the command service, whose classes genpy makes from its definition.
 COMMAND_TYPE: Final = "midstride/Command"
 COMMAND_DEFINITION: Final = "string request\n---\nstring reply\n"
-
-
-def split(instance: str, namespace: str = "") -> tuple[str, str]:
-    """The name and the namespace of an instance's node: ``front/camera`` is node ``camera`` in ``/front``.
-
-    ``namespace`` counts where ``instance`` names none of its own.
-    """
-    own, _, name = instance.strip("/").rpartition("/")
-    inside = (own or namespace).strip("/")
-    return name, f"/{inside}" if inside else "/"
-
-
-def full(instance: str, namespace: str = "") -> str:
-    """The full name of an instance's node: ``/front/camera``."""
-    name, inside = split(instance, namespace)
-    return f"{inside.rstrip('/')}/{name}"
 
 
 def command_service(node: str) -> str:

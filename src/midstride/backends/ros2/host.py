@@ -14,7 +14,6 @@ import os
 import sys
 import time
 from collections.abc import Awaitable, Callable, Coroutine
-from contextlib import suppress
 from typing import Any, Final, TypeVar
 
 import rclpy
@@ -25,7 +24,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from midstride.backends.common import ending_on_signals, with_short_pauses
+from midstride.backends.common import ending_on_signals, on_thread, with_short_pauses
 from midstride.backends.ros2 import endpoints, events, names, own, qos
 from midstride.backends.ros2.calls import Caller
 from midstride.backends.ros2.door import Door, parameters_of
@@ -127,29 +126,7 @@ class Ros2Host:
         return self._data_node
 
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
-        loop = asyncio.get_running_loop()
-        done: asyncio.Future[T] = loop.create_future()
-
-        def settle(result: T | None, error: BaseException | None) -> None:
-            if done.cancelled():
-                return
-            if error is None:
-                done.set_result(result)  # type: ignore[arg-type]
-            else:
-                done.set_exception(error)
-
-        def run() -> None:
-            result: T | None = None
-            raised: BaseException | None = None
-            try:
-                result = function()
-            except BaseException as error:
-                raised = RuntimeError(str(error)) if isinstance(error, StopIteration) else error
-            with suppress(RuntimeError):  # the loop is closed: the process is ending, and nobody waits
-                loop.call_soon_threadsafe(settle, result, raised)
-
-        self._data.executor.create_task(run)
-        return done
+        return on_thread(function, self._data.executor.create_task)
 
     def run_coroutine(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
         async def drive() -> None:

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Final
 
+from midstride.backends.naming import full as full
+from midstride.backends.naming import split as split
+
 STANDARD: Final = (
     "describe_parameters",
     "get_parameters",
@@ -16,22 +19,6 @@ PREFIX: Final = "midstride."
 COMMAND: Final = PREFIX + "command"
 ANNOUNCEMENT: Final = PREFIX + "announcement"
 STATE: Final = PREFIX + "state"
-
-
-def split(instance: str, namespace: str = "") -> tuple[str, str]:
-    """The name and the namespace of an instance's node: ``front/camera`` is node ``camera`` in ``/front``.
-
-    ``namespace`` counts where ``instance`` names none of its own.
-    """
-    own, _, name = instance.strip("/").rpartition("/")
-    inside = (own or namespace).strip("/")
-    return name, f"/{inside}" if inside else "/"
-
-
-def full(instance: str, namespace: str = "") -> str:
-    """The full name of an instance's node: ``/front/camera``."""
-    name, inside = split(instance, namespace)
-    return f"{inside.rstrip('/')}/{name}"
 
 
 def control(name: str) -> str:

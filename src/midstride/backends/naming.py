@@ -1,0 +1,19 @@
+"""Names of nodes, which are the same on either ROS."""
+
+from __future__ import annotations
+
+
+def split(instance: str, namespace: str = "") -> tuple[str, str]:
+    """The name and the namespace of an instance's node: ``front/camera`` is node ``camera`` in ``/front``.
+
+    ``namespace`` counts where ``instance`` names none of its own.
+    """
+    own, _, name = instance.strip("/").rpartition("/")
+    inside = (own or namespace).strip("/")
+    return name, f"/{inside}" if inside else "/"
+
+
+def full(instance: str, namespace: str = "") -> str:
+    """The full name of an instance's node: ``/front/camera``."""
+    name, inside = split(instance, namespace)
+    return f"{inside.rstrip('/')}/{name}"
