@@ -176,6 +176,11 @@ PLANTED = [
         3, "precondition", ("a port occurs twice on one topic",), "handover",
     ),
     Planted(
+        "an input in a hand-over",
+        "camera", lambda plan: plan["steps"][2]["swaps"][0].update(new="planner.in"),
+        3, "name", ("hand over /image: left.out -> planner.in", "planner.in is an input, not an output"),
+    ),
+    Planted(
         "the last step is missing: not everything is raised again",
         "talker", drop(7),
         None, "end", ("it could be in mode normal",), "listener.listen",

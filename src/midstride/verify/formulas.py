@@ -136,7 +136,7 @@ def _modes(scene: Scene, modes: Mapping[FunctionalityRef, int], s: str, t: str, 
 
 def _handover(scene: Scene, action: Handover, s: str, t: str) -> Formula:
     swaps = [
-        (_connector(scene, swap.connector), _port(scene, swap.old), _port(scene, swap.new)) for swap in action.swaps
+        (_connector(scene, swap.connector), _output(scene, swap.old), _output(scene, swap.new)) for swap in action.swaps
     ]
     # What the specification has no tuple for is judged here: the same swap twice is one tuple, an input is in none.
     outputs = [each for each in swaps if all(port in scene.universe.sigs["Output"] for port in each[1:])]
@@ -190,6 +190,13 @@ def _component(scene: Scene, name: str) -> str:
 
 def _port(scene: Scene, ref: PortRef) -> str:
     return _found(scene.ports, ref, "port")
+
+
+def _output(scene: Scene, ref: PortRef) -> str:
+    port = _port(scene, ref)
+    if port not in scene.universe.sigs["Output"]:
+        raise NotInTheDump(f"{ref} is an input, not an output")
+    return port
 
 
 def _connector(scene: Scene, name: str) -> str:

@@ -19,6 +19,7 @@ from midstride.verify.naming import Names
 MOST_ATOMS: Final = 1290
 _WIDTH: Final = 116
 _TOGETHER: Final = 6
+_FEW: Final = 3
 
 Pair = tuple[str, ...]
 
@@ -137,12 +138,22 @@ class Universe:
 
     @property
     def bitwidth(self) -> int:
-        """Bits that hold any count of publishers or slots."""
-        most = max(8, len(self.sigs["Output"]) + len(self.sigs["Publisher"]), len(self.sigs["Slot"]))
+        """Bits that hold any count of publishers or slots of a capped topic: nothing else is counted."""
+        publishers: dict[str, set[str]] = {connector: set() for connector in self.capped}
+        slots: dict[str, set[str]] = {connector: set() for connector in self.capped}
+        for _, connector, port in self.tuples["roles"]:
+            if connector in publishers and port in self.sigs["Output"]:
+                publishers[connector].add(port)
+        for publisher, connector in self.tuples["on"]:
+            if connector in publishers:
+                publishers[connector].add(publisher)
+        for connector, slot in self.tuples["slots"]:
+            slots[connector].add(slot)
+        most = max([_FEW, *(len(atoms) for counted in (publishers, slots) for atoms in counted.values())])
         return most.bit_length() + 1
 
     def scope(self) -> str:
-        """The scope in which the dump is exactly what it says. A Report is one atom more."""
+        """The scope in which the dump is exactly what it says. Findings is one atom more."""
         exactly = ", ".join(f"exactly {len(atoms)} {sig}" for sig, atoms in self.sigs.items())
         return f"for 1 but {exactly}, {self.bitwidth} Int"
 

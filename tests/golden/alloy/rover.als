@@ -187,8 +187,8 @@ assert Verified {
 }
 assert Rules { rules }
 
-check Verified for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 5 Int
-check Rules for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 5 Int
-run Verdict {} for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 5 Int
-check Best for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 5 Int
+check Verified for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 3 Int
+check Rules for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 3 Int
+run Verdict {} for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 3 Int
+check Best for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 3 Int
 

@@ -187,8 +187,8 @@ assert Verified {
 }
 assert Rules { rules }
 
-check Verified for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 5 Int
-check Rules for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 5 Int
-run Verdict {} for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 5 Int
-check Best for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 5 Int
+check Verified for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 3 Int
+check Rules for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 3 Int
+run Verdict {} for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 3 Int
+check Best for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 3 Int
 

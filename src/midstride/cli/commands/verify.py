@@ -65,8 +65,11 @@ def verify_command(
         pictures.kind_of(picture)
     asking = Asking(alloy, limit, _keeper(output))
     verdict = _live(system, asking) if live else _designed(file, plan_file, asking)
-    if picture is not None and verdict.findings:
-        pictures.write(picture, lambda: to_dot(verdict), lambda: to_mermaid(verdict))
+    if picture is not None:
+        if verdict.findings:
+            pictures.write(picture, lambda: to_dot(verdict), lambda: to_mermaid(verdict))
+        else:
+            click.echo(f"There is nothing to draw: {picture} is not written.", err=True)
     if wants_json():
         print_json(verdict.to_document())
     else:
