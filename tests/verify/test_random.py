@@ -1,0 +1,70 @@
+"""Alloy and the model's own replay agree on random plans, spoilt ones too: the same step fails, or both hold."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from random import Random
+
+import pytest
+
+from midstride.errors import PlanRefused
+from midstride.model.specification import initial
+from midstride.plan.change import Change
+from midstride.plan.plan import Plan
+from midstride.plan.registry import STRATEGIES
+from midstride.plan.validate import replay
+from midstride.verify.checking import Asking, verify_plan
+from midstride.verify.run import Alloy, find
+from tests.plan import systems
+
+pytestmark = [pytest.mark.alloy, pytest.mark.long]
+
+
+@pytest.fixture(scope="module")
+def alloy() -> Alloy:
+    return find()
+
+
+def drawn(rng: Random) -> Plan:
+    """A random plan: as it was made, or with a step dropped, repeated elsewhere, or exchanged with the next."""
+    while True:
+        try:
+            start, target = systems.change(rng, systems.system(rng, 4, 4), 5)
+            plan = STRATEGIES[rng.choice(sorted(STRATEGIES))](Change.between(initial(start), start, target))
+        except PlanRefused:
+            continue
+        if len(plan.steps) > 1:
+            break
+    steps, index = list(plan.steps), rng.randrange(len(plan.steps) - 1)
+    match rng.choice(("as it was", "dropped", "dropped", "repeated", "exchanged")):
+        case "dropped":
+            steps.pop(index)
+        case "repeated":
+            steps.insert(rng.randrange(index, len(steps) + 1), steps[index])
+        case "exchanged":
+            steps[index], steps[index + 1] = steps[index + 1], steps[index]
+    return replace(plan, steps=tuple(steps))
+
+
+def expected(plan: Plan) -> tuple[bool, int | None]:
+    """Whether the plan holds, and the first step that does not; what it says it costs is not Alloy's affair."""
+    s = plan.change.start
+    for number, step in enumerate(plan.steps, start=1):
+        told = all(
+            s.mode(change.functionality).name == change.before
+            for change in step.modes
+            if change.functionality in s.modes
+        )
+        if step.action.check(s) or not told:
+            return False, number
+        s = step.action.effect(s)
+    whole = Plan.of(plan.strategy, plan.change, plan.steps)
+    return replay(whole).holds, None
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_alloy_and_the_replay_agree(seed: int, alloy: Alloy) -> None:
+    plan = drawn(Random(seed))
+    verdict = verify_plan(plan, asking=Asking(alloy))
+    assert (verdict.holds, verdict.failed) == expected(plan), verdict.words
+    assert "please report" not in verdict.words
