@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from typing import Final
 
-from midstride.lang.cursor import RESERVED, Cursor, Panic
+from midstride.lang.blocks import BlockParser
+from midstride.lang.cursor import RESERVED, Panic
 from midstride.lang.lexer import string_value
 from midstride.lang.suggest import nearest
 from midstride.lang.syntax import (
@@ -30,7 +31,7 @@ _INTEGER: Final = re.compile(r"[+-]?[0-9]+")
 _INT64: Final = 2**63
 
 
-class ContractParser(Cursor):
+class ContractParser(BlockParser):
     """The part of the parser that reads contracts and values."""
 
     def contract(self, what: str) -> ContractExpression:

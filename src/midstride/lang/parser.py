@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from midstride.lang.cursor import Handlers, Panic
+from midstride.lang.blocks import Handlers
+from midstride.lang.cursor import Panic
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.lexer import tokenize
 from midstride.lang.parse_component import ComponentParser
