@@ -17,13 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from midstride.errors import ManagerError, MidstrideError, PlanRefused, StepFailed
-from midstride.model.best import lowered
-from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.snapshot import configuration_to_document
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
-from midstride.plan.lowering import degradations
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import Request
@@ -36,6 +33,7 @@ from midstride.runtime.launcher import Launcher
 from midstride.runtime.link import Link
 from midstride.runtime.live import Live, live
 from midstride.runtime.recording import Recording, to_documents
+from midstride.runtime.settling import settled
 from midstride.runtime.verifying import Verifier, Watch
 from midstride.runtime.workspace import Workspace
 from midstride.verify.verdict import Verdict
@@ -349,39 +347,24 @@ class Manager:
             await self._settle()
 
     async def _settle(self) -> None:
-        """Bring the model to what is true: crashed components are gone, own degradations are known.
-
-        A crash is an unplanned removal: exactly those that `best` of what is left asks for are
-        lowered. Raising again is a plan's affair.
-        """
-        s, seeds = self.configuration, set[FunctionalityRef]()
-        gone, self._gone = self._gone, {}
+        """Bring the model to what is true, and lower whom that leaves without what they assume."""
+        told, self._gone = self._gone, {}
+        gone = {name: event for name, event in told.items() if name in self.configuration.instances}
+        self._crashed.update(gone)
         for name in gone:
-            if name not in s.instances:
-                continue
-            self._crashed[name] = gone[name]
-            for port, connector in s.attached_ports(name):
-                if s.is_output(port):
-                    seeds.update(s.consumers(connector))
-            s = s.without_instance(name)
             self._launcher.handles.pop(name, None)
             self._link.forget(name)
+        s = self.configuration
         worse = await status.own_degradations(s, self._link, self._backend.clock)
-        for ref in worse:
-            for output in s.functionality(ref).outputs:
-                for connector in s.attached_to(PortRef(ref.component, output)):
-                    seeds.update(s.consumers(connector))
-        s = s.with_modes(worse)
-        if s is self.configuration:
+        if not gone and not worse:
             return
         for ref, index in sorted(worse.items()):
             words = f"{ref} has gone to {s.functionality(ref).modes[index].name} by itself"
             self.events.add("degraded", words, functionality=str(ref))
-        self.configuration = s
+        self.configuration, actions = settled(s, gone, worse)
         self.revision += 1
         executor = self._executor()
-        fallen = lowered(s, [ref for ref in seeds if ref.component in s.instances])
-        for action in degradations(s, fallen):
+        for action in actions:
             try:
                 await executor.perform(action)
                 self.events.add("degraded", executor.describe(action))

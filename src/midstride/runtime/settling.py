@@ -1,0 +1,34 @@
+"""What becomes true by itself, and what has to follow from it.
+
+A crash is an unplanned removal, and a component that could not go on has lowered itself: the model is brought to what
+is true, and exactly those that `best` of what is left asks for are lowered. Raising again is a plan's affair.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from midstride.model.action import Action
+from midstride.model.best import lowered
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
+from midstride.plan.lowering import degradations
+
+
+def settled(
+    s: Configuration, gone: Iterable[str], worse: Mapping[FunctionalityRef, int]
+) -> tuple[Configuration, list[Action]]:
+    """``s`` without the instances in ``gone`` and with the modes in ``worse``; and the steps that make that valid."""
+    touched: set[FunctionalityRef] = set()
+    for name in gone:
+        for port, connector in s.attached_ports(name):
+            if s.is_output(port):
+                touched.update(s.consumers(connector))
+        s = s.without_instance(name)
+    for ref in worse:
+        for output in s.functionality(ref).outputs:
+            for connector in s.attached_to(PortRef(ref.component, output)):
+                touched.update(s.consumers(connector))
+    s = s.with_modes(worse)
+    fallen = lowered(s, [ref for ref in touched if ref.component in s.instances])
+    return s, list(degradations(s, fallen))
