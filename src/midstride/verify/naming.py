@@ -11,7 +11,7 @@ from midstride.verify.library import declared
 _WORDS: Final = """abstract after all always and as assert before but check disj else enabled enum eventually exactly
     expect extends fact for fun historically iden iff implies in Int int invariant let lone modifies module no none not
     once one open or pred private releases run seq set sig since some steps String sum this triggered univ until var
-    Best better Capped Clause Findings Rules Step Verdict Verified"""
+    Best better Capped Clause Findings findings Rules Step Verdict Verified"""
 _STRANGE: Final = re.compile(r"[^A-Za-z0-9]+")
 
 

@@ -133,7 +133,10 @@ def _steps(steps: list[JudgedStep]) -> str:
 
 
 def _findings(universe: Universe, judged: Judged, rules: Mapping[str, str]) -> str:
-    """The signature and the facts that make `Verdict` an account of what does not hold."""
+    """The signature and the predicate that make `Verdict` an account of what does not hold.
+
+    It is no fact: the checks would have to work it out as well.
+    """
     values = {
         "invalid": "{ s: System | not valid[s] }",
         "faults": " + ".join(f"({held} implies none else {name})" for held, name in rules.items()),
@@ -149,7 +152,12 @@ def _findings(universe: Universe, judged: Judged, rules: Mapping[str, str]) -> s
         }
     lines = ["/* What does not hold. */", "abstract sig Clause {}"]
     lines += [f"one sig {name} extends Clause {{}}" for name in universe.clauses.values()]
-    lines += ["one sig Findings {", *(f"  {name}: {kind}," for name, kind in judged.fields.items()), "}", "fact {"]
+    lines += [
+        "one sig Findings {",
+        *(f"  {name}: {kind}," for name, kind in judged.fields.items()),
+        "}",
+        "pred findings {",
+    ]
     lines += [f"  Findings.{name} = {value}" for name, value in values.items()]
     for step in judged.steps:
         lines.append(f"  {step.atom} in Findings.refused iff not {step.atom}_may")
@@ -173,7 +181,7 @@ def _commands(judged: Judged, scope: str) -> str:
             "}",
         ]
     lines += [f"assert {VERIFIED} {{", *(f"  {each}" for each in holds), "}", f"assert {RULES} {{ rules }}", ""]
-    lines += [f"check {VERIFIED} {scope}", f"check {RULES} {scope}", f"run {VERDICT} {{}} {scope}"]
+    lines += [f"check {VERIFIED} {scope}", f"check {RULES} {scope}", f"run {VERDICT} {{ findings }} {scope}"]
     if judged.end is not None:
         lines.append(f"check {BEST} {scope}")
     return "\n".join(lines) + "\n"

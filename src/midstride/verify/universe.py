@@ -173,22 +173,41 @@ class Universe:
                 ]
                 lines.append("")
         for name, columns in self.FIELDS.items():
-            lines += _relation(name, columns, self.tuples[name])
+            sorts = columns.split()
+            terms = self._by_systems(name) if sorts[0] == "System" else _terms(self.tuples[name])
+            lines += _relation(name, sorts, terms)
         lines.append(f"fun Capped: set Connector {{ {' + '.join(self.capped) or 'none'} }}")
         return "\n".join(lines) + "\n"
+
+    def _by_systems(self, relation: str) -> list[str]:
+        """A relation of configurations: what they have in common, and what only some of them have."""
+        having: dict[Pair, list[str]] = {}
+        for entry in self.tuples[relation]:
+            having.setdefault(entry[1:], []).append(entry[0])
+        alike: dict[Pair, list[Pair]] = {}
+        for rest, systems in having.items():
+            alike.setdefault(tuple(systems), []).append(rest)
+        every = len(self.sigs["System"])
+        return [
+            f"{'System' if len(systems) == every else _union(list(systems))} -> {_union(_terms(tuples), within=True)}"
+            for systems, tuples in alike.items()
+        ]
 
 
 def _comment(told: str) -> str:
     return " ".join(told.split())
 
 
-def _relation(name: str, columns: str, tuples: Iterable[Pair]) -> list[str]:
-    """``a -> b + …`` over lines that fit; tuples alike but for their last atom are drawn together."""
+def _terms(tuples: Iterable[Pair]) -> list[str]:
+    """``a -> b``; tuples alike but for their last atom are drawn together."""
     grouped: dict[Pair, list[str]] = {}
     for entry in tuples:
         grouped.setdefault(entry[:-1], []).append(entry[-1])
-    terms = [" -> ".join((*head, last[0] if len(last) == 1 else _union(last))) for head, last in grouped.items()]
-    sorts = columns.split()
+    return [" -> ".join((*head, _union(last))) for head, last in grouped.items()]
+
+
+def _relation(name: str, sorts: list[str], terms: list[str]) -> list[str]:
+    """The sum of the terms, over lines that fit."""
     body = _union(terms, outer=True) if terms else " -> ".join(["none"] * len(sorts))
     words = f"{body} }}".split(" ")
     lines, line = [], f"fun {name}: {' -> '.join(sorts)} {{"
@@ -200,9 +219,13 @@ def _relation(name: str, columns: str, tuples: Iterable[Pair]) -> list[str]:
     return [*lines, line]
 
 
-def _union(terms: list[str], *, outer: bool = False) -> str:
-    """A sum, in brackets within brackets where it is long: Alloy's type checker is cubic in the depth of a sum."""
+def _union(terms: list[str], *, outer: bool = False, within: bool = False) -> str:
+    """A sum, in brackets within brackets where it is long: Alloy's type checker is cubic in the depth of a sum.
+
+    One term alone is bare, but for a product that stands ``within`` another one.
+    """
     while len(terms) > _TOGETHER:
         terms = [_union(terms[i : i + _TOGETHER]) for i in range(0, len(terms), _TOGETHER)]
     joined = " + ".join(terms)
-    return joined if outer or len(terms) == 1 else f"({joined})"
+    bare = outer or (len(terms) == 1 and not (within and "->" in joined))
+    return joined if bare else f"({joined})"

@@ -85,31 +85,15 @@ fun on: Publisher -> Connector { none -> none }
 fun pub_guar: Publisher -> Predicate { none -> none }
 fun slots: Connector -> Slot { topic_cmd -> topic_cmd_slot1 }
 fun holders: Overload -> Component { none -> none }
-fun comps: System -> Component { S0 -> (left + motor + planner + right) + S1 -> (left + left_2 + motor + planner +
-  right) + S2 -> (left + left_2 + motor + planner + right) + S3 -> (left + left_2 + motor + planner + right) + S4 ->
-  (left_2 + motor + planner + right) + S5 -> (left_2 + motor + planner + right) }
-fun conns: System -> Connector { S0 -> (topic_cmd + topic_image) + S1 -> (topic_cmd + topic_image) + S2 ->
-  (topic_cmd + topic_image) + S3 -> (topic_cmd + topic_image) + S4 -> (topic_cmd + topic_image) + S5 -> (topic_cmd +
-  topic_image) }
-fun roles: System -> Connector -> Port { (S0 -> topic_image -> (left_out + planner_in + right_out) + S0 -> topic_cmd
-  -> (motor_in + planner_cmd) + S1 -> topic_image -> (left_out + planner_in + right_out) + S1 -> topic_cmd ->
-  (motor_in + planner_cmd) + S2 -> topic_image -> (left_out + planner_in + right_out) + S2 -> topic_cmd -> (motor_in
-  + planner_cmd)) + (S3 -> topic_image -> (left_2_out + planner_in + right_out) + S3 -> topic_cmd -> (motor_in +
-  planner_cmd) + S4 -> topic_image -> (left_2_out + planner_in + right_out) + S4 -> topic_cmd -> (motor_in +
-  planner_cmd) + S5 -> topic_image -> (left_2_out + planner_in + right_out) + S5 -> topic_cmd -> (motor_in +
-  planner_cmd)) }
-fun cur_mode: System -> Functionality -> Mode { (S0 -> left_see_f -> left_see_normal + S0 -> motor_drive_f ->
-  motor_drive_normal + S0 -> planner_plan_f -> planner_plan_normal + S0 -> right_see_f -> right_see_normal + S1 ->
-  left_see_f -> left_see_normal + S1 -> left_2_see_f -> left_2_see_degraded) + (S1 -> motor_drive_f ->
-  motor_drive_normal + S1 -> planner_plan_f -> planner_plan_normal + S1 -> right_see_f -> right_see_normal + S2 ->
-  left_see_f -> left_see_normal + S2 -> left_2_see_f -> left_2_see_normal + S2 -> motor_drive_f ->
-  motor_drive_normal) + (S2 -> planner_plan_f -> planner_plan_normal + S2 -> right_see_f -> right_see_normal + S3 ->
-  left_see_f -> left_see_normal + S3 -> left_2_see_f -> left_2_see_normal + S3 -> motor_drive_f ->
-  motor_drive_normal + S3 -> planner_plan_f -> planner_plan_normal) + (S3 -> right_see_f -> right_see_normal + S4 ->
-  left_2_see_f -> left_2_see_normal + S4 -> motor_drive_f -> motor_drive_normal + S4 -> planner_plan_f ->
-  planner_plan_normal + S4 -> right_see_f -> right_see_normal + S5 -> left_2_see_f -> left_2_see_normal) + (S5 ->
-  motor_drive_f -> motor_drive_normal + S5 -> planner_plan_f -> planner_plan_normal + S5 -> right_see_f ->
-  right_see_normal) }
+fun comps: System -> Component { (S0 + S1 + S2 + S3) -> left + System -> (motor + planner + right) + (S1 + S2 + S3 +
+  S4 + S5) -> left_2 }
+fun conns: System -> Connector { System -> (topic_cmd + topic_image) }
+fun roles: System -> Connector -> Port { (S0 + S1 + S2) -> (topic_image -> left_out) + System -> (topic_cmd ->
+  (motor_in + planner_cmd) + topic_image -> (planner_in + right_out)) + (S3 + S4 + S5) -> (topic_image ->
+  left_2_out) }
+fun cur_mode: System -> Functionality -> Mode { (S0 + S1 + S2 + S3) -> (left_see_f -> left_see_normal) + System ->
+  (motor_drive_f -> motor_drive_normal + planner_plan_f -> planner_plan_normal + right_see_f -> right_see_normal) +
+  S1 -> (left_2_see_f -> left_2_see_degraded) + (S2 + S3 + S4 + S5) -> (left_2_see_f -> left_2_see_normal) }
 fun env_guars: System -> Predicate { none -> none }
 fun env_pubs: System -> Publisher { none -> none }
 fun Capped: set Connector { topic_cmd }
@@ -153,7 +137,7 @@ one sig Findings {
   absent: set Component,
   left: set Component,
 }
-fact {
+pred findings {
   Findings.invalid = { s: System | not valid[s] }
   Findings.faults = (preorder implies none else the_satisfaction_relation_is_not_reflexive_and_transitive) + (declared implies none else a_port_functionality_or_mode_is_not_declared_as_one_component_s_own) + (chains implies none else the_modes_of_a_functionality_are_not_a_chain) + (M1 implies none else a_last_mode_assumes_something) + (M2 implies none else a_worse_mode_guarantees_what_a_better_one_does_not)
   Findings.missing = S5.roles - S4.roles
@@ -189,6 +173,6 @@ assert Rules { rules }
 
 check Verified for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 3 Int
 check Rules for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 3 Int
-run Verdict {} for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 3 Int
+run Verdict { findings } for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 3 Int
 check Best for 1 but exactly 2 Predicate, exactly 2 NamedInputs, exactly 2 Input, exactly 4 Output, exactly 2 Connector, exactly 10 Mode, exactly 5 Functionality, exactly 5 Component, exactly 0 Publisher, exactly 6 System, exactly 1 Slot, exactly 0 Overload, 3 Int
 

@@ -66,26 +66,15 @@ fun on: Publisher -> Connector { none -> none }
 fun pub_guar: Publisher -> Predicate { none -> none }
 fun slots: Connector -> Slot { none -> none }
 fun holders: Overload -> Component { none -> none }
-fun comps: System -> Component { (S0 -> (listener + talker) + S1 -> (listener + talker) + S2 -> (listener + talker)
-  + S3 -> listener + S4 -> (listener + talker_2) + S5 -> (listener + talker_2)) + (S6 -> (listener + talker_2) + S7
-  -> (listener + talker_2) + S8 -> (listener + talker_2)) }
-fun conns: System -> Connector { (S0 -> topic_chatter + S1 -> topic_chatter + S2 -> topic_chatter + S3 ->
-  topic_chatter + S4 -> topic_chatter + S5 -> topic_chatter) + (S6 -> topic_chatter + S7 -> topic_chatter + S8 ->
-  topic_chatter) }
-fun roles: System -> Connector -> Port { (S0 -> topic_chatter -> (listener_in + talker_out) + S1 -> topic_chatter ->
-  (listener_in + talker_out) + S2 -> topic_chatter -> listener_in + S3 -> topic_chatter -> listener_in + S4 ->
-  topic_chatter -> listener_in + S5 -> topic_chatter -> listener_in) + (S6 -> topic_chatter -> (listener_in +
-  talker_2_out) + S7 -> topic_chatter -> (listener_in + talker_2_out) + S8 -> topic_chatter -> (listener_in +
-  talker_2_out)) }
-fun cur_mode: System -> Functionality -> Mode { (S0 -> listener_listen_f -> listener_listen_normal + S0 ->
-  talker_talk_f -> talker_talk_normal + S1 -> listener_listen_f -> listener_listen_degraded + S1 -> talker_talk_f ->
-  talker_talk_normal + S2 -> listener_listen_f -> listener_listen_degraded + S2 -> talker_talk_f ->
-  talker_talk_normal) + (S3 -> listener_listen_f -> listener_listen_degraded + S4 -> listener_listen_f ->
-  listener_listen_degraded + S4 -> talker_2_talk_f -> talker_2_talk_degraded + S5 -> listener_listen_f ->
-  listener_listen_degraded + S5 -> talker_2_talk_f -> talker_2_talk_normal + S6 -> listener_listen_f ->
-  listener_listen_degraded) + (S6 -> talker_2_talk_f -> talker_2_talk_normal + S7 -> listener_listen_f ->
-  listener_listen_normal + S7 -> talker_2_talk_f -> talker_2_talk_normal + S8 -> listener_listen_f ->
-  listener_listen_normal + S8 -> talker_2_talk_f -> talker_2_talk_normal) }
+fun comps: System -> Component { System -> listener + (S0 + S1 + S2) -> talker + (S4 + S5 + S6 + S7 + S8) ->
+  talker_2 }
+fun conns: System -> Connector { System -> topic_chatter }
+fun roles: System -> Connector -> Port { System -> (topic_chatter -> listener_in) + (S0 + S1) -> (topic_chatter ->
+  talker_out) + (S6 + S7 + S8) -> (topic_chatter -> talker_2_out) }
+fun cur_mode: System -> Functionality -> Mode { (S0 + S7 + S8) -> (listener_listen_f -> listener_listen_normal) +
+  (S0 + S1 + S2) -> (talker_talk_f -> talker_talk_normal) + (S1 + S2 + S3 + S4 + S5 + S6) -> (listener_listen_f ->
+  listener_listen_degraded) + S4 -> (talker_2_talk_f -> talker_2_talk_degraded) + (S5 + S6 + S7 + S8) ->
+  (talker_2_talk_f -> talker_2_talk_normal) }
 fun env_guars: System -> Predicate { none -> none }
 fun env_pubs: System -> Publisher { none -> none }
 fun Capped: set Connector { none }
@@ -144,7 +133,7 @@ one sig Findings {
   absent: set Component,
   left: set Component,
 }
-fact {
+pred findings {
   Findings.invalid = { s: System | not valid[s] }
   Findings.faults = (preorder implies none else the_satisfaction_relation_is_not_reflexive_and_transitive) + (declared implies none else a_port_functionality_or_mode_is_not_declared_as_one_component_s_own) + (chains implies none else the_modes_of_a_functionality_are_not_a_chain) + (M1 implies none else a_last_mode_assumes_something) + (M2 implies none else a_worse_mode_guarantees_what_a_better_one_does_not)
   Findings.missing = S8.roles - S7.roles
@@ -189,6 +178,6 @@ assert Rules { rules }
 
 check Verified for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 3 Int
 check Rules for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 3 Int
-run Verdict {} for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 3 Int
+run Verdict { findings } for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 3 Int
 check Best for 1 but exactly 1 Predicate, exactly 1 NamedInputs, exactly 1 Input, exactly 2 Output, exactly 1 Connector, exactly 6 Mode, exactly 3 Functionality, exactly 3 Component, exactly 0 Publisher, exactly 9 System, exactly 0 Slot, exactly 0 Overload, 3 Int
 
