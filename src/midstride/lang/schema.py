@@ -17,7 +17,9 @@ _TOKEN: Final = "[A-Za-z_][A-Za-z0-9_]*"
 _POSITIVE: Final[Schema] = {"type": "number", "exclusiveMinimum": 0}
 _NOT_NEGATIVE: Final[Schema] = {"type": "number", "minimum": 0}
 _SCALAR: Final[Schema] = {"type": ["string", "number", "boolean"]}
-_TEXTS: Final[Schema] = {"type": "array", "items": {"type": "string"}}
+_NAME: Final[Schema] = {"type": "string", "minLength": 1}  # of something declared elsewhere
+_DECLARED: Final[Schema] = {"type": "string", "pattern": f"^{_TOKEN}$", "maxLength": 255}
+_TEXTS: Final[Schema] = {"type": "array", "items": _NAME}
 
 
 def _object(properties: Schema, required: tuple[str, ...] = (), about: str = "") -> Schema:
@@ -93,12 +95,10 @@ _DEFINITIONS: Final[Schema] = {
             ),
             "allows": {
                 "type": "array",
-                "items": _object(
-                    {"kind": {"enum": ["topic", "service", "action"]}, "name": {"type": "string"}}, ("kind", "name")
-                ),
+                "items": _object({"kind": {"enum": ["topic", "service", "action"]}, "name": _NAME}, ("kind", "name")),
             },
             "inputs": _map(_ref("predicate"), "what it relies on each input for", _TOKEN),
-            "outputs": {**_TEXTS, "description": "the names of its outputs"},
+            "outputs": {"type": "array", "items": _DECLARED, "description": "the names of its outputs"},
             "functionalities": _map(_ref("functionality"), "what it does", _TOKEN),
         }
     ),
@@ -119,7 +119,7 @@ _DEFINITIONS: Final[Schema] = {
     ),
     "assumption": {
         "anyOf": [
-            {"type": "string", "description": "an input"},
+            {**_NAME, "description": "an input"},
             _object({"any_of": {**_TEXTS, "minItems": 1}}, ("any_of",), "one of several inputs"),
             _ref("predicate"),
         ]
@@ -128,18 +128,18 @@ _DEFINITIONS: Final[Schema] = {
         {
             **_PREDICATE,
             "max_publishers": {"type": "integer", "minimum": 0},
-            "topic": {"type": "string", "description": "the name on the wire, where it differs"},
+            "topic": {**_NAME, "description": "the name on the wire, where it differs"},
         },
         ("type",),
     ),
     "offer": _object(
-        {"guarantee": _ref("predicate"), "topic": {"type": "string"}},
+        {"guarantee": _ref("predicate"), "topic": _NAME},
         ("guarantee",),
         "what the environment guarantees; with a topic, as a publisher of it",
     ),
     "node": _object(
         {
-            "component": {"type": "string"},
+            "component": _NAME,
             "attachments": _map(_TEXTS, "the topics of each port"),
             "parameters": _map(_ref("value"), "its own values, over its component's"),
         },
@@ -147,12 +147,12 @@ _DEFINITIONS: Final[Schema] = {
     ),
     "constraint": {
         "anyOf": [
-            _object({"keep": {"type": "string"}, "at": {"type": "string"}}, ("keep", "at")),
+            _object({"keep": _NAME, "at": _NAME}, ("keep", "at")),
             _object(
-                {"limit": {"type": "string"}, "below_baseline_seconds": _NOT_NEGATIVE},
+                {"limit": _NAME, "below_baseline_seconds": _NOT_NEGATIVE},
                 ("limit", "below_baseline_seconds"),
             ),
-            _object({"order": {"type": "string"}, "before": {"type": "string"}}, ("order", "before")),
+            _object({"order": _NAME, "before": _NAME}, ("order", "before")),
         ]
     },
 }
@@ -165,7 +165,7 @@ def schema() -> Schema:
         "title": "Midstride specification",
         **_object(
             {
-                "system": {"type": "string", "pattern": f"^{_TOKEN}$", "maxLength": 255},
+                "system": _DECLARED,
                 "topics": _map(_ref("topic"), "the topics, by full name"),
                 "resources": _map(_object({"capacity": _POSITIVE}), "what there is only so much of"),
                 "environment": _map(_ref("offer"), "what there is without anyone's doing", _TOKEN),

@@ -56,7 +56,7 @@ def decode_specification(reader: Reader) -> Specification:
         ("system",),
         ("topics", "resources", "environment", "components", "nodes", "constraints", "timing_seconds"),
     )
-    name = keys["system"].text("the name of the system") if "system" in keys else None
+    name = keys["system"].name("the name of the system") if "system" in keys else None
     return Specification(
         name=name or "",
         connectors=Map(_named(keys, "topics", "topics", _connector)),
@@ -160,7 +160,7 @@ def decode_component(reader: Reader, name: str | None) -> Component:
     optional = ("run", "takes_seconds", "holds", "parameters", "allows", "inputs", "outputs", "functionalities")
     keys = reader.keys("a component", () if name is not None else ("name",), optional)
     if name is None:
-        name = (keys["name"].text("a name") if "name" in keys else None) or ""
+        name = (keys["name"].name("a name") if "name" in keys else None) or ""
     return Component.of(
         name,
         inputs=_named(keys, "inputs", "inputs", lambda entry, _: decode_predicate(entry)),
@@ -200,7 +200,7 @@ def _parameter_value(reader: Reader) -> ParameterValue | None:
 def _endpoint(reader: Reader) -> Endpoint:
     keys = reader.keys("an allowed endpoint", ("kind", "name"), ())
     kind = keys["kind"].word(_ENDPOINTS) if "kind" in keys else None
-    name = keys["name"].text("the name of an endpoint") if "name" in keys else None
+    name = keys["name"].name("the name of an endpoint") if "name" in keys else None
     return Endpoint(kind or "", name or "")
 
 
@@ -225,7 +225,7 @@ def _mode(reader: Reader, name: str) -> Mode:
 
 def _assumption(reader: Reader) -> Assumption:
     if isinstance(reader.value, str):
-        return NamedInputs((reader.value,))
+        return NamedInputs((reader.name("the name of an input") or "",))
     if not isinstance(reader.value, dict):
         what = "the name of an input, an object with any_of, or a predicate"
         reader.fault("E001", f"an assumption ({what}) is expected, this is {told(reader.value)}")
@@ -250,14 +250,14 @@ def _connector(reader: Reader, name: str) -> Connector:
         cap=keys["max_publishers"].count("the number of publishers allowed", zero=True)
         if "max_publishers" in keys
         else None,
-        topic=(keys["topic"].text("the name of a topic") if "topic" in keys else None) or "",
+        topic=(keys["topic"].name("the name of a topic") if "topic" in keys else None) or "",
     )
 
 
 def _offer(reader: Reader, name: str) -> EnvironmentGuarantee:
     keys = reader.keys("a guarantee of the environment", ("guarantee",), ("topic",))
     guarantee = decode_predicate(keys["guarantee"]) if "guarantee" in keys else Predicate("")
-    return EnvironmentGuarantee(name, guarantee, keys["topic"].text("the name of a topic") if "topic" in keys else None)
+    return EnvironmentGuarantee(name, guarantee, keys["topic"].name("the name of a topic") if "topic" in keys else None)
 
 
 def _resource(reader: Reader, name: str) -> Resource:
@@ -268,7 +268,7 @@ def _resource(reader: Reader, name: str) -> Resource:
 
 def _node(reader: Reader, role: str) -> Node:
     keys = reader.keys("a node", ("component",), ("attachments", "parameters"))
-    component = keys["component"].text("the name of a component") if "component" in keys else None
+    component = keys["component"].name("the name of a component") if "component" in keys else None
     attachments = _named(keys, "attachments", "attachments", lambda entry, _: entry.texts("names of topics"))
     parameters = _named(keys, "parameters", "values", lambda entry, _: _parameter_value(entry))
     return Node(
@@ -293,12 +293,12 @@ def _constraint(reader: Reader) -> Constraint | None:
         reader.fault("E001", f"{wanted} is expected", near)
         return None
     keys = reader.keys(f"the constraint `{form}`", (form, forms[form]), ())
-    first = keys[form].text("a name")
+    first = keys[form].name("a name")
     if form == "limit":
         seconds = keys[forms[form]].number("a number of seconds", zero=True) if forms[form] in keys else None
         complete = first is not None and seconds is not None
         return Limit(FunctionalityRef.parse(first), seconds) if complete else None  # type: ignore[arg-type]
-    second = keys[forms[form]].text("a name") if forms[form] in keys else None
+    second = keys[forms[form]].name("a name") if forms[form] in keys else None
     if first is None or second is None:
         return None
     return Order(first, second) if form == "order" else Keep(FunctionalityRef.parse(first), second)

@@ -39,14 +39,15 @@ def is_message_type(text: str) -> bool:
     return _TYPE.fullmatch(text) is not None
 
 
-def _not_a_name(kind: str, name: str, path: Path) -> Iterator[Problem]:
-    if name and not is_name(name):
+def _not_a_name(kind: str, name: str, path: Path, *, read: bool = False) -> Iterator[Problem]:
+    """``read``: where it is empty its reading has failed, which has been told."""
+    if not is_name(name) and not (read and not name):
         yield Problem("E006", path, f"`{name}` cannot name a {kind}", _instead(name))
 
 
 def _instead(name: str) -> str:
     plain = re.sub(r"[^A-Za-z0-9_]", "_", name)[:_LONGEST]
-    plain = f"_{plain}" if plain[:1].isdigit() else plain
+    plain = f"_{plain}" if plain[:1].isdigit() or not plain else plain
     return f"letters, digits and underscores, no digit first: `{plain}`"
 
 
@@ -69,11 +70,11 @@ def _unknown(
 
 def component_names(component: Component, path: Path) -> list[Problem]:
     """The faults in the names of one component under ``path``."""
-    found = list(_not_a_name("component", component.name, path))
+    found = list(_not_a_name("component", component.name, path, read=path == ()))
     for name in component.input_order:
         found += _not_a_name("port", name, (*path, "inputs", name))
     for index, name in enumerate(component.outputs):
-        found += _not_a_name("port", name, (*path, "outputs", str(index)))
+        found += _not_a_name("port", name, (*path, "outputs", str(index)), read=True)
         if name in component.inputs:
             message = f"`{name}` names an input and an output"
             found.append(
@@ -169,7 +170,7 @@ def _associated(
 
 def specification_names(specification: Specification) -> list[Problem]:
     """The faults in the names of a whole specification."""
-    found = list(_not_a_name("system", specification.name, ("system",)))
+    found = list(_not_a_name("system", specification.name, ("system",), read=True))
     for name, connector in sorted(specification.connectors.items()):
         if not is_topic(connector.topic):
             where = ("topics", name) if connector.topic == name else ("topics", name, "topic")

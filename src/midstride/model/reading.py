@@ -117,7 +117,7 @@ class Reader:
 
     def texts(self, what: str) -> tuple[str, ...]:
         """The texts of a list; the empty text stands for what is none, so that the others keep their places."""
-        return tuple(item.text() or "" for item in self.items(what))
+        return tuple(item.name() or "" for item in self.items(what))
 
     # -- values ------------------------------------------------------------------------------------
 
@@ -126,6 +126,14 @@ class Reader:
             return self.value
         self._expected(what)
         return None
+
+    def name(self, what: str = "a text") -> str | None:
+        """A text with something in it."""
+        text = self.text(what)
+        if text == "":
+            self.fault("E006", f"{what} cannot be empty")
+            return None
+        return text
 
     def word(self, words: tuple[str, ...]) -> str | None:
         """One of a few words."""
