@@ -11,16 +11,17 @@ import pytest
 from immutables import Map
 
 from midstride.lang import load_text
-from midstride.model.component import Component, FunctionalityRef, PortRef
+from midstride.model.component import Component, FunctionalityRef, NamedInputs, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.snapshot import configuration_from_document, configuration_to_document
 from midstride.model.specification import Node, Specification, initial
+from midstride.verify.chain import chain
 from midstride.verify.checking import Asking, verify_configuration, verify_plan, verify_specification
 from midstride.verify.export import dump_configuration, dump_plan
 from midstride.verify.library import carried
 from midstride.verify.naming import Names
 from midstride.verify.picture import chain_lines, to_dot, to_mermaid
-from midstride.verify.verdict import Answer, Verdict
+from midstride.verify.verdict import Answer, Finding, Verdict
 from tests.verify.systems import EXAMPLES, ROVER, TALKER, plan, specification
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "alloy"
@@ -177,12 +178,12 @@ def test_what_is_too_large_for_alloy_is_unknown(large: Specification, words: str
 # -- the picture ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.alloy
 def test_the_chain_is_told_and_drawn() -> None:
-    verdict = verify_configuration(broken(initial(specification(ROVER)), "mode"))
-    chain = verdict.findings[0].chain
-    assert chain is not None
-    assert list(chain_lines(chain)) == [
+    s = broken(initial(specification(ROVER)), "mode")
+    told = chain(s, FunctionalityRef("motor", "drive"), NamedInputs(("in",)))
+    finding = Finding("assumption", None, "the configuration", "motor.drive", "it assumes in", "in", told)
+    verdict = Verdict(Answer.VIOLATED, "the configuration", "exact", "Alloy", (finding,))
+    assert list(chain_lines(told)) == [
         "motor.drive (in mode normal): not satisfied",
         "  assumes in: not satisfied",
         "    motor.in (geometry_msgs/msg/Twist @ 10 Hz): not satisfied",

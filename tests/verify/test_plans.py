@@ -68,6 +68,7 @@ class Planted:
     words: tuple[str, ...]
     subject: str | None = None
     assumption: str | None = None
+    takes_long: bool = False
 
 
 def plans() -> dict[str, Document]:
@@ -168,12 +169,12 @@ PLANTED = [
     Planted(
         "contracts that do not fit",
         "large planner", edit(7, connector="/cmd"),
-        7, "precondition", ("attach planner_2.in to /cmd", "the contracts do not fit"), "attach",
+        7, "precondition", ("attach planner_2.in to /cmd", "the contracts do not fit"), "attach", takes_long=True,
     ),
     Planted(
         "one port twice in one hand-over",
         "camera", lambda plan: plan["steps"][2]["swaps"].append(plan["steps"][2]["swaps"][0]),
-        3, "precondition", ("a port occurs twice on one topic",), "handover",
+        3, "precondition", ("a port occurs twice on one topic",), "handover", takes_long=True,
     ),
     Planted(
         "an input in a hand-over",
@@ -193,7 +194,10 @@ PLANTED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("planted", PLANTED, ids=lambda planted: planted.fault)
+@pytest.mark.parametrize(
+    "planted",
+    [pytest.param(each, id=each.fault, marks=pytest.mark.long if each.takes_long else ()) for each in PLANTED],
+)
 def test_a_fault_in_a_plan_is_caught_and_told_by_its_names(planted: Planted, alloy: Alloy) -> None:
     document = copy.deepcopy(plans()[planted.of])
     planted.spoil(document)
