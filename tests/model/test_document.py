@@ -174,7 +174,6 @@ M = f"{F}/modes/normal"
 FAULTS: list[tuple[str, object, str, str]] = [
     ("/system", 7, "E001", "the name of the system is expected, this is a number (7)"),
     ("/system", "two words", "E006", "`two_words`"),
-    ("/system", "", "E006", "the name of the system cannot be empty"),
     ("/sistem", "x", "E002", "did you mean `system`?"),
     ("/nodes", [], "E001", "an object of nodes is expected, this is a list"),
     ("/topics/~1scan/type", "LaserScan", "E006", "write it as `std_msgs/msg/String`"),
@@ -212,7 +211,6 @@ FAULTS: list[tuple[str, object, str, str]] = [
     (f"{F}/uses/0", "scam", "E008", "did you mean `scan`?"),
     (f"{F}/produces/0", "oot", "E008", "did you mean `out`?"),
     (f"{F}/modes/half way", {}, "E006", "`half_way`"),
-    (f"{F}/modes/", {}, "E006", "cannot name a mode"),
     (f"{M}/assumes/0", "scam", "E008", "did you mean `scan`?"),
     (f"{M}/assumes/0", 1, "E001", "an assumption"),
     (f"{M}/assumes/1/any_of", [], "E001", "empty"),
@@ -232,6 +230,8 @@ FAULTS: list[tuple[str, object, str, str]] = [
     ("/constraints/2", {"ordre": "a"}, "E001", "did you mean `order`?"),
     ("/timing_seconds/crate", 1, "E002", "did you mean `create`?"),
     ("/timing_seconds/create", -1, "E004", "at least 0"),
+    ("/system", "", "E006", "the name of the system cannot be empty"),
+    (f"{F}/modes/", {}, "E006", "cannot name a mode"),
 ]
 # The same, where the problem is told elsewhere.
 ELSEWHERE: list[tuple[str, object, str, str, str]] = [
