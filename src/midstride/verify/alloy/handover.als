@@ -8,12 +8,12 @@ open system
 /* What a hand-over takes away, and what it adds. */
 fun leaving[swap: Connector -> Output -> Output]: Connector -> Output { swap.Output }
 fun coming[swap: Connector -> Output -> Output]: Connector -> Output {
-  { conn: Connector, new: Output | some old: Output | conn -> old -> new in swap }
+  { conn: swap.Output.Output, new: Output | some conn.swap.new }
 }
 
 /* No (port, topic) occurs twice. */
 pred each_once[swap: Connector -> Output -> Output] {
-  all conn: Connector, o: Output | lone conn.swap[o] and lone conn.swap.o
+  all conn: swap.Output.Output, o: Output | lone conn.swap[o] and lone conn.swap.o
   no leaving[swap] & coming[swap]
 }
 
@@ -25,7 +25,7 @@ pred can_handover[s: System, swap: Connector -> Output -> Output] {
   Connector.(leaving[swap] + coming[swap]) in s.comps.outputs
   each_once[swap]
   // each new one satisfies the topic as it stands
-  all conn: Connector, new: coming[swap][conn] |
+  all conn: swap.Output.Output, new: coming[swap][conn] |
     satisfy[s.cur_mode[assoc_outputs.new].mode_guars[new], conn.conn_guar]
 }
 

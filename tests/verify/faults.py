@@ -1,0 +1,171 @@
+"""Faults planted in the model's actions: one way each in which a check or an effect may be wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import pytest
+from immutables import Map
+
+from midstride.model import action as model
+from midstride.model.component import Component, PortRef
+from midstride.model.configuration import Configuration
+from midstride.model.contract import Contract, satisfies
+from midstride.model.rules import Judge
+
+Plant = Callable[[pytest.MonkeyPatch], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """``plant`` breaks the action ``kind``; ``told`` is part of what must come of it."""
+
+    name: str
+    kind: str
+    plant: Plant
+    told: str
+
+
+def _nothing(*_: object) -> None:
+    """Nobody finds anything wrong."""
+
+
+def _create_forgets_capacities(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(model, "capacity_violation", _nothing)
+
+
+def _create_starts_in_the_normal_mode(patch: pytest.MonkeyPatch) -> None:
+    def effect(self: model.Create, s: Configuration) -> Configuration:
+        after = s.with_instance(self.instance)
+        return after.with_modes(dict.fromkeys(self.instance.functionality_refs(), 0))
+
+    patch.setattr(model.Create, "effect", effect)
+
+
+def _remove_forgets_attachments(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Configuration, "attached_ports", lambda *_: ())
+
+
+def _attach_judges_by_the_last_mode(patch: pytest.MonkeyPatch) -> None:
+    def last(component: Component, output: str) -> Contract:
+        return component.owner(output).modes[-1].guarantee(output)
+
+    patch.setattr(model, "normal_guarantee", last)
+
+
+def _attach_forgets_the_cap(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(model, "cap_violation", _nothing)
+
+
+def _attach_forgets_what_was_attached(patch: pytest.MonkeyPatch) -> None:
+    """An input moves from topic to topic instead of having several."""
+
+    def effect(self: model.Attach, s: Configuration) -> Configuration:
+        for connector in s.attached_to(self.port):
+            s = s.without_attachment(self.port, connector)
+        return s.with_attachment(self.port, self.connector)
+
+    patch.setattr(model.Attach, "effect", effect)
+
+
+def _detach_asks_nobody(patch: pytest.MonkeyPatch) -> None:
+    patch.setattr(Configuration, "consumers", lambda *_: ())
+
+
+def _degrade_asks_only_the_degraded(patch: pytest.MonkeyPatch) -> None:
+    def check(self: model.Degrade, s: Configuration) -> tuple[model.Reason, ...]:
+        reasons = tuple(model._mode_reasons(s, self.modes, "worse"))
+        return reasons or model._unsatisfied(self.effect(s), self.modes, "then")
+
+    patch.setattr(model.Degrade, "check", check)
+
+
+def _degrade_goes_all_the_way(patch: pytest.MonkeyPatch) -> None:
+    def effect(self: model.Degrade, s: Configuration) -> Configuration:
+        return s.with_modes({ref: s.functionality(ref).last_mode for ref in self.modes})
+
+    patch.setattr(model.Degrade, "effect", effect)
+
+
+def _upgrade_judges_the_mode_it_leaves(patch: pytest.MonkeyPatch) -> None:
+    def check(self: model.Upgrade, s: Configuration) -> tuple[model.Reason, ...]:
+        reasons = tuple(model._mode_reasons(s, self.modes, "better"))
+        return reasons or model._unsatisfied(s, self.modes, "before")
+
+    patch.setattr(model.Upgrade, "check", check)
+
+
+def _upgrade_asks_one_by_one(patch: pytest.MonkeyPatch) -> None:
+    """A group that only works together is refused."""
+
+    def check(self: model.Upgrade, s: Configuration) -> tuple[model.Reason, ...]:
+        if reasons := tuple(model._mode_reasons(s, self.modes, "better")):
+            return reasons
+        alone = [model._unsatisfied(s.with_modes(Map({ref: mode})), [ref], "") for ref, mode in self.modes.items()]
+        return tuple(reason for reasons in alone for reason in reasons)
+
+    patch.setattr(model.Upgrade, "check", check)
+
+
+def _handover_judges_by_the_normal_mode(patch: pytest.MonkeyPatch) -> None:
+    def guarantee(self: Configuration, port: PortRef) -> Contract:
+        component = self.component(port.component)
+        return component.owner(port.port).modes[0].guarantee(port.port)
+
+    patch.setattr(Configuration, "guarantee", guarantee)
+
+
+def _handover_keeps_the_old(patch: pytest.MonkeyPatch) -> None:
+    def effect(self: model.Handover, s: Configuration) -> Configuration:
+        for swap in self.swaps:
+            s = s.with_attachment(swap.new, swap.connector)
+        return s
+
+    patch.setattr(model.Handover, "effect", effect)
+
+
+def _names_are_predicates(patch: pytest.MonkeyPatch) -> None:
+    """An assumption that names one input is satisfied by any other of the functionality's."""
+    whole = Judge.input_satisfied
+
+    def any_input(self: Judge, port: PortRef) -> bool:
+        others = {name for f in self.s.component(port.component) if port.port in f.inputs for name in f.inputs}
+        return any(whole(self, PortRef(port.component, name)) for name in others)
+
+    patch.setattr(Judge, "input_satisfied", any_input)
+
+
+def _the_environment_counts_for_nothing(patch: pytest.MonkeyPatch) -> None:
+    """A publisher out of scope does not satisfy its topic."""
+
+    def satisfied(self: Judge, name: str) -> bool:
+        needed = self.s.world.connectors[name].guarantee
+        return any(satisfies(self.guarantee(output), needed) for output in self.s.publishers_on(name))
+
+    patch.setattr(Judge, "connector_satisfied", satisfied)
+
+
+_ALLOWS, _REFUSES = "the code allows it, the specification refuses it", "the specification allows it"
+_ELSEWHERE = "the specification says that it leads elsewhere"
+
+FAULTS: Final = (
+    Fault(
+        "capacities are forgotten", "create", _create_forgets_capacities, f"{_ALLOWS} (a resource would be exceeded)"
+    ),
+    Fault("it starts in its normal mode", "create", _create_starts_in_the_normal_mode, _ELSEWHERE),
+    Fault("attachments are forgotten", "remove", _remove_forgets_attachments, f"{_ALLOWS} ("),
+    Fault("judged by the last mode", "attach", _attach_judges_by_the_last_mode, _REFUSES),
+    Fault("the cap is forgotten", "attach", _attach_forgets_the_cap, f"{_ALLOWS} (the cap on publishers would be"),
+    Fault("other topics are left", "attach", _attach_forgets_what_was_attached, _ELSEWHERE),
+    Fault("nobody is asked", "detach", _detach_asks_nobody, "would lack"),
+    Fault("only the degraded are asked", "degrade", _degrade_asks_only_the_degraded, "would lack"),
+    Fault("all the way down", "degrade", _degrade_goes_all_the_way, _ELSEWHERE),
+    Fault("the old mode is judged", "upgrade", _upgrade_judges_the_mode_it_leaves, "would lack"),
+    Fault("each alone is judged", "upgrade", _upgrade_asks_one_by_one, _REFUSES),
+    Fault("the normal mode is judged", "handover", _handover_judges_by_the_normal_mode, "does not satisfy the topic"),
+    Fault("the old stays", "handover", _handover_keeps_the_old, _ELSEWHERE),
+    Fault("a name is a predicate", "upgrade", _names_are_predicates, "would lack"),
+    Fault("publishers out of scope are forgotten", "upgrade", _the_environment_counts_for_nothing, _REFUSES),
+)
