@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -137,6 +138,18 @@ def test_an_attachment_too_many_and_one_too_few() -> None:
     assert "listener.listen" in findings(spoilt)
     del spoilt["steps"][6]
     assert "talker_2.out is attached to nothing at the end, /chatter is wanted" in findings(spoilt)
+
+
+def test_a_port_left_on_the_old_contract_of_a_topic_as_well() -> None:
+    start = talker().without_node("listener")
+    chatter = start.connectors["/chatter"]
+    slower = dataclasses.replace(chatter, guarantee=dataclasses.replace(chatter.guarantee, rate=5.0))
+    target = dataclasses.replace(start, connectors=start.connectors.set("/chatter", slower))
+    spoilt = STRATEGIES["minimal"](Change.between(initial(start), start, target)).to_document()
+    assert replay_document(spoilt).holds
+    (detach,) = [step for step in spoilt["steps"] if step["action"] == "detach"]
+    spoilt["steps"].remove(detach)
+    assert "talker.out is attached to the old /chatter at the end" in findings(spoilt)
 
 
 @pytest.mark.parametrize(

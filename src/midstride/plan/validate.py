@@ -125,13 +125,15 @@ def _role_end(s: Configuration, instance: Instance, target: Configuration, wante
     if instance.parameters != wanted.parameters:
         yield f"{instance.name} has other parameters at the end than the target says"
     for port in wanted.component.ports():
-        have = {s.world.connectors[name].topic: name for name in s.attached_to(PortRef(instance.name, port))}
+        attached = [s.world.connectors[name] for name in s.attached_to(PortRef(instance.name, port))]
+        have = sorted({connector.topic for connector in attached})
         want = target.attached_to(PortRef(wanted.name, port))
-        if sorted(have) != want:
-            told = ", ".join(sorted(have)) or "nothing", ", ".join(want) or "nothing"
+        if have != want:
+            told = ", ".join(have) or "nothing", ", ".join(want) or "nothing"
             yield f"{instance.name}.{port} is attached to {told[0]} at the end, {told[1]} is wanted"
-        for topic in have.keys() & set(want):
-            if s.world.connectors[have[topic]].guarantee != target.world.connectors[topic].guarantee:
+        for connector in attached:
+            topic = connector.topic
+            if topic in want and connector.guarantee != target.world.connectors[topic].guarantee:
                 yield f"{instance.name}.{port} is attached to the old {topic} at the end"
     for functionality in wanted.component:
         now = s.modes[FunctionalityRef(instance.name, functionality.name)]
