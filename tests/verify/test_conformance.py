@@ -6,7 +6,9 @@ from collections import Counter
 
 import pytest
 
+from midstride.model.action import Attach
 from midstride.verify.run import find
+from tests.model.build import port, source, system
 from tests.verify.conformance import ATOMS, Batch, Disagreement, explained
 from tests.verify.faults import FAULTS, Fault
 from tests.verify.walks import Claim, World, claimed, key, walks
@@ -115,6 +117,21 @@ def test_a_fault_in_an_action_is_caught_and_told(fault: Fault, judged: Judged, t
         assert id(claim) in told, f"{claim} passes"
         assert told[id(claim)].startswith(str(claim))
     assert any(fault.told in told[id(claim)] for claim in claims), [told[id(claim)] for claim in claims]
+
+
+@pytest.mark.parametrize("cap", [1, 3, 7])
+def test_one_too_many_is_counted(cap: int) -> None:
+    """Alloy's numbers have as many bits as a dump needs: also for the publisher that is refused."""
+    full = system(
+        {f"n{number}": source() for number in range(cap + 1)},
+        [f"n{number}.out /a" for number in range(cap)],
+        caps={"/a": cap},
+    )
+    claim = claimed(0, full, Attach(port(f"n{cap}.out"), "/a"))
+    assert not claim.allowed
+    batch = Batch()
+    batch.add(0, World(list(full.instances.values()), {key(full): full}, [claim], []))
+    assert batch.disagreements(find()) == []
 
 
 @pytest.mark.long

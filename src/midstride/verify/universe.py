@@ -19,7 +19,7 @@ from midstride.verify.naming import Names
 MOST_ATOMS: Final = 1290
 _WIDTH: Final = 116
 _TOGETHER: Final = 6
-_FEW: Final = 3
+_FEW: Final = 2
 
 Pair = tuple[str, ...]
 
@@ -138,7 +138,10 @@ class Universe:
 
     @property
     def bitwidth(self) -> int:
-        """Bits that hold any count of publishers or slots of a capped topic: nothing else is counted."""
+        """Bits that hold any count of publishers or slots of a capped topic: nothing else is counted.
+
+        One more than there ever are is counted as well, the one that `attach` may not add; Alloy's numbers wrap around.
+        """
         publishers: dict[str, set[str]] = {connector: set() for connector in self.capped}
         slots: dict[str, set[str]] = {connector: set() for connector in self.capped}
         for _, connector, port in self.tuples["roles"]:
@@ -150,7 +153,7 @@ class Universe:
         for connector, slot in self.tuples["slots"]:
             slots[connector].add(slot)
         most = max([_FEW, *(len(atoms) for counted in (publishers, slots) for atoms in counted.values())])
-        return most.bit_length() + 1
+        return (most + 1).bit_length() + 1
 
     def scope(self) -> str:
         """The scope in which the dump is exactly what it says. Findings is one atom more."""
