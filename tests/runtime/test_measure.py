@@ -188,7 +188,9 @@ def test_only_the_window_counts() -> None:
     assert (seen.missed, seen.lost) == (0, 0)
 
 
-def answers(cut: int, *, lose: frozenset[int] = frozenset(), twice: frozenset[int] = frozenset()) -> SwapReport:
+def answers(
+    cut: int, *, lose: frozenset[int] = frozenset(), twice: frozenset[int] = frozenset(), late: int = 0
+) -> SwapReport:
     """A filter at 200 Hz whose source skips slots of its own; ``cut`` is the first input that the new one answers."""
     chance = random.Random(3)
     inputs = [slot * 5 * MS for slot in range(200) if slot % 17]
@@ -201,6 +203,8 @@ def answers(cut: int, *, lose: frozenset[int] = frozenset(), twice: frozenset[in
             if index in lose:
                 continue
             written = source + chance.randrange(9 * MS)
+            if late and index == cut - 1:
+                written = source + late
             rows.append(Row(written + SKEW + MS, written, numbers[name], name))
     return report(
         Observation(
@@ -211,6 +215,14 @@ def answers(cut: int, *, lose: frozenset[int] = frozenset(), twice: frozenset[in
 
 def test_a_message_driven_output_is_held_to_the_inputs_it_had_to_answer() -> None:
     assert (answers(90).missed, answers(90).duplicates) == (0, 0)
+
+
+@pytest.mark.parametrize("cut", range(80, 100))
+def test_a_late_last_answer_of_the_old_one_is_not_taken_for_two_faults(cut: int) -> None:
+    seen = answers(cut, late=9 * MS)
+    assert (seen.missed, seen.duplicates) == (0, 0)
+    seen = answers(cut, lose=frozenset({cut - 10}), twice=frozenset({cut}))
+    assert (seen.missed or 0) >= 1 and (seen.duplicates or 0) >= 1, "what is no lateness is not explained away"
 
 
 def test_an_input_that_nobody_answered_is_missed_and_one_answered_twice_is_a_duplicate() -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import bisect
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final, NamedTuple
@@ -21,6 +22,8 @@ WINDOW_PERIODS: Final = 20
 _EARLY: Final = 0.25
 # A publisher that answers less than this part of its inputs is no publisher of one answer to each.
 _ANSWERED: Final = 0.8
+# So many inputs may have come before an answer to an earlier one is out.
+_LATE: Final = 5
 
 
 class Row(NamedTuple):
@@ -211,18 +214,38 @@ def _answers(by_side: dict[str, list[Row]], inputs: Sequence[int]) -> tuple[int,
     theirs. The last inputs may still be under way, and are not counted.
     """
     slots = sorted(set(inputs))
-    answered: dict[int, set[str]] = {}
+    answers: dict[str, list[int]] = {}
     for name, rows in by_side.items():
         following = len(slots)
+        own = answers.setdefault(name, [])
         for source in sorted((row.source for row in rows if row.source is not None), reverse=True):
             following = min(bisect.bisect_right(slots, source), following) - 1
             if following < 0:
                 break  # answers to what came before the first input that is known
-            answered.setdefault(following, set()).add(name)
+            own.insert(0, following)
+    _relieve(answers)
+    answered = Counter(slot for own in answers.values() for slot in own)
     if not answered or len(answered) < _ANSWERED * len(slots):
         return None
     missed = sum(1 for slot in range(max(answered)) if slot not in answered)
-    return missed, sum(1 for names in answered.values() if len(names) > 1)
+    return missed, sum(1 for count in answered.values() if count > 1)
+
+
+def _relieve(answers: dict[str, list[int]]) -> None:
+    """The last answers of the old publisher, where they came after the next input, go to the inputs before.
+
+    By time alone such an answer is taken for one to what the new publisher answers as well, and an input
+    shortly before, which it was meant for, for missed.
+    """
+    sides = sorted((own for own in answers.values() if own), key=lambda own: own[0])
+    if len(sides) < 2:
+        return
+    old, new = sides[0], {slot for own in sides[1:] for slot in own}
+    for _ in range(_LATE):
+        free = [slot for slot in range(max(old[0], old[-1] - _LATE), old[-1]) if slot not in old and slot not in new]
+        if not free or old[-1] not in new:
+            return
+        old[:] = [slot - 1 if slot > free[-1] else slot for slot in old]
 
 
 def _lost(
