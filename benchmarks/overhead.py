@@ -25,6 +25,10 @@ PATIENCE = 30
 SIZES = {"100 B": 100, "1 kB": 1_000, "1 MB": 1_000_000}
 
 
+class NoFigures(Exception):
+    """A run that came to nothing: which, and why."""
+
+
 def environment() -> dict[str, str]:
     from midstride.backends.ros2.tuning import tuned_environment
 
@@ -53,10 +57,10 @@ def run(kind: str, size: int, rate: float, seconds: float, env: dict[str, str]) 
         with selectors.DefaultSelector() as selector:
             selector.register(stream, selectors.EVENT_READ)
             if not selector.select(timeout=seconds + PATIENCE):
-                raise SystemExit(f"{kind}, {size} B: no figures within {seconds + PATIENCE:g} s")
+                raise NoFigures(f"{kind}, {size} B: no figures within {seconds + PATIENCE:g} s")
         line = stream.readline()
         if not line:
-            raise SystemExit(f"{kind}, {size} B: the subscriber ended without figures")
+            raise NoFigures(f"{kind}, {size} B: the subscriber ended without figures")
         figures: dict[str, Any] = json.loads(line)
         return figures
     finally:
@@ -85,8 +89,18 @@ def main() -> None:
     for label, size in SIZES.items():
         for what, rate, figure in (("latency", 100.0, "median_ms"), ("throughput", 0.0, "per_second")):
             pairs: list[dict[str, float]] = []
-            for _ in range(options.pairs):
-                values = [run(kind, size, rate, options.seconds, env)[figure] for kind in ("bare", "component", "bare")]
+            failed: list[str] = []
+            while len(pairs) < options.pairs:
+                try:
+                    values = [
+                        run(kind, size, rate, options.seconds, env)[figure] for kind in ("bare", "component", "bare")
+                    ]
+                except NoFigures as error:  # told and kept, and the pair run again, so that the others are not lost
+                    print(error, flush=True)
+                    failed.append(str(error))
+                    if len(failed) > options.pairs:
+                        raise SystemExit("too many runs came to nothing") from None
+                    continue
                 pairs.append(dict(zip(("bare", "component", "again"), values, strict=True)))
                 time.sleep(0.2)
             component = interval([pair["component"] / pair["bare"] for pair in pairs])
@@ -95,7 +109,15 @@ def main() -> None:
             shown = [f"{values[0]:.3f} {values[1]:.3f}..{values[2]:.3f}".split() for values in (component, control)]
             print(f"{name:<28}{shown[0][0]:>16}{shown[0][1]:>18}{shown[1][0]:>12}{shown[1][1]:>18}", flush=True)
             results.append(
-                {"what": what, "size": size, "ratio": component, "control": control, "figure": figure, "pairs": pairs}
+                {
+                    "what": what,
+                    "size": size,
+                    "ratio": component,
+                    "control": control,
+                    "figure": figure,
+                    "pairs": pairs,
+                    "failed": failed,
+                }
             )
     options.out.parent.mkdir(exist_ok=True)
     options.out.write_text(json.dumps({"results": results}, indent=1))
