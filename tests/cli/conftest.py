@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 
+from midstride.cli import main
 from midstride.runtime.guardian import look
 
 ROOT = Path(__file__).parents[2]
@@ -87,6 +88,18 @@ class Midstride:
         for state in self.runtime.glob("midstride/*/state.json"):
             done = self("down", "--system", state.parent.name)
             assert done.status == 0, done.err
+
+
+@pytest.fixture
+def run(capsys: pytest.CaptureFixture[str]) -> Any:
+    """The command line in this process: its exit status, and what it printed."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        status = main([str(word) for word in words])
+        out, err = capsys.readouterr()
+        return status, out, err
+
+    return run
 
 
 @pytest.fixture

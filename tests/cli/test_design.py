@@ -10,8 +10,6 @@ from typing import Any
 
 import pytest
 
-from midstride.cli import main
-
 SEEDS = Path(__file__).parents[1] / "lang" / "seeds"
 
 
@@ -20,16 +18,6 @@ def patrol(tmp_path: Path) -> Path:
     for name in ("patrol.stride", "sensors.stride"):
         shutil.copy(SEEDS / name, tmp_path)
     return tmp_path / "patrol.stride"
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def run(*words: object) -> tuple[int, str, str]:
-        status = main([str(word) for word in words])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 def changed(patrol: Path, old: str, new: str, name: str = "new.stride") -> Path:

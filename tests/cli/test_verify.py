@@ -10,19 +10,8 @@ from typing import Any
 
 import pytest
 
-from midstride.cli import main
 from tests.cli.conftest import EXAMPLES, Midstride, nothing_lost
 from tests.verify.systems import ROVER, TALKER, plan, specification
-
-
-@pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    def run(*words: object) -> tuple[int, str, str]:
-        status = main([str(word) for word in words])
-        out, err = capsys.readouterr()
-        return status, out, err
-
-    return run
 
 
 @pytest.fixture

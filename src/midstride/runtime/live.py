@@ -54,7 +54,8 @@ def _as_told(s: Configuration, name: str, state: dict[str, Any]) -> Configuratio
         known.add(pair)
         if pair not in told:
             s = s.without_attachment(port, connector)
-    by_topic = {connector.topic: key for key, connector in s.world.connectors.items()}
-    for port, topic in sorted(told - known):
-        s = s.with_attachment(port, by_topic.get(topic, topic))
+    if unknown := sorted(told - known):
+        by_topic = {connector.topic: key for key, connector in s.world.connectors.items()}
+        for port, topic in unknown:
+            s = s.with_attachment(port, by_topic.get(topic, topic))
     return s

@@ -355,7 +355,7 @@ class Manager:
             self._launcher.handles.pop(name, None)
             self._link.forget(name)
         s = self.configuration
-        worse = await status.own_degradations(s, self._link, self._backend.clock)
+        worse = await status.own_degradations(s, self._link, self._backend.clock, gone)
         if not gone and not worse:
             return
         for ref, index in sorted(worse.items()):

@@ -222,7 +222,8 @@ def _answers(by_side: dict[str, list[Row]], inputs: Sequence[int]) -> tuple[int,
             following = min(bisect.bisect_right(slots, source), following) - 1
             if following < 0:
                 break  # answers to what came before the first input that is known
-            own.insert(0, following)
+            own.append(following)
+        own.reverse()
     _relieve(answers)
     answered = Counter(slot for own in answers.values() for slot in own)
     if not answered or len(answered) < _ANSWERED * len(slots):

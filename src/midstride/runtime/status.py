@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from typing import Any, Final
 
 from midstride.errors import MidstrideError, PlanRefused
@@ -45,9 +45,11 @@ async def _peek(name: str, link: Link) -> State | None:
         return None
 
 
-async def own_degradations(s: Configuration, link: Link, clock: Clock) -> dict[FunctionalityRef, int]:
-    """The functionalities that stand in a worse mode than the model says, by their own word."""
-    states = await observed(sorted(s.instances), link, clock, timeout=1.0)
+async def own_degradations(
+    s: Configuration, link: Link, clock: Clock, gone: Container[str]
+) -> dict[FunctionalityRef, int]:
+    """The functionalities that stand in a worse mode than the model says, by their own word; ``gone`` are not asked."""
+    states = await observed(sorted(name for name in s.instances if name not in gone), link, clock, timeout=1.0)
     worse: dict[FunctionalityRef, int] = {}
     for name, state in states.items():
         for functionality, view in (state or {}).get("functionalities", {}).items():

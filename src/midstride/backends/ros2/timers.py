@@ -95,7 +95,10 @@ class GridTimer:
             return
         if self._due - now > TOLERANCE:  # the clock has jumped back
             self._due = epoch + (now - epoch) // self._period * self._period
-        self._callback(self._due, max(self._due, self._nearest(self._next()) - self._period))
+        last = self._due
+        if now >= last + self._period:  # late: rcl alone knows which slots it skips
+            last = max(last, self._nearest(self._next()) - self._period)
+        self._callback(self._due, last)
         self._follow()
 
     def _nearest(self, moment: int) -> int:
