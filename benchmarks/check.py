@@ -6,6 +6,9 @@ libraries of an installed ROS 2 even for `check`. It is run by the command in th
 
 Both check the same three nodes, with one fault planted at a time; what counts as found is an error on account of the
 fault, and nothing else beside it. The time is that of the whole command, the median of the runs.
+
+Then `midstride check` of large systems, beside what starting the interpreter costs (`python -c pass`): the processor
+time of the whole command, start-up included, in interleaved runs.
 """
 
 from __future__ import annotations
@@ -13,6 +16,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import resource
 import shlex
 import statistics
 import subprocess
@@ -254,9 +258,57 @@ def judge(answer: Answer, fault: Fault | None) -> str:
     )
 
 
+def large(nodes: int) -> str:
+    """A chain of so many nodes, each fed by the one before, of ten kinds."""
+    parts = ["system large\n", "contract Data = std_msgs/msg/String @ 10 Hz\n"]
+    parts.append("environment { guarantee source on /t0 : std_msgs/msg/String @ 50 Hz }\n")
+    for kind in range(10):
+        parts.append(
+            f"""component Filter{kind} {{
+  input  in : Data
+  output out
+  functionality filter weight {kind + 1} {{
+    uses in
+    produces out
+    mode normal {{ assume in   guarantee out : std_msgs/msg/String @ 20 Hz }}
+    mode slow   {{ assume in   guarantee out : std_msgs/msg/String @ 10 Hz }}
+    mode off {{ }}
+  }}
+}}
+"""
+        )
+    parts += [f"topic /t{n} : Data\n" for n in range(nodes + 1)]
+    parts += [f"node n{n} : Filter{n % 10} {{ in <- /t{n}   out -> /t{n + 1} }}\n" for n in range(nodes)]
+    return "".join(parts)
+
+
+def processor_seconds(command: list[str]) -> float:
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def by_size(sizes: list[int], runs: int) -> list[dict[str, float]]:
+    """For each number of nodes, the median processor time in seconds, and as a multiple of an empty program's."""
+    rows: list[dict[str, float]] = []
+    with tempfile.TemporaryDirectory() as folder:
+        for nodes in sizes:
+            file = Path(folder) / f"{nodes}.stride"
+            file.write_text(large(nodes))
+            checks, empties = [], []
+            for _ in range(runs):
+                checks.append(processor_seconds([sys.executable, "-m", "midstride", "check", str(file)]))
+                empties.append(processor_seconds([sys.executable, "-c", "pass"]))
+            seconds, empty = statistics.median(checks), statistics.median(empties)
+            rows.append({"nodes": nodes, "seconds": round(seconds, 3), "times empty": round(seconds / empty, 1)})
+    return rows
+
+
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("--runs", type=int, default=7)
+    parser.add_argument("--nodes", type=int, nargs="+", default=[100, 1_000, 10_000])
     parser.add_argument("--out", type=Path, default=RESULTS)
     arguments = parser.parse_args()
     rows: list[dict[str, Any]] = []
@@ -289,11 +341,15 @@ def main() -> int:
                 print(f"      {finding['where']}: {finding['what']}")
         rows.append(row)
     arguments.out.parent.mkdir(exist_ok=True)
-    arguments.out.write_text(json.dumps({"runs": arguments.runs, "rows": rows}, indent=1) + "\n")
+    sizes = by_size(arguments.nodes, arguments.runs)
+    arguments.out.write_text(json.dumps({"runs": arguments.runs, "rows": rows, "sizes": sizes}, indent=1) + "\n")
     print(f"\n{'fault':50} {'midstride':>28} {'play_launch':>34}")
     for row in rows:
         told = [f"{row[tool]['verdict']} {row[tool]['milliseconds']:.0f} ms" for tool in ("midstride", "play_launch")]
         print(f"{row['fault']:50} {told[0]:>28} {told[1]:>34}")
+    print(f"\n{'nodes':>8} {'check, processor time':>24} {'of an empty program':>22}")
+    for size in sizes:
+        print(f"{size['nodes']:8,.0f} {size['seconds']:22.3f} s {size['times empty']:20.1f} x")
     return 0 if all(row["midstride"]["verdict"] in {"found", "nothing"} for row in rows) else 1
 
 

@@ -6,9 +6,7 @@ import asyncio
 import contextlib
 import os
 import signal
-import statistics
 import subprocess
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -103,16 +101,11 @@ def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(
             await until_async(lambda: is_busy(manager))
             changing = asyncio.ensure_future(manager.change(Request(remove=("busy",), strategy="quiesce")))
             await step(manager, "step", "degrade")
-            took: list[float] = []
-            for _ in range(9):
-                begun = time.monotonic()
-                status = await manager.status()
-                took.append(time.monotonic() - begun)
-                view = status["components"][0]["functionalities"][0]
-                if view["busy"] is None:
-                    break
-                assert view["name"] == "busy.work" and 0 < view["busy"] <= 3
-            assert statistics.median(took) < 0.1
+            answers = 0
+            while (view := (await manager.status())["components"][0]["functionalities"][0])["busy"] is not None:
+                assert view["name"] == "busy.work" and view["busy"] > 0
+                answers += 1
+            assert answers >= 3, "the status waited for the call of user code"
             await step(manager, "step_done", "degrade")
             link = (await manager.peek("busy"))["ports"]["out"].get("/late")
             count = None if link is None else link["count"]

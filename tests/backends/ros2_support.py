@@ -95,7 +95,6 @@ class Rig:
         self.link = Link(backend, token)
         self.announced: dict[str, Announcement] = {}
         self.exits: list[Exited] = []
-        self.exited_at: dict[str, float] = {}
         self.handles: dict[str, Handle] = {}
 
     def heard(self, event: Announcement | Exited) -> None:
@@ -104,7 +103,6 @@ class Rig:
                 self.announced[event.instance] = event
         else:
             self.exits.append(event)
-            self.exited_at[event.instance] = time.monotonic()
 
     def write(self, name: str, source: str) -> Path:
         path = self.folder / f"{name}.py"

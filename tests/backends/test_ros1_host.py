@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -81,10 +80,8 @@ def test_it_ends_in_order_whoever_asks(tmp_path: Path, end: Callable[[Any], Any]
                 await r.attach("talker", "out", "/chatter", peers=1)
                 await r.modes("talker", talk="normal")
                 await asyncio.to_thread(wait_for, heard, 3)
-                begun = time.monotonic()
                 await end(r)
                 await until(lambda: r.exits)
-                assert time.monotonic() - begun < 5.0
                 assert r.exits[0].status == 0, r.exits[0].log_tail
                 assert wait_for(heard, 3)[-1] == "goodbye"
             assert await r.backend._master.address_of("/talker") is None

@@ -274,13 +274,14 @@ def test_a_frozen_subscriber_does_not_hold_up_the_publisher(tmp_path: Path) -> N
                 return int((await r.link.observe("listener"))["ports"]["in"]["/large"]["count"])
 
             await until_async(received)
-            before, begun = await received(), time.monotonic()
-            await asyncio.sleep(1.5)
-            assert (await received() - before) / (time.monotonic() - begun) > 10  # of 50, on a machine that may be busy
-            begun = time.monotonic()
-            answer = await r.detach("large", "out", "/large")
+            before = await received()
+
+            async def more() -> bool:
+                return await received() > before + 30
+
+            await until_async(more)  # a publisher that waits for the frozen one writes 5 at most
+            answer = await asyncio.wait_for(r.detach("large", "out", "/large"), 20.0)
             assert answer["acknowledged"] is None, "nobody can tell what the frozen one will read"
-            assert time.monotonic() - begun < 6.0
             r.kill("sleeper", signal.SIGCONT)
             await r.link.observe("sleeper")
 

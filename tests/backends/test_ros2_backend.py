@@ -9,7 +9,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from statistics import median
 
 import pytest
 
@@ -17,7 +16,7 @@ from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.link import Link
 from midstride.wire.messages import ENV_TOKEN, Command
-from tests.backends.ros2_support import LISTENER, TALKER, Bare, alive, rig, run, shared_memory_of, until
+from tests.backends.ros2_support import LISTENER, TALKER, Bare, alive, rig, run, shared_memory_of, until, until_async
 
 pytestmark = pytest.mark.ros2
 
@@ -59,18 +58,19 @@ def test_a_killed_component_is_known_at_once_and_leaves_the_graph_soon(tmp_path:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
             calling = asyncio.ensure_future(r.link.read("talker", "await_write", 30.0, port="out", topic="/none"))
-            killed = time.monotonic()
             r.kill("talker")
             await until(lambda: r.exits)
-            assert r.exited_at["talker"] - killed < 0.25
+            assert "/talker" in (await r.backend.endpoints()).nodes, "it was known by the graph alone"
             assert (r.exits[0].instance, r.exits[0].status) == ("talker", -signal.SIGKILL)
             with pytest.raises(Exception, match="talker"):
-                await asyncio.wait_for(calling, 1.0)
+                await asyncio.wait_for(calling, 20.0)
             with pytest.raises(Unreachable, match="has ended"):
                 await r.backend.call("talker", Command("ping", {}, "late", r.token), 5.0)
-            while "/talker" in (await r.backend.endpoints()).nodes:
-                assert time.monotonic() - killed < 6.0, "the lease is not tuned"
-                await asyncio.sleep(0.02)
+
+            async def left() -> bool:
+                return "/talker" not in (await r.backend.endpoints()).nodes
+
+            await until_async(left, 15.0)  # a lease that is not tuned lasts 20 s
 
     run(scenario())
 
@@ -149,10 +149,8 @@ def test_a_program_that_is_not_there(tmp_path: Path) -> None:
 def test_calling_what_is_not_there(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            begun = time.monotonic()
             with pytest.raises(Unreachable, match="/nobody"):
                 await r.backend.call("nobody", Command("ping", {}, "1", r.token), 0.5)
-            assert time.monotonic() - begun < 2.0
 
     run(scenario())
 
@@ -165,7 +163,7 @@ def test_a_component_that_is_stopped_does_not_answer_in_time_but_answers_later(t
             begun = time.monotonic()
             with pytest.raises(CallTimeout, match="talker"):
                 await r.backend.call("talker", Command("ping", {}, "1", r.token), 0.7)
-            assert 0.6 < time.monotonic() - begun < 3.0
+            assert time.monotonic() - begun > 0.6
             r.kill("talker", signal.SIGCONT)
             assert (await r.backend.call("talker", Command("ping", {}, "2", r.token), 10.0)).ok
 
@@ -194,8 +192,8 @@ def test_a_command_that_is_sent_again_is_carried_out_once(tmp_path: Path) -> Non
     run(scenario())
 
 
-def test_observing_takes_milliseconds_while_user_code_sleeps(tmp_path: Path) -> None:
-    sleeping = TALKER.replace("    global count\n", "    global count\n    __import__('time').sleep(2.0)\n")
+def test_observing_does_not_wait_for_user_code(tmp_path: Path) -> None:
+    sleeping = TALKER.replace("    global count\n", "    global count\n    __import__('time').sleep(600)\n")
 
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -208,13 +206,9 @@ def test_observing_takes_milliseconds_while_user_code_sleeps(tmp_path: Path) -> 
 
             while not await busy():
                 await asyncio.sleep(0.01)
-            took = []
             for _ in range(20):
-                begun = time.monotonic()
-                state = await r.link.observe("talker")
-                took.append(time.monotonic() - begun)
-                assert state["functionalities"]["talk"]["mode"] == "normal"
-            assert median(took) < 0.1
+                view = (await r.link.observe("talker"))["functionalities"]["talk"]
+                assert view["mode"] == "normal" and view["busy"] is not None
 
     run(scenario())
 
