@@ -242,6 +242,20 @@ def test_what_stays_lower_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     assert "Nothing falls" not in out
 
 
+def test_what_stays_lower_is_said_of_a_role_that_is_replaced(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    document = json.loads(Path(TALKER).read_text())
+    document["components"]["NewTalker"]["functionalities"]["talk"]["modes"]["normal"]["assumes"] = [
+        {"type": "sensor_msgs/msg/Image"}
+    ]
+    file = tmp_path / "talker.json"
+    file.write_text(json.dumps(document))
+    _, out, _ = run(capsys, "plan", str(file), "--replace", "talker=NewTalker")
+    assert "Stays lower: talker.talk, from normal to degraded" in out
+    assert "Nothing falls" not in out
+
+
 def test_a_node_is_added_to_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "plan", TALKER, "--add", "second Listener in=/chatter", "--json")
     document = json.loads(out)

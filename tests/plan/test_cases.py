@@ -458,3 +458,18 @@ def test_more_environment_raises_who_waited_for_it() -> None:
     plan = sound(changed(start, target, "minimal"))
     assert told(plan) == ["upgrade eye.see from degraded to normal"]
     assert plan.fallen == ()
+
+
+@pytest.mark.parametrize("strategy", EVERY)
+def test_what_a_replacement_never_comes_up_to_is_told(strategy: str) -> None:
+    """The new talker needs a lamp that nobody has: below no baseline on the way, and lower for good."""
+    blind = component("Blind", functionality("talk", outputs=["out"], assumes=[Predicate(TYPE, 10.0)]))
+    start = talker()
+    start = replace(start, components=start.components.set("Blind", blind))
+    plan = sound(replaced(start, "talker", "Blind", strategy))
+    assert plan.disruption == 0.0 or strategy != "minimal"
+    assert [shift.to_document() for shift in plan.shifts] == [
+        {"functionality": "listener.listen", "from": "normal", "to": "degraded", "levels": 1},
+        {"functionality": "talker.talk", "from": "normal", "to": "degraded", "levels": 1},
+    ]
+    assert replaced(talker(), "talker", "NewTalker", strategy).shifts == ()

@@ -94,21 +94,11 @@ def _mode_entered(step: Document, functionality: str) -> str | None:
 
 def _afterwards(document: Document) -> tuple[list[str], list[str]]:
     """Of what stays: the functionalities that end lower than they began, and those that end higher."""
-    steps: list[Document] = document["steps"]
-    passing = {step["component"] for step in steps if step["action"] in {"create", "remove"}}
-    first: dict[str, Document] = {}
-    last: dict[str, str] = {}
-    for step in steps:
-        for ref, modes in step.get("modes", {}).items():
-            if ref.rpartition(".")[0] not in passing:
-                first.setdefault(ref, {"action": step["action"], "mode": modes["from"]})
-                last[ref] = modes["to"]
     lower: list[str] = []
     higher: list[str] = []
-    for ref, begun in first.items():
-        if last[ref] != begun["mode"]:
-            words = f"{ref}, from {begun['mode']} to {last[ref]}"
-            (higher if begun["action"] == "upgrade" else lower).append(words)
+    for shift in document["afterwards"]:
+        before, after = (shift[end] or "nobody serving it" for end in ("from", "to"))
+        (lower if shift["levels"] > 0 else higher).append(f"{shift['functionality']}, from {before} to {after}")
     return lower, higher
 
 

@@ -34,9 +34,9 @@ from midstride.plan.step import ModeChange, Step
 def plan_to_document(plan: Plan) -> dict[str, Any]:
     """The plan as interfaces.md writes it.
 
-    Beyond what is fixed there: ``falls`` says why each functionality falls; ``running`` names the
-    instances at the start that do not bear their role's name (null: the role has none), and
-    ``standing`` the modes at the start that are not those of ``best``.
+    Beyond what is fixed there: ``falls`` says why each functionality falls; ``afterwards`` which stand otherwise
+    for good; ``running`` names the instances at the start that do not bear their role's name (null: the role has
+    none), and ``standing`` the modes at the start that are not those of ``best``.
     """
     change = plan.change
     document: dict[str, Any] = {
@@ -48,6 +48,7 @@ def plan_to_document(plan: Plan) -> dict[str, Any]:
         "seconds": plan.seconds,
         "fallen": [str(ref) for ref in plan.fallen],
         "falls": [fall.to_document() for fall in plan.falls],
+        "afterwards": [shift.to_document() for shift in plan.shifts],
         "start": specification_to_document(change.specification),
         "target": specification_to_document(change.target),
         "steps": plan.step_documents(),

@@ -1,4 +1,4 @@
-"""Why each functionality falls in a plan, from which step to which, and for how long."""
+"""Why each functionality falls in a plan, from which step to which, for how long; what stands otherwise after it."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from midstride.model.action import Degrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Judge
+from midstride.model.specification import Specification
 from midstride.plan.disruption import DIGITS, Levels, Meter
 from midstride.plan.step import Step
 
@@ -44,6 +45,49 @@ class Fall:
         back = "" if self.until is None else f" to step {self.until}"
         stretch = f"from step {self.since}{back} ({self.seconds:g} s)"
         return f"{self.functionality} is below its baseline {stretch}: {self.because}"
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """A role's functionality that stands otherwise at the end of a plan than at its beginning, for good.
+
+    ``before`` and ``after`` are modes; None where no instance serves it. ``levels`` says by how many it ends lower.
+    """
+
+    functionality: FunctionalityRef
+    before: str | None
+    after: str | None
+    levels: int
+
+    def to_document(self) -> dict[str, Any]:
+        return {
+            "functionality": str(self.functionality),
+            "from": self.before,
+            "to": self.after,
+            "levels": self.levels,
+        }
+
+
+def shifts(plan: Plan) -> tuple[Shift, ...]:
+    """What stands otherwise after the plan, by role, so that it is seen where a role is replaced as well.
+
+    Of functionalities that start and target both have; greatest losses first.
+    """
+    levels, change = Levels(plan.change), plan.change
+    *_, end = plan.configurations()
+    found: list[Shift] = []
+    for role in sorted({role for step in plan.steps for role in step.roles}):
+        for counted in levels.counted(role):
+            was, will = levels.level(change.start, counted.ref), levels.level(end, counted.ref)
+            if was != will:
+                before, after = _mode(change.specification, counted.ref, was), _mode(change.target, counted.ref, will)
+                found.append(Shift(counted.ref, before, after, will - was))
+    return tuple(sorted(found, key=lambda shift: (-shift.levels, shift.functionality)))
+
+
+def _mode(specification: Specification, ref: FunctionalityRef, level: int) -> str | None:
+    modes = specification.component_of(ref.component).functionalities[ref.functionality].modes
+    return modes[level].name if level < len(modes) else None
 
 
 def falls(plan: Plan) -> tuple[Fall, ...]:

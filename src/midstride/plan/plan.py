@@ -17,7 +17,7 @@ from midstride.plan.schedule import dependencies, makespan
 from midstride.plan.step import Step
 
 if TYPE_CHECKING:
-    from midstride.plan.explain import Fall
+    from midstride.plan.explain import Fall, Shift
 
 
 @dataclass(frozen=True)
@@ -89,6 +89,13 @@ class Plan:
         from midstride.plan.explain import falls
 
         return falls(self)
+
+    @cached_property
+    def shifts(self) -> tuple[Shift, ...]:
+        """What stands otherwise after the plan than before it, for good."""
+        from midstride.plan.explain import shifts
+
+        return shifts(self)
 
     @cached_property
     def dependencies(self) -> tuple[tuple[int, ...], ...]:
