@@ -219,6 +219,38 @@ def test_questions_on_their_way_at_the_cut_are_answered_once(tmp_path: Path) -> 
     in_lab(tmp_path, main)
 
 
+def test_a_newer_question_on_one_way_does_not_shut_the_door_on_older_ones_on_another(tmp_path: Path) -> None:
+    """The old side has seen a question from after the cut while some from before it are still on a slower way."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        sources = {"fast": "/fast", "slow": "/slow"}
+        for name in sources:
+            await lab.start(name, puppets.talker(rate=100))
+        await stand_by(lab, puppets.relay(), puppets.relay(), "answer")
+        for name, topic in sources.items():
+            for side in ("old", "new"):
+                await lab.attach(side, "in", topic)
+            await lab.attach(name, "out", topic, peers=2)
+        simulator.faults.delay("/slow", 0.04)
+        for name in sources:
+            await lab.mode(name, "talk", "normal")
+        await lab.sleep(0.5)
+        now = (await lab.read("old", "grid", port="out"))["now"]
+        await lab.change("old", "cut_out", cut="cut", swaps=SWAPS, at=now + 123_456_789, resume_after=1.0)
+        await lab.change("new", "cut_in", cut="cut", swaps=SWAPS, at=now + 123_456_789, epoch=None, peer="old")
+        assert await outcomes(lab) == ("done", "done")
+        for name in sources:
+            await lab.mode(name, "talk", "degraded")
+        await lab.sleep(0.5)
+        heard = await lab.received("sink")
+        for name in sources:
+            asked = (await lab.told(name))["calls"]["talk.normal"]
+            own = [words for words in heard if words.startswith(name)]
+            assert own == [f"{name} normal {n}" for n in range(1, asked + 1)]
+
+    in_lab(tmp_path, main)
+
+
 def test_one_cut_takes_several_outputs(tmp_path: Path) -> None:
     def two_outputs() -> dict[str, Any]:
         description = puppets.talker(rate=20)

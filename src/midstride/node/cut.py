@@ -141,8 +141,10 @@ class Leaving(_Side):
             return False  # an async call from before T has still to write
         late = self._host.now() - self.at
         if runner.mode.driven == "message":
+            # Something newer on one input says nothing of another input, or of another publisher: what they
+            # published before T may still be on its way.
             quiet = self._host.steady() - self._last_input
-            return self.newer_at is not None or (late > GRACE * 1e9 and quiet > GRACE * 1e9)
+            return late > GRACE * 1e9 and (self.newer_at is not None or quiet > GRACE * 1e9)
         rate = runner.rate
         if rate is None:
             return late >= 0
