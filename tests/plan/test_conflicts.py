@@ -187,3 +187,15 @@ def test_room_for_one_more_serves_them_all() -> None:
     start, target = many(20, {"memory": 21.0}, {f"n{index}": "memory" for index in range(20)})
     plan = sound(changed(start, target, "minimal"))
     assert (plan.disruption, plan.fallen) == (0.0, ())
+
+
+def test_a_place_is_given_up_rather_than_handed_on_where_another_needs_it_more() -> None:
+    """Two publishers fill /x. What replaces b comes silent, and so needs a place beside b; a can spare its own."""
+    old, blind = work("Old", outputs=["out"]), work("Blind", ["lamp"], ["out"])
+    split = component("Split", functionality("work"), functionality("speak", outputs=["out"]))
+    start = system([old, blind, split], {"a": ("Old", {"out": "/x"}), "b": ("Old", {"out": "/x"})}, caps={"/x": 2})
+    target = start.with_replaced("a", "Split").with_replaced("b", "Blind")
+    plan = sound(changed(start, target, "minimal"))
+    assert (plan.disruption, plan.fallen) == (0.0, ())
+    order = ["detach a.out from /x", "attach b_2.out to /x", "hand over /x: b.out -> a_2.out"]
+    assert [step for step in told(plan) if step in order] == order

@@ -16,7 +16,7 @@ from midstride.plan.constraints import conflict, in_force, layers
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.validate import replay
-from tests.plan.cases import changed, component, functionality, replaced, system, talker, told, work
+from tests.plan.cases import SLOW, changed, component, functionality, replaced, system, talker, told, work
 
 LISTEN = FunctionalityRef("listener", "listen")
 
@@ -54,6 +54,21 @@ def test_keep_is_met_by_minimal_and_refused_by_the_paper() -> None:
             replaced(start, "talker", "NewTalker", strategy)
         assert "`keep listener.listen at normal`" in str(caught.value)
         assert "step 1 (degrade listener.listen from normal to degraded) takes it below" in str(caught.value)
+
+
+@pytest.mark.parametrize("count", [3, 6])
+def test_of_many_that_may_give_way_it_is_the_one_that_is_not_kept(count: int) -> None:
+    """A full topic's contract changes: one publisher must leave before the next may come; all but the last are kept."""
+    names = [f"n{number}" for number in range(count)]
+    start = system(
+        [work("Source", outputs=["out"])], {name: ("Source", {"out": "/x"}) for name in names}, caps={"/x": count}
+    )
+    topic = replace(start.connectors["/x"], guarantee=SLOW)
+    target = replace(start, connectors=start.connectors.set("/x", topic))
+    kept = [Keep(FunctionalityRef(name, "work"), "normal") for name in names[:-1]]
+    plan = sound(changed(start, bound(target, *kept), "minimal"))
+    assert told(plan)[0] == f"detach {names[-1]}.out from /x"
+    assert [str(ref) for ref in plan.fallen] == [f"{names[-1]}.work"]
 
 
 def test_keep_at_a_worse_mode_allows_the_fall() -> None:

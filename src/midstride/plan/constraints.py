@@ -9,6 +9,7 @@ from typing import Final
 
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
+from midstride.model.configuration import Configuration
 from midstride.model.specification import Constraint, Keep, Limit, Order
 from midstride.plan.change import Change
 from midstride.plan.disruption import Levels, Meter
@@ -54,26 +55,61 @@ def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints:
     asked = tuple(constraints)
     if not asked:
         return []
-    watched = _watched(change, levels, [constraint for constraint in asked if isinstance(constraint, Keep)])
-    first_breach: dict[Constraint, str] = {}
-    meter, s = Meter(levels), change.start
-    for number, step in enumerate(steps, start=1):
+    meter, watch, s = Meter(levels), Watch(change, levels, asked), change.start
+    for step in steps:
         s = step.action.effect(s)
         meter.step(step.action, step.seconds, s)
-        for keep, role, threshold in watched:
-            concerned = role in step.roles and keep not in first_breach
-            if concerned and levels.level(s, keep.functionality) > threshold:
-                first_breach[keep] = f"step {number} ({step.describe()}) takes it below"
+        watch.note(step, s)
+    first_breach = dict(watch.broken)
     for constraint in asked:
         if isinstance(constraint, Limit):
-            seconds = meter.seconds(constraint.functionality)
-            if seconds > constraint.seconds + _EPSILON:
+            if _exceeds(constraint, meter):
+                seconds = meter.seconds(constraint.functionality)
                 first_breach[constraint] = f"it would be below its baseline for {seconds:g} s"
         elif isinstance(constraint, Order):
             late = _out_of_order(constraint, steps)
             if late is not None:
                 first_breach[constraint] = late
     return [Breach(constraint, first_breach[constraint]) for constraint in asked if constraint in first_breach]
+
+
+class Watch:
+    """Follows a plan in the making, step by step: which ``keep`` is ``broken``, and by which step.
+
+    What is broken stays broken, so that a planner may give up a plan as soon as it :meth:`is_doomed`.
+    """
+
+    __slots__ = ("_count", "_keeps", "_levels", "_limits", "broken")
+
+    def __init__(self, change: Change, levels: Levels, constraints: Iterable[Constraint]) -> None:
+        asked = tuple(constraints)
+        self._levels = levels
+        self._keeps = _watched(change, levels, [constraint for constraint in asked if isinstance(constraint, Keep)])
+        self._limits = [constraint for constraint in asked if isinstance(constraint, Limit)]
+        self._count = 0
+        self.broken: dict[Constraint, str] = {}
+
+    def copy(self) -> Watch:
+        twin = Watch.__new__(Watch)
+        twin._levels, twin._keeps, twin._limits = self._levels, self._keeps, self._limits
+        twin._count, twin.broken = self._count, dict(self.broken)
+        return twin
+
+    def note(self, step: Step, after: Configuration) -> None:
+        """Take note of the next step, which has led to ``after``."""
+        self._count += 1
+        for keep, role, threshold in self._keeps:
+            concerned = role in step.roles and keep not in self.broken
+            if concerned and self._levels.level(after, keep.functionality) > threshold:
+                self.broken[keep] = f"step {self._count} ({step.describe()}) takes it below"
+
+    def is_doomed(self, meter: Meter) -> bool:
+        """Whether no plan that begins like this meets each ``keep`` and ``limit``; ``meter`` has followed it too."""
+        return bool(self.broken) or any(_exceeds(limit, meter) for limit in self._limits)
+
+
+def _exceeds(limit: Limit, meter: Meter) -> bool:
+    return meter.seconds(limit.functionality) > limit.seconds + _EPSILON
 
 
 def _watched(change: Change, levels: Levels, keeps: Iterable[Keep]) -> list[tuple[Keep, str, int]]:

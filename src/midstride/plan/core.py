@@ -40,13 +40,17 @@ class Turn:
 
 
 class Core:
-    """A draft, and the structural actions still to be done. Mutable; ``copy`` before trying."""
+    """A draft, and the structural actions still to be done. Mutable; ``copy`` before trying.
 
-    __slots__ = ("attaches", "creates", "detaches", "draft", "orders", "removes", "swaps")
+    ``eager``: a hand-over that costs nothing is made at once, even where others wait for a place on its topic.
+    """
 
-    def __init__(self, draft: Draft, orders: Iterable[Order]) -> None:
+    __slots__ = ("attaches", "creates", "detaches", "draft", "eager", "orders", "removes", "swaps")
+
+    def __init__(self, draft: Draft, orders: Iterable[Order], *, eager: bool = True) -> None:
         change = draft.change
         self.draft = draft
+        self.eager = eager
         self.orders = tuple(order for order in orders if order.first != order.then)
         self.creates: dict[str, Instance] = {instance.name: instance for instance in change.coming}
         self.removes: dict[str, None] = dict.fromkeys(change.leaving)
@@ -61,7 +65,7 @@ class Core:
 
     def copy(self) -> Core:
         twin = Core.__new__(Core)
-        twin.draft, twin.orders = self.draft.copy(), self.orders
+        twin.draft, twin.orders, twin.eager = self.draft.copy(), self.orders, self.eager
         twin.creates, twin.removes = dict(self.creates), dict(self.removes)
         twin.attaches, twin.detaches, twin.swaps = dict(self.attaches), dict(self.detaches), dict(self.swaps)
         return twin
@@ -159,12 +163,24 @@ class Core:
     def _hand_over(self, turn: Turn) -> bool:
         progress = False
         for new, swaps in list(self.swaps.items()):
-            if self.fits(new, swaps, turn) and not self._costs(swaps):
+            if self.fits(new, swaps, turn) and not self._costs(swaps) and not self.is_wanted(swaps):
                 del self.swaps[new]
                 self.draft.hand_over(swaps)
                 self.draft.rise()
                 progress = True
         return progress
+
+    def is_wanted(self, swaps: Iterable[Swap]) -> bool:
+        """Whether another output could do with a place that these would hand on, if it were given up instead."""
+        return not self.eager and any(self._is_wanted(swap) for swap in swaps)
+
+    def _is_wanted(self, swap: Swap) -> bool:
+        if self.draft.s.world.connectors[swap.connector].cap is None:
+            return False
+        waiting = [port for port, connector in self.attaches if connector == swap.connector]
+        others = (other for swaps in self.swaps.values() for other in swaps if other.connector == swap.connector)
+        waiting += [other.new for other in others if other != swap and not self.good(other)]
+        return any(not self._is_input(port) for port in waiting)
 
     def fits(self, new: str, swaps: Sequence[Swap], turn: Turn) -> bool:
         return self.draft.change.role_of(new) in turn and all(self.good(swap) for swap in swaps)
@@ -230,7 +246,7 @@ class Core:
                 self._close(move.names[0])
             case "part":
                 swaps = self.swaps.pop(move.names[0])
-                good = tuple(swap for swap in swaps if self.good(swap))
+                good = tuple(swap for swap in swaps if self.good(swap) and not self.is_wanted([swap]))
                 if good:
                     self.swaps[move.names[0]] = good
                 self._dissolve(swap for swap in swaps if swap not in good)

@@ -15,6 +15,7 @@ from midstride.model.best import consumers_of, lowered, rebalanced
 from midstride.model.component import FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Instance
 from midstride.plan.change import Attachment, Change
+from midstride.plan.constraints import Watch
 from midstride.plan.disruption import Levels, Meter, instances_touched
 from midstride.plan.lowering import Modes, degradations, upgrades
 from midstride.plan.step import Step, mode_changes
@@ -26,23 +27,33 @@ class Draft:
     """The configuration reached, the steps that led there, and what they have cost so far.
 
     ``touched`` are the functionalities that might stand better since something changed;
-    :meth:`rise` raises them. ``ceiling``, where given, bounds how far anybody is raised.
+    :meth:`rise` raises them. ``ceiling``, where given, bounds how far anybody is raised; ``watch``, where given,
+    notes which of the user's constraints are broken.
     """
 
-    __slots__ = ("ceiling", "change", "meter", "s", "steps", "touched")
+    __slots__ = ("ceiling", "change", "meter", "s", "steps", "touched", "watch")
 
-    def __init__(self, change: Change, levels: Levels, ceiling: Ceiling | None = None) -> None:
+    def __init__(
+        self, change: Change, levels: Levels, ceiling: Ceiling | None = None, watch: Watch | None = None
+    ) -> None:
         self.change = change
         self.s = change.start
         self.steps: list[Step] = []
         self.meter = Meter(levels)
         self.touched: dict[FunctionalityRef, None] = dict.fromkeys(change.pending)
         self.ceiling = ceiling
+        self.watch = watch
+
+    @property
+    def is_doomed(self) -> bool:
+        """Whether a constraint is broken that no further step can mend."""
+        return self.watch is not None and self.watch.is_doomed(self.meter)
 
     def copy(self) -> Draft:
         twin = Draft.__new__(Draft)
         twin.change, twin.s, twin.ceiling = self.change, self.s, self.ceiling
         twin.steps, twin.meter, twin.touched = list(self.steps), self.meter.copy(), dict(self.touched)
+        twin.watch = None if self.watch is None else self.watch.copy()
         return twin
 
     def do(self, action: Action) -> None:
@@ -56,6 +67,8 @@ class Draft:
         self.s = action.effect(self.s)
         self.meter.step(action, seconds, self.s)
         self.steps.append(step)
+        if self.watch is not None:
+            self.watch.note(step, self.s)
 
     # -- modes ---------------------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ and the best is kept, by disruption, then functionalities that fall, makespan an
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -15,7 +16,7 @@ from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Constraint, Order
 from midstride.plan.change import Change
-from midstride.plan.constraints import Breach, breaches, conflict, in_force, refusal, roles_of
+from midstride.plan.constraints import Breach, Watch, breaches, conflict, in_force, refusal, roles_of
 from midstride.plan.core import Core
 from midstride.plan.disruption import Levels
 from midstride.plan.draft import Ceiling, Draft
@@ -80,7 +81,21 @@ def _find(change: Change, levels: Levels, constraints: Sequence[Constraint]) -> 
     found = _search(change, levels, constraints, _as_far_as_needed(change), None)
     if found is not None and found.is_free:
         return found
-    return _search(change, levels, constraints, None, found)
+    found = _search(change, levels, constraints, None, found)
+    if (found is not None and found.is_free) or not _shares_a_full_topic(change):
+        return found
+    return _search(change, levels, constraints, None, found, eager=False)
+
+
+def _shares_a_full_topic(change: Change) -> bool:
+    """Whether several outputs come to one capped topic, so that one's place may be better given to another."""
+    connectors = change.start.world.connectors
+    coming = Counter(
+        connector
+        for port, connector in change.attached
+        if connectors[connector].cap is not None and port.port not in change.component_of(port.component).inputs
+    )
+    return any(count > 1 for count in coming.values())
 
 
 def _as_far_as_needed(change: Change) -> Ceiling:
@@ -93,7 +108,13 @@ def _as_far_as_needed(change: Change) -> Ceiling:
 
 
 def _search(
-    change: Change, levels: Levels, constraints: Sequence[Constraint], ceiling: Ceiling | None, best: Found | None
+    change: Change,
+    levels: Levels,
+    constraints: Sequence[Constraint],
+    ceiling: Ceiling | None,
+    best: Found | None,
+    *,
+    eager: bool = True,
 ) -> Found | None:
     """Depth first through the core, the cheapest way first, as far as the number of trials allows.
 
@@ -101,11 +122,13 @@ def _search(
     """
     orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
     trials = _TRIALS
-    stack = [Core(Draft(change, levels, ceiling), orders)]
+    watch = Watch(change, levels, constraints) if constraints else None
+    stack = [Core(Draft(change, levels, ceiling, watch), orders, eager=eager)]
     stack[0].advance()
     while stack:
         core = stack.pop()
-        if best is not None and (trials <= 0 or _cannot_beat(core, best)):
+        doomed = core.draft.is_doomed
+        if best is not None and (trials <= 0 or doomed or _cannot_beat(core, best)):
             continue
         if core.only_goes:
             core.finish()
@@ -116,7 +139,8 @@ def _search(
                 break
             continue
         ways: list[Core] = []
-        for move in moves(core)[: None if trials > 0 else _FEW]:
+        # What is doomed is followed to its end only where there is nothing else to tell of yet, and by one way.
+        for move in moves(core)[: 1 if doomed else None if trials > 0 else _FEW]:
             way = core.copy()
             way.play(move)
             way.advance()
@@ -127,12 +151,13 @@ def _search(
     return best
 
 
-def _promise(core: Core) -> tuple[float, float, int]:
-    """What a way has cost and will at least have cost, roughly, once what has fallen on it stands again."""
+def _promise(core: Core) -> tuple[bool, float, float, int]:
+    """Whether a way is doomed; what it has cost and will at least have cost, roughly, once what fell stands again."""
     change, meter = core.draft.change, core.draft.meter
     roles = {ref.component for ref in meter.below}
     awaited = [change.seconds("create", i.component) for i in core.creates.values() if i.role in roles]
-    return meter.disruption + meter.standing * max(awaited, default=0.0), meter.standing, len(core.draft.steps)
+    cost = meter.disruption + meter.standing * max(awaited, default=0.0)
+    return core.draft.is_doomed, cost, meter.standing, len(core.draft.steps)
 
 
 def _cannot_beat(core: Core, best: Found) -> bool:

@@ -140,10 +140,10 @@ def _closings(core: Core, turn: Turn) -> Iterator[Move]:
 
 
 def _parts(core: Core, turn: Turn) -> Iterator[Move]:
-    """A replacement that is not good enough for all its topics: those are not handed over."""
+    """A replacement that is not good enough for all its topics, or whose place others want: not handed over there."""
     for new, swaps in core.swaps.items():
         live = new in core.draft.s.instances and core.draft.change.role_of(new) in turn
-        if live and not core.fits(new, swaps, turn):
+        if live and (not core.fits(new, swaps, turn) or core.is_wanted(swaps)):
             yield Move("part", (new,))
 
 
