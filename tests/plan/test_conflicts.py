@@ -199,3 +199,13 @@ def test_a_place_is_given_up_rather_than_handed_on_where_another_needs_it_more()
     assert (plan.disruption, plan.fallen) == (0.0, ())
     order = ["detach a.out from /x", "attach b_2.out to /x", "hand over /x: b.out -> a_2.out"]
     assert [step for step in told(plan) if step in order] == order
+
+
+def test_amounts_are_compared_as_they_are_written() -> None:
+    """Half a part in a thousand million too much is too much, and three tenths are three tenths."""
+    for old, new, together in ((0.5, 0.5000000005, False), (0.1, 0.2, True)):
+        parts = [work("Old", outputs=["out"], holds={"gpu": old}), work("New", outputs=["out"], holds={"gpu": new})]
+        capacity = 1.0 if not together else 0.3
+        start = system(parts, {"n": ("Old", {"out": "/x"})}, resources={"gpu": capacity})
+        plan = sound(replaced(start, "n", "New", "minimal"))
+        assert (plan.disruption == 0.0) == together

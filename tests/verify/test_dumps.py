@@ -11,10 +11,11 @@ import pytest
 from immutables import Map
 
 from midstride.lang import load_text
-from midstride.model.component import Component, FunctionalityRef, NamedInputs, PortRef
+from midstride.model.component import Component, FunctionalityRef, NamedInputs, PortRef, Resource
 from midstride.model.configuration import Configuration
+from midstride.model.rules import capacity_violation
 from midstride.model.snapshot import configuration_from_document, configuration_to_document
-from midstride.model.specification import Node, Specification, initial
+from midstride.model.specification import Node, Specification, initial, structure
 from midstride.verify.chain import chain
 from midstride.verify.checking import Asking, verify_configuration, verify_plan, verify_specification
 from midstride.verify.export import dump_configuration, dump_plan
@@ -42,6 +43,22 @@ def test_the_text_of_a_plan_is_readable_and_stays_as_it_is(name: str) -> None:
     if os.environ.get("MIDSTRIDE_GOLDEN") == "write":
         golden.write_text(text, encoding="utf-8")
     assert text == golden.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("amount", "too_much"), [(0.5, False), (0.5000000005, True)])
+def test_what_is_too_much_together_is_what_the_model_says(amount: float, too_much: bool) -> None:
+    """Amounts are compared as they are written: half a part in a thousand million counts."""
+    holders = [Component.of(name, holds={"gpu": held}) for name, held in (("A", 0.5), ("B", amount))]
+    s = structure(
+        Specification(
+            "full",
+            components=Map({holder.name: holder for holder in holders}),
+            nodes=Map({holder.name: Node(holder.name, holder.name) for holder in holders}),
+            resources=Map({"gpu": Resource("gpu", 1.0)}),
+        )
+    )
+    assert ("too much gpu together: A, B" in dump_configuration(s, "full").text) == too_much
+    assert (capacity_violation(s, "gpu") is not None) == too_much
 
 
 def test_a_dump_carries_the_specification_along_and_opens_nothing() -> None:

@@ -12,11 +12,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Final
 
 from midstride.model.action import Handover, Swap
 from midstride.model.component import PortRef
-from midstride.model.configuration import Instance
+from midstride.model.configuration import Instance, exact
 from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
 from midstride.model.specification import Order
@@ -25,7 +26,7 @@ from midstride.plan.constraints import layers
 from midstride.plan.draft import Draft
 from midstride.plan.moves import Move
 
-_EPSILON: Final = 1e-9
+_NOTHING: Final = Fraction()
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,11 +103,11 @@ class Core:
         """Create what fits beside everything else that is to come; not while something has fallen."""
         if self.draft.meter.below:
             return False
-        demand: dict[str, float] = {}
+        demand: dict[str, Fraction] = {}
         for instance in self.creates.values():
             for resource, amount in instance.component.holds.items():
-                demand[resource] = demand.get(resource, 0.0) + amount
-        tight = {resource for resource, amount in demand.items() if not self.room(resource, amount)}
+                demand[resource] = demand.get(resource, _NOTHING) + exact(amount)
+        tight = {resource for resource, amount in demand.items() if self.lack(resource, amount) > 0}
         ready = [
             name
             for name, instance in self.creates.items()
@@ -121,9 +122,10 @@ class Core:
         new = self.draft.change.replaced.get(name)
         return new in self.draft.s.instances and new not in self.swaps
 
-    def room(self, resource: str, amount: float) -> bool:
+    def lack(self, resource: str, amount: Fraction) -> Fraction:
+        """How much of the resource is missing for so much more of it; more than 0 where there is no room."""
         s = self.draft.s
-        return s.held.get(resource, 0.0) + amount <= s.world.capacity(resource) + _EPSILON
+        return s.held.get(resource, _NOTHING) + amount - exact(s.world.capacity(resource))
 
     def _attach(self, turn: Turn) -> bool:
         """Attach what fits beside everything else that is to come on its topic, or may have to."""

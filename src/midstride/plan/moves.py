@@ -8,23 +8,23 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import combinations, permutations
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from midstride.model.action import Swap
+from midstride.model.configuration import exact
 from midstride.plan.change import Attachment
 
 if TYPE_CHECKING:
     from midstride.plan.core import Core, Turn
-
-_EPSILON: Final = 1e-9
 
 # Sets of components to remove for one that needs room are looked for up to this size, among so many.
 _SET_SIZE: Final = 3
 _SET_FROM: Final = 10
 
 # What is missing of each resource that is short.
-Need: TypeAlias = tuple[tuple[str, float], ...]
+Need: TypeAlias = tuple[tuple[str, Fraction], ...]
 
 Kind: TypeAlias = Literal["create", "remove", "attach", "detach", "exchange", "finish", "hand over", "part"]
 
@@ -62,17 +62,16 @@ def _hand_overs(core: Core, turn: Turn) -> Iterator[Move]:
 
 
 def _creations(core: Core, turn: Turn) -> Iterator[Move]:
-    s = core.draft.s
     known: dict[Need, list[tuple[str, ...]]] = {}
     for name, instance in core.creates.items():
         if instance.role not in turn:
             continue
         holds = instance.component.holds
-        short = [resource for resource in sorted(holds) if not core.room(resource, holds[resource])]
-        if not short:
+        lacks = ((resource, core.lack(resource, exact(holds[resource]))) for resource in sorted(holds))
+        need: Need = tuple((resource, lack) for resource, lack in lacks if lack > 0)
+        if not need:
             yield Move("create", (name,))
             continue
-        need: Need = tuple((r, s.held.get(r, 0.0) + holds[r] - s.world.capacity(r)) for r in short)
         if need not in known:  # what needs the same room is made room for in the same ways
             known[need] = _making_room(core, need, turn)
             for names in known[need]:  # a small set in every order, since the first to go stays away longest
@@ -86,7 +85,7 @@ def _making_room(core: Core, need: Need, turn: Turn) -> list[tuple[str, ...]]:
 
     def enough(names: Iterable[str]) -> bool:
         given = [s.component(name).holds for name in names]
-        return all(sum(h.get(r, 0.0) for h in given) + _EPSILON >= amount for r, amount in need)
+        return all(sum(exact(holds.get(r, 0.0)) for holds in given) >= lack for r, lack in need)
 
     holders = [
         name

@@ -16,13 +16,12 @@ from midstride.model.component import (
     NamedInputs,
     PortRef,
 )
-from midstride.model.configuration import Configuration, Instance, World
+from midstride.model.configuration import Configuration, Instance, World, exact
 from midstride.model.contract import Predicate
 from midstride.verify.universe import ModeName, SystemName, TooLarge, Universe
 
 # The sets of components that hold too much of a resource together are tried out one by one.
 _MOST_HOLDERS: Final = 16
-_EPSILON: Final = 1e-9
 
 
 class Scene:
@@ -185,7 +184,7 @@ def _too_much(holds: dict[str, float], capacity: float) -> Iterator[tuple[str, .
     found: list[frozenset[str]] = []
     for count in range(1, len(holds) + 1):
         for group in combinations(holds, count):
-            too_much = round(sum(holds[name] for name in group), 9) > capacity + _EPSILON
+            too_much = sum(exact(holds[name]) for name in group) > exact(capacity)
             if too_much and not any(smaller <= set(group) for smaller in found):
                 found.append(frozenset(group))
                 yield group
