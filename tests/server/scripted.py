@@ -58,7 +58,9 @@ class ScriptedManager:
         document = await self._answer("plan", request)
         return SimpleNamespace(to_document=lambda: document)
 
-    async def change(self, request: Request, *, expected: int | None = None, verify: bool = False) -> Any:
+    async def change(
+        self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
+    ) -> Any:
         return await self._answer("change", (request, expected, verify))
 
     def log(self, since: int = 0) -> Any:

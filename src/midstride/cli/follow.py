@@ -15,9 +15,14 @@ LAST_EVENTS = 0.5
 
 
 class Following:
-    """``ask`` in one thread, the event stream in another; iterating yields the events until there is an answer."""
+    """``ask`` in one thread, the event stream in another; iterating yields the events until there is an answer.
 
-    def __init__(self, client: Client, ask: Callable[[], Document], *, since: int, until: str) -> None:
+    Where ``id`` is given, only those of the command that bears it: its wait, and from its beginning to the next one's.
+    """
+
+    def __init__(
+        self, client: Client, ask: Callable[[], Document], *, since: int, until: str, id: str | None = None
+    ) -> None:
         self._client = client
         self._ask = ask
         self._until = until
@@ -25,20 +30,33 @@ class Following:
         self._answer: Document | None = None
         self._error: MidstrideError | None = None
         self._since = since
+        self._id = id
+        self._mine = id is None
 
     def __iter__(self) -> Iterator[Event]:
         """Each event; ends with the answer, or once no more events can come."""
         for target in (self._listen, self._work):
             threading.Thread(target=target, daemon=True).start()
         while (event := self._queue.get()) is not None:
-            yield event
+            if self._concerns(event):
+                yield event
         try:
             while (event := self._queue.get(timeout=LAST_EVENTS)) is not None:
-                yield event
-                if event["kind"] == self._until:
-                    return
+                if self._concerns(event):
+                    yield event
+                    if event["kind"] == self._until:
+                        return
         except queue.Empty:
             return
+
+    def _concerns(self, event: Event) -> bool:
+        """Whether an event belongs here. Each command begins with its own event; the manager runs one at a time."""
+        if self._id is None or event["kind"] not in {"command", "waiting"}:
+            return self._mine
+        own = bool(event.get("id") == self._id)
+        if event["kind"] == "command":
+            self._mine = own
+        return own
 
     def answer(self) -> Document:
         """What came of it, once the events are over. Raises what the manager raised."""

@@ -204,16 +204,19 @@ class Manager:
 
     # -- changing -----------------------------------------------------------------------------------
 
-    async def change(self, request: Request, *, expected: int | None = None, verify: bool = False) -> dict[str, Any]:
+    async def change(
+        self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
+    ) -> dict[str, Any]:
         """Carry out ``request``: the outcome document of interfaces.md.
 
         With ``verify``, Alloy judges the plan first, and nothing is begun unless it holds; after each step, what is
         live is judged as well, and a step after which it does not hold has failed.
 
         ``expected`` is the revision a preview was made at; where the configuration has moved on
-        since, the change is refused, since its user has seen another plan.
+        since, the change is refused, since its user has seen another plan. The events by which it waits and begins
+        bear ``id``, so that who asked can tell its own events from those of others.
         """
-        async with self._command(_told(request)):
+        async with self._command(_told(request), id):
             if expected is not None and expected != self.revision:
                 return _refused("the configuration has changed since the plan was shown; look at the new plan")
             try:
@@ -315,13 +318,13 @@ class Manager:
         self.events.add(kind, words, **details)
 
     @asynccontextmanager
-    async def _command(self, words: str) -> AsyncIterator[None]:
+    async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
         """One command at a time, first come first served; who must wait is told for whom."""
         if self._running is not None:
-            self.events.add("waiting", f"`{words}` waits for `{self._running.words}`", command=words)
+            self.events.add("waiting", f"`{words}` waits for `{self._running.words}`", command=words, id=id)
         async with self._turn:
             self._running = Running(words, self._backend.clock.steady())
-            self.events.add("command", words)
+            self.events.add("command", words, id=id)
             try:
                 await self._settle()
                 yield

@@ -133,7 +133,8 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
     async def change(change: documents.Change) -> Response:
         """Carry a change out, once the commands before it are done; answers when it is measured."""
         lifecycle.require_up()
-        work = manager.change(change.request.request(), expected=change.expected, verify=change.verify)
+        request = change.request.request()
+        work = manager.change(request, expected=change.expected, verify=change.verify, id=change.id)
         return JSONResponse(await lifecycle.carry_out(work))
 
     @router.post("/down", responses=_REFUSED)

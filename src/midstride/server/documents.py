@@ -49,12 +49,14 @@ class Change(Incoming):
     """A request to be carried out.
 
     `expected`: only if the configuration is still of that revision (else it is refused). `verify`: only if Alloy finds
-    every step of the plan safe, and what is live after each of them.
+    every step of the plan safe, and what is live after each of them. `id`: any text; the events `waiting` and `command`
+    of this change bear it, and what follows until the next `command` belongs to it.
     """
 
     request: ChangeRequest
     expected: int | None = None
     verify: bool = False
+    id: str | None = Field(default=None, max_length=100)
 
 
 class Error(Outgoing):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import uuid
 from pathlib import Path
 from typing import Any
 
@@ -129,8 +130,9 @@ def carry_out(client: Client, change: Document, title: str, *, show_plan: bool) 
     from midstride.cli import render
     from midstride.cli.progress import Progress
 
+    own = {**change, "id": uuid.uuid4().hex}
     following = Following(
-        client, lambda: dict(client.post("/change", change)), since=last_number(client), until="outcome"
+        client, lambda: dict(client.post("/change", own)), since=last_number(client), until="outcome", id=own["id"]
     )
     out = console()
     try:
