@@ -173,13 +173,13 @@ def conflict(
     return tuple(left)
 
 
-def refusal(conflicting: Sequence[Constraint], breaches: Iterable[Breach]) -> PlanRefused:
-    """The refusal that names the constraints in conflict, and how the best plan found breaks them."""
+def refusal(conflicting: Sequence[Constraint], breaches: Iterable[Breach], scarce: Iterable[str] = ()) -> PlanRefused:
+    """The refusal that names the constraints in conflict, how the best plan found breaks them, and what is scarce."""
     told = {breach.constraint: breach.because for breach in breaches}
     words = [f"`{c}`" + (f" ({told[c]})" if c in told else "") for c in conflicting]
-    if len(words) == 1:
-        return PlanRefused(f"no plan was found that meets the constraint {words[0]}")
-    return PlanRefused(f"no plan was found that meets these constraints together: {'; '.join(words)}")
+    which = f"the constraint {words[0]}" if len(words) == 1 else f"these constraints together: {'; '.join(words)}"
+    because = "".join(f"; {why}" for why in scarce)
+    return PlanRefused(f"no plan was found that meets {which}{because}")
 
 
 def roles_of(constraint: Constraint) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ from typing import Final
 
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
+from midstride.model.configuration import exact
 from midstride.model.specification import Constraint, Order
 from midstride.plan.change import Change
 from midstride.plan.constraints import Breach, Watch, breaches, conflict, in_force, refusal, roles_of
@@ -60,9 +61,22 @@ def minimal(change: Change) -> Plan:
             return trial is not None and not trial.breaches
 
         if can_meet(()):
-            raise refusal(conflict(relevant, can_meet), told)
+            raise refusal(conflict(relevant, can_meet), told, _no_room(change))
         raise PlanRefused("no order of the steps was found that keeps within the caps and capacities throughout")
     return Plan.of("minimal", change, found.steps, levels)
+
+
+def _no_room(change: Change) -> list[str]:
+    """Why not all that comes can be there before anything goes: the resources that there is not enough of for both."""
+    s, told = change.start, []
+    for resource in sorted({name for instance in change.coming for name in instance.component.holds}):
+        coming = [instance for instance in change.coming if resource in instance.component.holds]
+        together = s.held.get(resource, 0) + sum(exact(instance.component.holds[resource]) for instance in coming)
+        if together > exact(s.world.capacity(resource)):
+            names = [name for name in change.leaving if resource in s.component(name).holds]
+            who = " and ".join([*names, *(instance.name for instance in coming)])
+            told.append(f"{who} do not fit at once: {resource} has a capacity of {s.world.capacity(resource):g}")
+    return told
 
 
 def _relevant(change: Change, found: Found | None, constraints: Iterable[Constraint]) -> list[Constraint]:
