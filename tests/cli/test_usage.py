@@ -13,8 +13,9 @@ import pytest
 
 import midstride as package
 from midstride.backends import NAMES
-from midstride.cli import main
+from midstride.cli import main, render
 from midstride.cli.app import COMMANDS
+from midstride.cli.output import console
 from tests.cli.conftest import EXAMPLES, Midstride
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
@@ -254,6 +255,18 @@ def test_what_stays_lower_is_said_of_a_role_that_is_replaced(
     _, out, _ = run(capsys, "plan", str(file), "--replace", "talker=NewTalker")
     assert "Stays lower: talker.talk, from normal to degraded" in out
     assert "Nothing falls" not in out
+
+
+def test_a_topic_that_the_environment_satisfies_is_not_published_by_nobody(capsys: pytest.CaptureFixture[str]) -> None:
+    topics = [
+        {"name": name, "satisfied": satisfied, "publishers": [], "subscribers": ["amcl.odom"]}
+        for name, satisfied in (("/odom", True), ("/map", False))
+    ]
+    document = {"system": "s", "backend": "sim", "valid": True, "components": [], "topics": topics, "violations": []}
+    console().print(render.status(document))
+    told = capsys.readouterr().out
+    assert "/odom: the environment → amcl.odom" in told
+    assert "/map: nobody → amcl.odom  (not satisfied)" in told
 
 
 def test_a_node_is_added_to_a_plan(capsys: pytest.CaptureFixture[str]) -> None:

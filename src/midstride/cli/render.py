@@ -203,7 +203,8 @@ def _functionality(row: Document) -> tuple[Text, Text, Text]:
 def _topics(document: Document) -> list[RenderableType]:
     lines = []
     for topic in document["topics"]:
-        publishers = ", ".join(topic["publishers"]) or "nobody"
+        # What is satisfied without a publisher in scope is so by one out of scope.
+        publishers = ", ".join(topic["publishers"]) or ("the environment" if topic["satisfied"] else "nobody")
         subscribers = ", ".join(topic["subscribers"]) or "nobody"
         style = "dim" if topic["satisfied"] else "yellow"
         lacking = "" if topic["satisfied"] else "  (not satisfied)"
