@@ -8,7 +8,17 @@ import pytest
 from immutables import Map
 
 from midstride.model.best import best
-from midstride.model.component import Connector, Endpoint, FunctionalityRef, Parameter, PortRef
+from midstride.model.component import (
+    Component,
+    Connector,
+    Endpoint,
+    Functionality,
+    FunctionalityRef,
+    Mode,
+    NamedInputs,
+    Parameter,
+    PortRef,
+)
 from midstride.model.configuration import Instance, exact
 from midstride.model.document import specification_from_document
 from midstride.model.specification import Node, Order, initial, structure
@@ -65,6 +75,20 @@ def test_a_component_is_its_body() -> None:
         source("Talker", 11.0),
     ):
         assert not talker.same_body(other)
+
+
+def test_a_body_has_no_order_but_that_of_its_modes() -> None:
+    left, right = at(5), at(10)
+    merge = Functionality("merge", (Mode("m", (NamedInputs(("l", "r")), left)), Mode("d")), ("l", "r"))
+    both = Component.of("C", inputs={"l": left, "r": right}, functionalities=(merge,))
+    turned = replace(merge, modes=(Mode("m", (left, NamedInputs(("r", "l")))), Mode("d")), inputs=("r", "l"))
+    assert both.same_body(Component.of("C", inputs={"r": right, "l": left}, functionalities=(turned,)))
+    for other in (
+        replace(merge, modes=merge.modes[::-1]),
+        replace(merge, modes=(Mode("m", (NamedInputs(("l",)), left)), Mode("d"))),
+        replace(merge, inputs=("l",)),
+    ):
+        assert not both.same_body(Component.of("C", inputs={"l": left, "r": right}, functionalities=(other,)))
 
 
 def test_a_topic_is_its_contract() -> None:

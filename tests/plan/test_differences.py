@@ -81,6 +81,18 @@ def test_each_difference_in_its_words(old: str, new: str, told: list[str]) -> No
     assert changed((old, new)) == told
 
 
+def test_a_parameter_is_set_in_place_only_if_it_is_changeable_before_and_after() -> None:
+    """As the planner judges it: what runs must be able to change it, too."""
+    told = changed(('model = "small.onnx"', 'changeable model = "big.onnx"'))
+    assert "node detector: replaced\n  parameter model: small.onnx -> big.onnx" in told
+
+
+def test_the_order_in_which_a_declaration_is_written_is_no_difference() -> None:
+    first, second = (f"assume {what.ljust(30)}#" for what in ("scan", "Camera"))
+    assert TEXT.count(first) == TEXT.count(second) == 1
+    assert changed((first, "assume Camera #"), (second, "assume scan #")) == []
+
+
 def test_blanks_and_names_of_contracts_are_no_difference() -> None:
     assert (
         changed(

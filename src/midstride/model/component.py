@@ -90,6 +90,10 @@ class Mode:
         """The guarantee for ``output``; one that is not stated is ``nothing``."""
         return self.guarantees.get(output, NOTHING)
 
+    def needs(self) -> frozenset[Predicate | frozenset[str]]:
+        """What it assumes, whatever the order in which it is written: predicates, and inputs that are alternatives."""
+        return frozenset(frozenset(a.inputs) if isinstance(a, NamedInputs) else a for a in self.assumptions)
+
 
 @dataclass(frozen=True, slots=True)
 class Functionality:
@@ -115,6 +119,11 @@ class Functionality:
             if mode.name == name:
                 return index
         raise KeyError(name)
+
+    def meaning(self) -> tuple[object, ...]:
+        """All it says, whatever the order in which its ports and assumptions are written."""
+        modes = tuple((mode.name, mode.needs(), mode.guarantees) for mode in self.modes)
+        return self.name, self.weight, frozenset(self.inputs), frozenset(self.outputs), modes
 
 
 @dataclass(frozen=True, slots=True)
@@ -236,14 +245,17 @@ class Component:
         return [*self.outputs, *self.input_order]
 
     def same_body(self, other: Component) -> bool:
-        """Whether both are one declaration but for the name and the parameters (semantics.md section 6)."""
+        """Whether both are one declaration but for the name and the parameters (semantics.md section 6).
+
+        In what order ports, assumptions and endpoints are written makes no difference; that of modes does.
+        """
         return self._body() == other._body()
 
     def _body(self) -> tuple[object, ...]:
         return (
             self.inputs,
             frozenset(self.outputs),
-            self.functionalities,
+            {functionality.name: functionality.meaning() for functionality in self},
             self.holds,
             frozenset(self.allows),
             self.run,

@@ -148,8 +148,8 @@ def _functionality(name: str, before: Component, after: Component) -> Iterator[s
         other = next((candidate for candidate in new.modes if candidate.name == mode.name), None)
         if other is None:
             continue
-        assumed = [", ".join(str(a) for a in m.assumptions) or "nothing" for m in (mode, other)]
-        if assumed[0] != assumed[1]:
+        if mode.needs() != other.needs():
+            assumed = [", ".join(str(a) for a in m.assumptions) or "nothing" for m in (mode, other)]
             yield _became(f"{where}, mode {mode.name}: assumes", *assumed)
         for output in sorted({*mode.guarantees, *other.guarantees}):
             given, gives = mode.guarantee(output), other.guarantee(output)
@@ -190,8 +190,9 @@ def _node(subject: str, old: Specification, new: Specification, before: Node, af
     for name in sorted({*then, *now}):
         if name in then and name in now and then[name] == now[name]:
             continue
-        declared = will.parameters.get(name)
-        in_place = kind != "replaced" and name in then and name in now and declared is not None and declared.changeable
+        declared = [component.parameters.get(name) for component in (was, will)]
+        changeable = all(parameter is not None and parameter.changeable for parameter in declared)
+        in_place = kind != "replaced" and changeable
         details.append(
             _became(f"parameter {name}", then.get(name), now.get(name)) + (", set in place" if in_place else "")
         )
