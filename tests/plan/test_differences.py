@@ -88,7 +88,7 @@ def test_a_parameter_is_set_in_place_only_if_it_is_changeable_before_and_after()
 
 
 def test_the_order_in_which_a_declaration_is_written_is_no_difference() -> None:
-    first, second = (f"assume {what.ljust(30)}#" for what in ("scan", "Camera"))
+    first, second = (f"assume {what.ljust(31)}#" for what in ("scan", "Camera"))
     assert TEXT.count(first) == TEXT.count(second) == 1
     assert changed((first, "assume Camera #"), (second, "assume scan #")) == []
 
