@@ -249,6 +249,18 @@ def test_ctrl_c_while_coming_up_takes_it_down_again(midstride: Midstride, tmp_pa
     assert midstride("status").status == 1
 
 
+def test_ctrl_c_before_the_manager_answers_takes_it_down_again(midstride: Midstride) -> None:
+    """The manager is on its way by then, in a session of its own, and would bring the system up all the same."""
+    with Terminal(midstride, "up", TALKER, "--backend", "sim") as terminal:
+        log = midstride.runtime / "midstride" / "talker" / "logs" / "manager.log"
+        while not log.exists():
+            time.sleep(0.001)
+        terminal.press("\x03")
+        assert "Ending what has been started of talker" in terminal.rest()
+        assert terminal.status == 130
+    assert midstride("status").err.endswith("no system is running; start one with `midstride up FILE`\n")
+
+
 @pytest.mark.parametrize(
     ("program", "told"),
     [
@@ -308,6 +320,10 @@ def test_a_killed_manager_is_no_riddle(midstride: Midstride) -> None:
     """In the simulator components die with their manager; what is left written must not be in anybody's way."""
     assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
     manager = midstride.manager("talker")
+    os.kill(manager, signal.SIGSTOP)
+    done = midstride("down")
+    assert (done.status, done.out) == (1, "")
+    assert f"the manager of talker (process {manager}) runs, but does not answer" in done.err
     os.kill(manager, signal.SIGKILL)
     while alive(manager):
         time.sleep(0.01)

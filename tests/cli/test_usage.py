@@ -121,6 +121,20 @@ def test_without_a_manager_it_is_said_how_to_start_one(words: list[str], capsys:
     assert (status, document["error"]) == (1, {"kind": "NoManager", "message": told})
 
 
+@pytest.mark.parametrize("command", ["status", "down"])
+def test_of_several_whose_managers_have_ended_one_must_be_named(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("talker", "filter"):
+        (tmp_path / "midstride" / name).mkdir(parents=True)
+        (tmp_path / "midstride" / name / "state.json").write_text('{"version": 1, "backend": "sim", "instances": []}')
+    status, out, err = run(capsys, command)
+    assert (status, out) == (1, "")
+    assert "may still run: filter, talker. Say which is meant with --system NAME" in err
+    assert run(capsys, "down", "--system", "talker")[:2] == (0, "talker is down.\n")
+    assert run(capsys, "down")[:2] == (0, "filter is down.\n")
+
+
 def test_a_system_that_does_not_run(capsys: pytest.CaptureFixture[str]) -> None:
     status, _, err = run(capsys, "status", "--system", "patrol")
     assert (status, err.split("; ")[0]) == (1, "midstride status: no system patrol is running")
@@ -176,6 +190,7 @@ def test_a_warning_counts_where_asked(tmp_path: Path, capsys: pytest.CaptureFixt
     [
         ("talkr.json", "did you mean `talker.json`?"),
         ("", "is a folder; give a file in it: "),
+        ("/dev/zero", "/dev/zero has more than 64 million characters: is it what you meant?"),
     ],
 )
 def test_a_file_that_is_none(name: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -317,6 +332,39 @@ def test_a_reader_that_has_seen_enough_is_no_error(midstride: Midstride) -> None
         env=midstride.environment,
     )
     assert (done.stdout, done.stderr) == ("{", "")
+
+
+@pytest.mark.parametrize("stream", ["stdin", "stdout", "stderr"])
+def test_a_closed_stream_is_no_error(
+    stream: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Python has None for a standard stream that its caller has closed, as in `midstride … >&-`."""
+    monkeypatch.setattr(f"sys.{stream}", None)
+    try:
+        assert run(capsys, "remove", "talker")[0] == 2
+        assert run(capsys, "plan", TALKER, "--replace", "talker=NewTalker")[0] == 0
+    finally:
+        getattr(sys, stream).close()
+
+
+def test_an_output_that_cannot_be_written_is_told(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for words in (["plan", TALKER, "--remove", "talker"], ["export", TALKER], ["explain", "E008", "--json"]):
+        with open("/dev/full", "w") as full:
+            monkeypatch.setattr("sys.stdout", full)
+            status = main(words)
+        told = capsys.readouterr().err
+        assert (status, told) == (1, f"midstride {words[0]}: the output cannot be written: No space left on device\n")
+
+
+def test_a_runtime_folder_that_cannot_be_made(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", TALKER)
+    status, out, err = run(capsys, "up", TALKER)
+    assert (status, out, err.count("\n")) == (1, "", 1)
+    assert f"cannot make the folder {TALKER}/midstride" in err
 
 
 def test_what_the_terminal_cannot_show_stops_nothing(midstride: Midstride) -> None:

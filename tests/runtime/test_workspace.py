@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import stat
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -41,15 +43,17 @@ def test_one_manager_at_a_time() -> None:
 def test_a_state_comes_back_as_it_was_kept_and_is_listed_until_forgotten() -> None:
     workspace = Workspace.of("patrol")
     assert workspace.load() is None and Workspace.all() == []
-    workspace.save({"token": "t"})
-    assert workspace.load() == {"token": "t"} and Workspace.all() == [workspace]
+    state = {"version": 1, "token": "t", "instances": [{"name": "talker", "handle": None}]}
+    workspace.save(state)
+    assert workspace.load() == state and Workspace.all() == [workspace]
     workspace.forget()
     assert workspace.load() is None and Workspace.all() == []
 
 
 def test_a_disk_that_refuses_leaves_the_old_state(monkeypatch: pytest.MonkeyPatch) -> None:
     workspace = Workspace.of("patrol")
-    workspace.save({"token": "old"})
+    old = {"version": 1, "token": "old", "instances": []}
+    workspace.save(old)
 
     def full(_: int) -> None:
         raise OSError(28, "No space left on device")
@@ -57,13 +61,59 @@ def test_a_disk_that_refuses_leaves_the_old_state(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(ManagerError, match="No space left on device"):
         workspace.save({"token": "new"})
-    assert workspace.load() == {"token": "old"}
+    assert workspace.load() == old
     assert sorted(path.name for path in workspace.path.iterdir()) == ["state.json"]
 
 
-@pytest.mark.parametrize("text", ["", "{", "[]", "\x00"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "\x00",
+        "{}",
+        '{"version": 2, "instances": []}',
+        '{"version": 1, "instances": 5}',
+        '{"version": 1, "instances": [{"name": "talker"}]}',
+        '{"version": 1, "instances": [{"name": "talker", "handle": 7}]}',
+    ],
+)
 def test_a_state_that_cannot_be_read_says_what_to_do(text: str) -> None:
     workspace = Workspace.of("patrol")
     workspace.state.write_text(text)
-    with pytest.raises(ManagerError, match="midstride down"):
+    with pytest.raises(ManagerError, match="not known what still runs of patrol: end that yourself"):
         workspace.load()
+
+
+@pytest.mark.parametrize("folder", ["a file", "a file/deeper"])
+def test_a_folder_that_cannot_be_made_is_named(folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a file").write_text("")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / folder))
+    with pytest.raises(ManagerError, match=f"cannot make the folder {tmp_path}/{folder}/midstride.*XDG_RUNTIME_DIR"):
+        Workspace.of("patrol")
+
+
+def test_a_full_disk_is_told_before_anything_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    workspace = Workspace.of("patrol")
+    workspace.require_room()
+
+    def full(_: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(ManagerError, match=r"cannot write to .*/patrol: No space left on device"):
+        workspace.require_room()
+    assert not list(workspace.path.iterdir())
+
+
+def test_a_manager_is_known_whether_it_answers_or_not() -> None:
+    workspace = Workspace.of("patrol")
+    assert workspace.manager() is None
+    with workspace.lock():
+        assert workspace.manager() is None  # held, but by no manager
+    with subprocess.Popen([sys.executable, "-S", "-c", "input()", "_manager"], stdin=subprocess.PIPE) as process:
+        (workspace.path / "lock").write_text(str(process.pid))
+        assert workspace.manager() == process.pid
+        process.communicate(b"\n")
+    assert workspace.manager() is None

@@ -28,6 +28,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     gc.set_threshold(_OBJECTS_BETWEEN_COLLECTIONS, *gc.get_threshold()[1:])
     words = list(sys.argv[1:] if arguments is None else arguments)
+    _open_what_is_closed()
     try:
         status = cli.main(words, prog_name="midstride", standalone_mode=False)
         sys.stdout.flush()
@@ -43,9 +44,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         print("\nmidstride: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except BrokenPipeError:  # the reader has seen enough; the interpreter must not complain of it at its end
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except BrokenPipeError:  # the reader has seen enough
+        _write_nothing_more()
         return 1
+    except OSError as error:
+        from midstride.cli.faults import refused_by_the_system
+
+        if error.filename is None:
+            _write_nothing_more()
+        return refused_by_the_system(error, words)
+
+
+def _open_what_is_closed() -> None:
+    """A standard stream that the caller has closed is None: whoever closes it wants nothing of it."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115: it lives as long as we do
+
+
+def _write_nothing_more() -> None:
+    """What is still buffered cannot be written either; the interpreter must not complain of it at its end."""
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, sys.stdout.fileno())
+    os.close(nowhere)
 
 
 __all__ = ["main"]

@@ -30,12 +30,15 @@ def take_down(system: str | None) -> str:
             _end_what_is_left(left[0])
         return left[0].name
     client.post("/down")
-    _until_free(workspace)
+    until_free(workspace)
     return workspace.name
 
 
-def _until_free(workspace: Workspace) -> None:
-    """The system is down; its manager is about to end. Then the next `up` finds nobody in its way."""
+def until_free(workspace: Workspace) -> None:
+    """The system is down; its manager is about to end. Then the next `up` finds nobody in its way.
+
+    Raises ManagerError where it does not end.
+    """
     end = time.monotonic() + LAST_BREATH
     while time.monotonic() < end:
         try:

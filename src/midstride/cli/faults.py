@@ -40,6 +40,13 @@ def refused(error: MidstrideError, words: Sequence[str]) -> int:
     return NO
 
 
+def refused_by_the_system(error: OSError, words: Sequence[str]) -> int:
+    """The operating system says no: to a file, which it names, else to our output."""
+    reason = error.strerror or str(error)
+    where = "the output cannot be written" if error.filename is None else f"{error.filename} cannot be used"
+    return refused(MidstrideError(f"{where}: {reason}"), words)
+
+
 def _say(text: str, kind: str, message: str, words: Sequence[str]) -> None:
     print(text, file=sys.stderr)
     if "--json" in words:

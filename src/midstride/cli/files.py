@@ -5,12 +5,15 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from midstride.errors import SpecificationError
 from midstride.model.document import parse_json, specification_from_document
 from midstride.model.problems import suggestion
 from midstride.model.specification import Specification
+
+# No specification and no plan is as long (characters); a device that never ends would fill the memory.
+MOST: Final = 64_000_000
 
 
 def read(path: Path) -> Specification:
@@ -27,7 +30,7 @@ def read(path: Path) -> Specification:
 def read_json(path: Path) -> Any:
     """The value in a JSON file; ``-`` is standard input. Raises SpecificationError where it cannot be read."""
     try:
-        return parse_json(sys.stdin.read() if str(path) == "-" else _text(path))
+        return parse_json(_bounded("standard input", sys.stdin.read(MOST + 1)) if str(path) == "-" else _text(path))
     except UnicodeDecodeError as error:
         raise SpecificationError(f"standard input cannot be read: {error}") from None
     except SpecificationError as error:
@@ -68,7 +71,8 @@ def _parsed(text: str) -> Specification:
 
 def _text(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        with path.open(encoding="utf-8") as file:
+            return _bounded(str(path), file.read(MOST + 1))
     except FileNotFoundError:
         folder = path.parent
         files = [entry.name for entry in _candidates(folder)] if folder.is_dir() else []
@@ -83,6 +87,12 @@ def _text(path: Path) -> str:
         raise SpecificationError(f"{path} cannot be read: {error}") from None
     except OSError as error:
         raise SpecificationError(f"{path} cannot be read: {error}") from None
+
+
+def _bounded(name: str, text: str) -> str:
+    if len(text) > MOST:
+        raise SpecificationError(f"{name} has more than {MOST // 1_000_000} million characters: is it what you meant?")
+    return text
 
 
 def _candidates(folder: Path) -> list[Path]:

@@ -106,7 +106,13 @@ def cost(document: Document) -> str:
     """The figures of a plan, and whether the least disruption is proved."""
     least = "proved minimal" if document.get("proved_minimal") else f"at least {document.get('lower_bound', 0):.3g}"
     disruption = f"Disruption {document['disruption']:.3g} weighted functionality-seconds ({least})"
-    return f"{disruption}; takes about {seconds(document['makespan'])}; strategy {document['strategy']}."
+    return f"{disruption}; takes about {_duration(document)}; strategy {document['strategy']}."
+
+
+def _duration(document: Document) -> str:
+    """One step after another, as they are carried out; the critical path beside it, where that is shorter."""
+    told, least = seconds(document["seconds"]), seconds(document["makespan"])
+    return told if told == least else f"{told} (critical path {least})"
 
 
 def swaps(document: Document) -> RenderableType:
@@ -139,14 +145,12 @@ def outcome(document: Document) -> RenderableType:
     """How it ended, in words, and what was measured."""
     kind, because = document["outcome"], document.get("because")
     words = {
-        "done": "[green]Done[/green]",
+        "done": f"[green]Done[/green] in {seconds(document['seconds'])}",
         "refused": "[red]Refused[/red], nothing was changed",
-        "rolled_back": "[red]Rolled back[/red], the system is as it was",
-        "failed": "[red bold]Failed[/red bold]",
+        "rolled_back": f"[red]Rolled back[/red] in {seconds(document['seconds'])}, every step is undone",
+        "failed": f"[red bold]Failed[/red bold] in {seconds(document['seconds'])}",
     }[kind]
     lines: list[RenderableType] = []
-    if kind != "refused":
-        words += f" in {seconds(document['seconds'])}"
     lines.append(Text.from_markup(words + (f": {escape(str(because))}" if because else ".")))
     if kind != "refused":
         lines.extend(Text(line) for line in fallen_words(document))
@@ -156,11 +160,13 @@ def outcome(document: Document) -> RenderableType:
 
 
 def fallen_words(document: Document) -> list[str]:
-    """What really fell, and for how long, as measured."""
+    """What really fell, and for how long, as measured; and what was meant to stay lower than it was."""
     fell = {name: spent for name, spent in (document.get("fallen") or {}).items() if spent}
-    if not fell:
-        return ["Nothing fell below its level."]
-    return [f"{name} was below its level for {seconds(spent)}." for name, spent in sorted(fell.items())]
+    lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in sorted(fell.items())]
+    if document["outcome"] == "done":
+        lower, _ = _afterwards(document["plan"])
+        lines += [f"Stays lower: {words}." for words in lower]
+    return lines or ["Nothing fell below its level."]
 
 
 def status(document: Document) -> RenderableType:
@@ -172,7 +178,7 @@ def status(document: Document) -> RenderableType:
         first = [component["name"], component["component"], _process(component)]
         rows: list[Document] = component["functionalities"] or [{}]
         for row in rows:
-            table.add_row(*first, *_functionality(row))
+            table.add_row(*first, *_functionality(row, component["reachable"]))
             first = ["", "", ""]
     return Group(Text.from_markup(_heading(document)), table, *_topics(document), *_faults(document))
 
@@ -190,14 +196,18 @@ def _process(component: Document) -> Text:
     return Text(str(component["pid"] or "–"), style="dim")
 
 
-def _functionality(row: Document) -> tuple[Text, Text, Text]:
+def _functionality(row: Document, reachable: bool) -> tuple[Text, Text, Text]:
+    """Its name, its mode and why. Of one that does not answer the mode is not known, only what it was told."""
     if not row:
         return Text("none", style="dim"), Text(""), Text("")
+    name = Text(row["name"].rpartition(".")[2])
+    if not reachable:
+        return name, Text(UNKNOWN, style="red"), Text(f"it was in mode {row['mode']}")
     mode = Text(row["mode"], style="green" if row["normal"] else "yellow")
     why = [] if row["normal"] or not row.get("because") else [str(row["because"]).strip().splitlines()[-1]]
     if row.get("busy") is not None:
         why.append(f"busy for {seconds(row['busy'])}")
-    return Text(row["name"].rpartition(".")[2]), mode, Text("; ".join(why))
+    return name, mode, Text("; ".join(why))
 
 
 def _topics(document: Document) -> list[RenderableType]:

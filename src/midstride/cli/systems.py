@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from midstride.cli.client import Client
-from midstride.errors import NoManager
+from midstride.errors import ManagerError, NoManager
 from midstride.model.problems import suggestion
 from midstride.runtime.workspace import Workspace
 
@@ -22,12 +22,13 @@ def system_option(function: Any) -> Any:
 def find(system: str | None) -> tuple[Client, Workspace]:
     """The manager of ``system``, or of the one that runs.
 
-    Raises NoManager where none does, UsageError where it is not clear which is meant.
+    Raises NoManager where none does, ManagerError where it runs but does not answer, UsageError where it is not clear
+    which is meant.
     """
     known = {workspace.name: workspace for workspace in Workspace.all()}
     if system is not None:
         if system not in known:
-            hint = suggestion(system, known) or "none does; start it with `midstride up FILE`"
+            hint = suggestion(system, known) or "start it with `midstride up FILE`"
             raise NoManager(f"no system {system} is running; {hint}")
         return _answering(known[system]), known[system]
     running = [workspace for workspace in known.values() if Client(workspace.socket).service() is not None]
@@ -36,16 +37,27 @@ def find(system: str | None) -> tuple[Client, Workspace]:
         raise click.UsageError(f"several systems are running ({names}): say which with --system NAME")
     if running:
         return Client(running[0].socket), running[0]
+    if len(known) > 1:
+        raise NoManager(
+            f"no manager answers; components of these systems may still run: {', '.join(known)}. "
+            "Say which is meant with --system NAME"
+        )
     if known:
-        return _answering(next(iter(known.values()))), next(iter(known.values()))
+        (left,) = known.values()
+        return _answering(left), left
     raise NoManager("no system is running; start one with `midstride up FILE`")
 
 
 def _answering(workspace: Workspace) -> Client:
     client = Client(workspace.socket)
-    if client.service() is None:
-        raise NoManager(
-            f"the manager of {workspace.name} has ended, its components may still run: "
-            "`midstride up` with its file finds them again, `midstride down` ends them"
+    if client.service() is not None:
+        return client
+    if (manager := workspace.manager()) is not None:
+        raise ManagerError(
+            f"the manager of {workspace.name} (process {manager}) runs, but does not answer. Should that last, "
+            f"`kill -9 {manager}` ends it alone: its components go on, `midstride up` with its file finds them again"
         )
-    return client
+    raise NoManager(
+        f"the manager of {workspace.name} has ended, its components may still run: "
+        "`midstride up` with its file finds them again, `midstride down` ends them"
+    )

@@ -14,13 +14,17 @@ import re
 import stat
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from midstride.errors import ManagerBusy, ManagerError
 
+# The form of the state; whoever reads another one says so.
+VERSION: Final = 1
+# What must fit on the disk before a manager is started (bytes): a small state, and the first lines of the logs.
+_ROOM: Final = 16_384
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_\-]*\Z")
 
 
@@ -44,8 +48,14 @@ class Workspace:
             raise ManagerError(f"{system!r} cannot name a running system: use letters, digits, _ and -")
         root = _root()
         for folder in (root, root / system):
-            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-            info = folder.stat()
+            try:
+                folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+                info = folder.stat()
+            except OSError as error:
+                raise ManagerError(
+                    f"cannot make the folder {folder}, for socket, state and logs: {error.strerror or error}; "
+                    "set XDG_RUNTIME_DIR to a folder of yours"
+                ) from None
             if info.st_uid != os.getuid():
                 raise ManagerError(f"{folder} belongs to another user; remove it or set XDG_RUNTIME_DIR")
             if stat.S_IMODE(info.st_mode) != 0o700:
@@ -88,11 +98,35 @@ class Workspace:
             except BlockingIOError:
                 holder = os.read(handle, 64).decode(errors="replace").strip() or "unknown"
                 raise ManagerBusy(f"a manager of {self.name} is running already (process {holder})") from None
-            os.ftruncate(handle, 0)
-            os.write(handle, str(os.getpid()).encode())
+            with suppress(OSError):  # on a full disk the lock holds as well; it only does not say whose it is
+                os.ftruncate(handle, 0)
+                os.write(handle, str(os.getpid()).encode())
             yield
         finally:
             os.close(handle)
+
+    def manager(self) -> int | None:
+        """The process of the manager that runs, whether it answers or not; None where none does."""
+        try:
+            pid = int((self.path / "lock").read_text())
+            words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+        except (OSError, ValueError):
+            return None
+        return pid if b"_manager" in words else None
+
+    def require_room(self) -> None:
+        """Raises ManagerError where nothing can be written here: a manager could not even say why it ends."""
+        trial = self.path / "trial"
+        try:
+            with trial.open("wb") as file:
+                file.write(bytes(_ROOM))
+                file.flush()
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise ManagerError(f"cannot write to {self.path}: {error.strerror or error}") from None
+        finally:
+            with suppress(OSError):
+                trial.unlink(missing_ok=True)
 
     def save(self, document: dict[str, Any]) -> None:
         """Keep ``document`` as the state. Raises ManagerError where the disk refuses; the old state then stands."""
@@ -114,11 +148,27 @@ class Workspace:
         except FileNotFoundError:
             return None
         except (OSError, ValueError) as error:
-            raise ManagerError(f"cannot read {self.state}: {error}; `midstride down` ends what still runs") from error
-        if not isinstance(document, dict):
-            raise ManagerError(f"cannot read {self.state}: not a state; `midstride down` ends what still runs")
-        return document
+            raise self._unreadable(str(error)) from error
+        if not _is_state(document):
+            raise self._unreadable("no manager of this version has written it")
+        return dict(document)
+
+    def _unreadable(self, why: str) -> ManagerError:
+        return ManagerError(
+            f"cannot read {self.state}: {why}. So it is not known what still runs of {self.name}: end that yourself, "
+            "then remove the file"
+        )
 
     def forget(self) -> None:
         """The system is down: its state goes; its logs stay until the next start, its socket until its manager ends."""
         self.state.unlink(missing_ok=True)
+
+
+def _is_state(document: object) -> bool:
+    """Whether it has the form that ``down`` and the next manager rely on; runtime/adoption.py says what is in it."""
+    if not isinstance(document, dict) or document.get("version") != VERSION:
+        return False
+    entries = document.get("instances")
+    return isinstance(entries, list) and all(
+        isinstance(entry, dict) and isinstance(entry.get("handle", 0), (dict, type(None))) for entry in entries
+    )

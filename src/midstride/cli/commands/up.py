@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -14,6 +18,9 @@ from midstride.backends import NAMES
 from midstride.cli.app import json_option
 from midstride.cli.client import Client, Document
 from midstride.errors import ManagerBusy, ManagerError
+
+if TYPE_CHECKING:
+    from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
 FIRST_ANSWER = 30.0
@@ -32,7 +39,7 @@ POLL = 0.02
     help="What it runs on.",
 )
 @click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
-@click.option("--http", type=click.IntRange(0, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
+@click.option("--http", type=click.IntRange(1, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
 @click.option("--http-host", metavar="ADDRESS", help="With --http: on this address of the machine instead of loopback.")
 @json_option
 def up_command(file: Path, backend: str, detach: bool, http: int | None, http_host: str | None) -> int:
@@ -56,12 +63,20 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
             f"{workspace.name} is running already, under the manager with process {running['pid']}: "
             "`midstride status` shows it, `midstride apply` changes it, `midstride down` ends it"
         )
+    workspace.require_room()
     arguments = [str(file.resolve()), "--backend", backend]
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
-    manager = _start(arguments, workspace.logs / "manager.log")
-    _first_answer(client, manager, workspace.logs / "manager.log")
-    answer = _until_up(client, workspace.name)
+    log = workspace.logs / "manager.log"
+    try:
+        with _ctrl_c_waits():  # a manager that nobody knows of could not be ended
+            manager = _start(arguments, log)
+        _first_answer(client, manager, log)
+        answer = _until_up(client)
+    except KeyboardInterrupt:
+        click.echo(f"\nEnding what has been started of {workspace.name} …", err=True)
+        _take_back(client, workspace, manager, log)
+        raise
     if client.get("/specification") != specification_to_document(wanted):
         click.echo(
             f"{workspace.name} was running, and is not as {file} says: it has been taken up as it is. "
@@ -79,6 +94,19 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     from midstride.cli.view import watch
 
     return watch(client, workspace.name)
+
+
+@contextmanager
+def _ctrl_c_waits() -> Iterator[None]:
+    """Raises KeyboardInterrupt at the end of the block where Ctrl-C was pressed meanwhile."""
+    pressed: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if pressed:
+        raise KeyboardInterrupt
 
 
 def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
@@ -111,20 +139,27 @@ def _first_answer(client: Client, manager: subprocess.Popen[bytes], log: Path) -
     raise ManagerError(f"the manager did not answer within {FIRST_ANSWER:g} s; see {log}")
 
 
-def _until_up(client: Client, name: str) -> Document:
+def _until_up(client: Client) -> Document:
     """Show what happens until the system is up; what the manager says then. Raises what bringing up failed with."""
     from midstride.cli.follow import Following
     from midstride.cli.output import console, wants_json
     from midstride.cli.progress import Progress
 
     following = Following(client, lambda: dict(client.get("/up", timeout=None)), since=0, until="up")
+    with Progress(console(stderr=wants_json())) as progress:
+        for event in following:
+            if not wants_json():
+                progress.show(event)
+    return following.answer()
+
+
+def _take_back(client: Client, workspace: Workspace, manager: subprocess.Popen[bytes], log: Path) -> None:
+    """End the system and its manager. One that does not answer yet would bring the system up all the same."""
+    from midstride.cli.ending import until_free
+
     try:
-        with Progress(console(stderr=wants_json())) as progress:
-            for event in following:
-                if not wants_json():
-                    progress.show(event)
-        return following.answer()
-    except KeyboardInterrupt:
-        click.echo(f"\nEnding what has been started of {name} …", err=True)
-        client.post("/down")
-        raise
+        _first_answer(client, manager, log)
+    except ManagerError:  # it has ended by itself
+        return
+    client.post("/down")
+    until_free(workspace)

@@ -1,0 +1,60 @@
+"""What people are shown, from the documents that programs get."""
+
+from __future__ import annotations
+
+import io
+from typing import Any
+
+from rich.console import Console, RenderableType
+
+from midstride.cli import render
+
+
+def shown(rendered: RenderableType) -> list[str]:
+    console = Console(file=io.StringIO(), width=200)
+    console.print(rendered)
+    assert isinstance(console.file, io.StringIO)
+    return [line.rstrip() for line in console.file.getvalue().splitlines()]
+
+
+def plan(**changed: Any) -> dict[str, Any]:
+    figures = {"disruption": 0.0, "proved_minimal": True, "seconds": 1.38, "makespan": 1.38, "strategy": "minimal"}
+    return {"steps": [], "falls": [], "afterwards": [], **figures, **changed}
+
+
+def done(outcome: str = "done", **changed: Any) -> dict[str, Any]:
+    document = {"outcome": outcome, "plan": plan(), "seconds": 0.27, "fallen": {}, "swaps": [], "because": None}
+    return {**document, **changed}
+
+
+def test_a_plan_takes_as_long_as_its_steps_one_after_another() -> None:
+    assert "takes about 1.38 s; strategy minimal." in render.cost(plan())
+    assert "takes about 1.38 s (critical path 1.12 s); strategy paper." in render.cost(
+        plan(makespan=1.12, strategy="paper")
+    )
+
+
+def test_what_stays_lower_is_not_called_nothing() -> None:
+    """`midstride remove` of what the brake relies on: it was meant to fall, and it has fallen."""
+    lower = [{"functionality": "brake.watch", "from": "normal", "to": "cautious", "levels": 1}]
+    assert shown(render.outcome(done())) == ["Done in 270 ms.", "Nothing fell below its level."]
+    assert shown(render.outcome(done(plan=plan(afterwards=lower)))) == [
+        "Done in 270 ms.",
+        "Stays lower: brake.watch, from normal to cautious.",
+    ]
+    rolled_back = done("rolled_back", plan=plan(afterwards=lower), because="create filter_2 (Median): it ended")
+    assert shown(render.outcome(rolled_back)) == [
+        "Rolled back in 270 ms, every step is undone: create filter_2 (Median): it ended",
+        "Nothing fell below its level.",
+    ]
+
+
+def test_of_one_that_does_not_answer_no_mode_is_claimed() -> None:
+    row = {"name": "talker.talk", "mode": "normal", "normal": True, "because": None, "busy": None}
+    component = {"name": "talker", "component": "Talker", "pid": 7, "reachable": True, "functionalities": [row]}
+    state = {"system": "talker", "backend": "sim", "valid": True, "components": [component], "topics": []}
+    live = shown(render.status({**state, "violations": []}))
+    assert live[2].split() == ["talker", "Talker", "7", "talk", "normal"]
+    silent = {**component, "pid": None, "reachable": False}
+    told = shown(render.status({**state, "valid": False, "violations": [], "components": [silent]}))
+    assert told[2].split(maxsplit=6) == ["talker", "Talker", "no", "answer", "talk", "unknown", "it was in mode normal"]
