@@ -59,7 +59,7 @@ def _open_what_is_closed() -> None:
     """A standard stream that the caller has closed is None: whoever closes it wants nothing of it."""
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115: it lives as long as we do
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _write_nothing_more() -> None:
