@@ -176,6 +176,22 @@ def test_the_tail_of_a_log_is_whole_lines(tmp_path: Path) -> None:
     assert tail(tmp_path / "none") == tail(None) == ""
 
 
+def test_the_last_words_are_its_own(tmp_path: Path) -> None:
+    """A log is written on: what an earlier process of that name has said explains nothing of this one's end."""
+
+    async def run(code: str) -> str:
+        process = spawn([sys.executable, "-S", "-c", code], tmp_path, {}, tmp_path / "log.txt")
+        await asyncio.wait_for(process.wait(), 10)
+        process.close()
+        return process.last_words()
+
+    assert asyncio.run(run("print('no such device')")) == "no such device\n"
+    assert asyncio.run(run("pass")) == ""
+    assert asyncio.run(run("print('no such file')")) == "no such file\n"
+    assert tail(tmp_path / "log.txt") == "no such device\nno such file\n"
+    assert tail(tmp_path / "log.txt", 3, since=15) == ""
+
+
 def test_a_process_of_an_earlier_manager_is_found_and_watched(tmp_path: Path, token: str) -> None:
     starting = (
         "import asyncio, os, sys; from pathlib import Path; from midstride.runtime.process import spawn\n"

@@ -29,11 +29,15 @@ _TAIL: Final = 4000
 class Process:
     """A running process and its group. To be used on the event loop it was made on; :meth:`close` lets go of it."""
 
-    def __init__(self, pid: int, started: float, child: bool, log: Path | None = None) -> None:
-        """Watches from now on. Raises ProcessLookupError where ``pid`` is no longer that process."""
+    def __init__(self, pid: int, started: float, child: bool, log: Path | None = None, log_begins: int = 0) -> None:
+        """Watches from now on; what ``log`` holds before ``log_begins`` is another one's.
+
+        Raises ProcessLookupError where ``pid`` is no longer that process.
+        """
         self.pid = pid
         self.started = started
         self.log = log
+        self._log_begins = log_begins
         self._child = child
         self._status: int | None = None
         self._exited = asyncio.Event()
@@ -56,6 +60,10 @@ class Process:
     def status(self) -> int | None:
         """The exit status, negative for a signal; None while it runs, and where nobody can tell."""
         return self._status
+
+    def last_words(self) -> str:
+        """The end of what it has written to its log."""
+        return tail(self.log, since=self._log_begins)
 
     def on_exit(self, callback: Callable[[int | None], None] | None) -> None:
         """Call ``callback(status)`` when it has ended, instead of what was asked for before."""
@@ -131,6 +139,7 @@ def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, s
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "ab") as output:
+            begins = output.tell()
             child = subprocess.Popen(
                 list(arguments),
                 stdin=subprocess.DEVNULL,
@@ -148,7 +157,7 @@ def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, s
     child.returncode = 0  # it is waited for by its file descriptor: Popen need not, and must not, reap it
     seen = look(child.pid)
     assert seen is not None, "a child stays in /proc until it is waited for"
-    return Process(child.pid, seen.started, child=True, log=log)
+    return Process(child.pid, seen.started, child=True, log=log, log_begins=begins)
 
 
 def find(pid: int, started: float, variable: str, value: str, log: Path | None = None) -> Process | None:
@@ -165,15 +174,15 @@ def find(pid: int, started: float, variable: str, value: str, log: Path | None =
         return None
 
 
-def tail(log: Path | None, length: int = _TAIL) -> str:
-    """The end of a log, in whole lines."""
+def tail(log: Path | None, length: int = _TAIL, since: int = 0) -> str:
+    """The end of a log from the byte ``since`` on, in whole lines."""
     if log is None:
         return ""
     try:
         with open(log, "rb") as file:
             size = file.seek(0, os.SEEK_END)
-            file.seek(max(0, size - length))
+            file.seek(max(since, size - length))
             text = file.read().decode(errors="replace")
     except OSError:
         return ""
-    return text if size <= length else text.partition("\n")[2]
+    return text if size - since <= length else text.partition("\n")[2]

@@ -24,7 +24,7 @@ from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.guardian import Guardian
-from midstride.runtime.process import Process, find, spawn, tail
+from midstride.runtime.process import Process, find, spawn
 from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
 
 # How long taking back what a dead node has registered may delay the news of its death (s).
@@ -126,11 +126,10 @@ class Ros1Backend:
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
         """Clean first, then tell: whoever hears of it may start another on the very same port."""
-        log = process.log
 
         async def tidy_and_tell() -> None:
             await self._tidy(instance)
-            self._on_event(Exited(instance, status, tail(log)))
+            self._on_event(Exited(instance, status, process.last_words()))
 
         task = asyncio.get_running_loop().create_task(tidy_and_tell())
         self._tidying.add(task)

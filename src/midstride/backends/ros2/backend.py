@@ -33,7 +33,7 @@ from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.guardian import Guardian
-from midstride.runtime.process import Process, find, spawn, tail
+from midstride.runtime.process import Process, find, spawn
 from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
 
 # A manager that has just joined knows nobody yet: that long it listens before it says that a name is free (s).
@@ -161,7 +161,7 @@ class Ros2Backend:
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
         self._forget(instance)
-        self._on_event(Exited(instance, status, tail(process.log)))
+        self._on_event(Exited(instance, status, process.last_words()))
 
     def _forget(self, instance: str) -> None:
         self._ended[names.full(instance)] = time.monotonic()
