@@ -72,7 +72,7 @@ def lifecycle(name: str) -> None:
 
 
 def recorder(path: str) -> None:
-    """A subscriber that knows nothing of anybody; writes its rows to ``path`` on SIGTERM."""
+    """A subscriber that knows nothing of anybody; writes its rows to ``path`` on SIGTERM, none at its first."""
     import rclpy
     from rclpy.executors import SingleThreadedExecutor
 
@@ -82,6 +82,8 @@ def recorder(path: str) -> None:
     going = [True]
 
     def take(message: Any, info: dict[str, Any]) -> None:
+        if not rows:
+            Path(path).write_text("[]")  # so that one can wait for it to hear
         gid = info.get("publisher_gid")
         identity = None if gid is None else str(gid["data"] if isinstance(gid, dict) else gid)
         number = info.get("publication_sequence_number")

@@ -9,6 +9,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 import uuid
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
@@ -73,6 +74,12 @@ class Recorder:
         self._process = subprocess.Popen(
             [sys.executable, str(NODES), "recorder", str(self._path)], env=tuned_environment(dict(os.environ))
         )
+
+    def wait_until_it_hears(self, seconds: float = 30.0) -> None:
+        deadline = time.monotonic() + seconds
+        while not self._path.exists():
+            assert time.monotonic() < deadline, "the recorder hears nothing"
+            time.sleep(0.02)
 
     def stop(self) -> list[Row]:
         self._process.send_signal(signal.SIGTERM)

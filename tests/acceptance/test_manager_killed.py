@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -49,7 +48,7 @@ def killed_at_each(folder: Path, only: tuple[str, ...] | None = None, times: int
         whole = manage(system, "OtherSource").stdout.splitlines()
         points = points_of([line.split()[1] for line in whole if line.startswith("call ")], only) * times
         recorder = Recorder(folder)
-        time.sleep(1.5)  # the recorder's own discovery
+        recorder.wait_until_it_hears()
         for number, point in enumerate(points):
             run = manage(system, ("Source", "OtherSource")[number % 2], point)
             killed += run.returncode == -signal.SIGKILL

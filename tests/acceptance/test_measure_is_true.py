@@ -48,7 +48,9 @@ def test_a_bare_recorder_agrees_with_the_report(strategy: str, within: float, tm
     async def main() -> list[Row]:
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
             recorder = Recorder(tmp_path)
-            await asyncio.sleep(1.5)  # the recorder is to be there before the first window, not only from its midst on
+            # The recorder is to be there before the first window, not only from its midst on.
+            await asyncio.to_thread(recorder.wait_until_it_hears)
+            await asyncio.sleep(20 * PERIOD)
             for _ in range(SWAPS):
                 begun = time.monotonic_ns()
                 outcome = await manager.change(other(manager, strategy))
