@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -156,6 +157,49 @@ def test_rename_in_namespaces_keeps_names_relative() -> None:
     service.open(path, text)
     edits = service.rename(path, *at(text, "topic |t :"), "u")
     assert [(span.text, new) for span, new in edits] == [("t", "u"), ("t", "u"), ("/a/t", "/a/u")]
+
+
+def test_rename_in_a_file_included_twice_changes_both_of_what_it_declares() -> None:
+    """One declaration, two topics and two nodes: whoever names either of them, and how, must follow."""
+    texts = {
+        Path("/ws/s.stride"): (
+            'system s\ncontract C = std_msgs/msg/String\ninclude "c.stride"\nnode z : In { in <- r1/t }\n'
+            'namespace r1 { include "part.stride"   node in : In { in <- t } }\n'
+            'namespace r2 { include "part.stride"   node in : In { in <- /r2/t } }\n'
+            "order r1/n before /r2/n\n"
+        ),
+        Path("/ws/c.stride"): (
+            "component In { input in : C functionality f { uses in mode m { assume in } mode d { } } }\n"
+            "component Out { output out functionality f { produces out mode m { guarantee out : C } mode d { } } }\n"
+        ),
+        Path("/ws/part.stride"): "topic t : C\nnode n : Out { out -> t }\n",
+    }
+    service = Service(read=lambda path: texts[path])
+    for path, text in texts.items():
+        service.open(path, text)
+    part, root = Path("/ws/part.stride"), Path("/ws/s.stride")
+    assert service.diagnostics(root) == {path: [] for path in texts}
+    edits = service.rename(part, *at(texts[part], "topic |t :"), "u")
+    assert sorted((span.text, new) for span, new in edits) == [
+        ("/r2/t", "/r2/u"), ("r1/t", "r1/u"), ("t", "u"), ("t", "u"), ("t", "u"),
+    ]  # fmt: skip
+    edits = service.rename(root, *at(texts[root], "before /r2/|n"), "m")
+    assert sorted((span.text, new) for span, new in edits) == [("/r2/n", "/r2/m"), ("n", "m"), ("r1/n", "r1/m")]
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "told"),
+    [
+        ("node det|ector   :", "lidar", "there is a node `lidar` already"),
+        ("topic /obst|acles :", "/odom", "there is a topic `/odom` already"),
+        ("mode lid|ar_only {", "normal", "there is one mode `normal` here already"),
+        ("  input  sc|an : Scan", "Camera", "`Camera` is an input of ObstacleDetector and a contract"),
+        ("contract Sc|an   =", "contract", "`contract` is a word of the language"),
+    ],
+)
+def test_a_name_that_is_taken_is_refused(service: Service, where: str, name: str, told: str) -> None:
+    with pytest.raises(ValueError, match=f"^it would be an error: {re.escape(told)}"):
+        service.rename(ROOT, *at(PATROL, where), name)
 
 
 @pytest.mark.parametrize(

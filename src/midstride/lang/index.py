@@ -62,6 +62,14 @@ class Index:
     def declaration(self, symbol: Symbol) -> Occurrence | None:
         return next((found for found in self.occurrences if found.symbol == symbol and found.declares), None)
 
+    def together(self, symbol: Symbol) -> Iterator[tuple[Symbol, Occurrence]]:
+        """The symbol, and those declared at the same place (by a file that is included in several namespaces); each
+        with its declaration."""
+        here = self.declaration(symbol)
+        for found in () if here is None else self.occurrences:
+            if found.declares and found.symbol.kind == symbol.kind and found.span == here.span:
+                yield found.symbol, found
+
     def all_of(self, symbol: Symbol) -> list[Occurrence]:
         """The places where a symbol is named, each once."""
         found = {(o.span.source.name, o.span.start): o for o in self.occurrences if o.symbol == symbol}

@@ -153,18 +153,37 @@ class Service:
 
     def rename(self, path: Path, line: int, column: int, name: str) -> list[tuple[Span, str]]:
         """The edits that give what is named at a place another name. Raises ValueError for what can be no name of
-        it."""
+        it, and where the system would be in error with it."""
         analysis, found = self._at(path, line, column)
         if found is None or analysis.index is None or analysis.index.declaration(found.symbol) is None:
             raise ValueError("nothing that has a name of its own is named here")
-        is_topic = found.symbol.kind == "topic"
-        if not is_topic_name(name) or (("/" in name or name.startswith("~")) and not is_topic):
+        if not is_topic_name(name) or (("/" in name or name.startswith("~")) and found.symbol.kind != "topic"):
             raise ValueError(f"`{name}` cannot name a {found.symbol.kind}")
-        occurrences = analysis.index.all_of(found.symbol)
-        if not is_topic:
-            return [(occurrence.span, name) for occurrence in occurrences]
-        full = "/" + join(found.namespace, name)
-        return [(occurrence.span, _topic_from(occurrence, full)) for occurrence in occurrences]
+        edits: dict[tuple[str, int], tuple[Span, str]] = {}
+        for symbol, occurrence in analysis.index.together(found.symbol):
+            namespace = found.namespace if symbol == found.symbol else occurrence.namespace
+            for place in analysis.index.all_of(symbol):
+                text = _renamed(place, name, "/" + join(namespace, name))
+                edits[place.span.source.name, place.span.start] = place.span, text
+        self._must_not_break(analysis, list(edits.values()))
+        return list(edits.values())
+
+    def _must_not_break(self, analysis: Analysis, edits: list[tuple[Span, str]]) -> None:
+        """Raises ValueError where there would be an error that there was not: a name that is taken, for one."""
+        texts: dict[str, str] = {}
+        for span, text in sorted(edits, key=lambda edit: -edit[0].start):
+            key = os.path.normpath(span.source.path or span.source.name)
+            whole = texts.get(key, span.source.text)
+            texts[key] = whole[: span.start] + text + whole[span.end :]
+
+        def read(path: Path) -> str:
+            edited = texts.get(os.path.normpath(path))
+            return self._read(path) if edited is None else edited
+
+        known = {diagnostic.message for diagnostic in analysis.loaded.diagnostics}
+        for diagnostic in load(analysis.root, read=read, messages=self._messages()).diagnostics:
+            if diagnostic.severity == "error" and diagnostic.message not in known:
+                raise ValueError(f"it would be an error: {diagnostic.message}")
 
     def complete(self, path: Path, line: int, column: int) -> list[Completion]:
         """What may be written at a place."""
@@ -180,6 +199,14 @@ class Service:
             return format_text(self._read(path), str(path)).text
         except (Unreadable, OSError):
             return None
+
+
+def _renamed(occurrence: Occurrence, name: str, full: str) -> str:
+    """What is to be written at a place for a symbol that is called ``name`` now; ``full`` is a topic's whole name."""
+    text = occurrence.span.text
+    if occurrence.symbol.kind == "node":
+        return f"{text[: text.rfind('/') + 1]}{name}"
+    return _topic_from(occurrence, full) if occurrence.symbol.kind == "topic" else name
 
 
 def _topic_from(occurrence: Occurrence, full: str) -> str:
