@@ -66,7 +66,9 @@ class Index:
         """The symbol, and those declared at the same place (by a file that is included in several namespaces); each
         with its declaration."""
         here = self.declaration(symbol)
-        for found in () if here is None else self.occurrences:
+        if here is None:
+            return
+        for found in self.occurrences:
             if found.declares and found.symbol.kind == symbol.kind and found.span == here.span:
                 yield found.symbol, found
 
