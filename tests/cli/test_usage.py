@@ -305,6 +305,8 @@ def test_to_another_specification(tmp_path: Path, capsys: pytest.CaptureFixture[
         (["--replace", "talker=NewTalkr"], "there is no component NewTalkr; did you mean NewTalker?"),
         (["--remove", "nobody"], "there is no node nobody; there are listener, talker"),
         (["--add", "second Listener in=/chater"], "there is no topic /chater; did you mean /chatter?"),
+        (["--add", "second Listener inn=/chatter"], "there is no port inn of Listener; did you mean in?"),
+        (["--add", "'b ad' Listener in=/chatter"], "`b ad` cannot name a node"),
         (["--replace", "talker=Listener"], "Listener cannot play talker: it has no port out"),
     ],
 )

@@ -118,6 +118,31 @@ def test_unknown_names_are_suggested() -> None:
     assert planner() is STRATEGIES["minimal"]
 
 
+LAME = component("Lame", Functionality("f", (Mode("only"),)))
+
+
+@pytest.mark.parametrize(
+    ("request_", "words"),
+    [
+        (Request(add=(Node("b ad", "Talker"),)), "`b ad` cannot name a node"),
+        (Request(add=(Node("n" * 256, "Talker"),)), "cannot name a node"),
+        (
+            Request(add=(Node("more", "Talker", Map({"out": ("/chatter", "/chatter")})),)),
+            "more.out is attached to /chatter twice",
+        ),
+        (Request(remove=("talker", "talker")), "node talker is named twice"),
+        (Request(remove=("talker",), replace=(("talker", "NewTalker"),)), "node talker is named twice"),
+        (Request(remove=("talker",), components=(LAME,)), "component Lame: /functionalities/f/modes: f has one mode"),
+        (Request(to=replace(talker(), components=Map(Lame=LAME))), "/components/Lame/functionalities/f/modes: "),
+    ],
+)
+def test_what_is_asked_for_must_be_well_formed(request_: Request, words: str) -> None:
+    """The command line and the API say by single changes what a file may not say either."""
+    with pytest.raises(PlanRefused) as caught:
+        request_.target(talker())
+    assert words in str(caught.value)
+
+
 @pytest.mark.parametrize(
     ("node", "words"),
     [

@@ -199,6 +199,11 @@ def specification_names(specification: Specification) -> list[Problem]:
     return suggested(found)
 
 
+def node_names(specification: Specification, node: Node, path: Path) -> list[Problem]:
+    """The faults in the names of one node under ``path``."""
+    return suggested(list(_node_names(specification, node, path)))
+
+
 def _node_names(specification: Specification, node: Node, path: Path) -> Iterator[Problem]:
     if not _ROLE.fullmatch(node.role) or len(node.role) > _LONGEST:
         yield Problem("E006", path, f"`{node.role}` cannot name a node", "names joined by `/`, as in `robot1/talker`")

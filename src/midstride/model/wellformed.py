@@ -16,7 +16,7 @@ from midstride.model.component import Component, NamedInputs, PortRef, value_fit
 from midstride.model.configuration import Configuration, exact
 from midstride.model.contract import Contract, Predicate, explain, satisfies
 from midstride.model.declared import component_rules, number_problems, predicate_problems
-from midstride.model.names import Path, component_names, specification_names
+from midstride.model.names import Path, component_names, node_names, specification_names
 from midstride.model.problems import Problem
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, structure
 from midstride.model.why import Reasons
@@ -25,6 +25,12 @@ from midstride.model.why import Reasons
 def check_component(component: Component) -> tuple[Problem, ...]:
     """The problems of one component by itself: names, numbers, ownership, M1, M2, M3."""
     return _sorted([*component_names(component, ()), *component_rules(component, ())])
+
+
+def check_node(specification: Specification, role: str) -> tuple[Problem, ...]:
+    """The problems of one node by itself, its component's own aside: names, contracts, parameters."""
+    node, path = specification.nodes[role], ("nodes", role)
+    return _sorted([*node_names(specification, node, path), *_node_problems(specification, node, path)])
 
 
 def check(specification: Specification) -> tuple[Problem, ...]:

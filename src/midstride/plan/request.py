@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Final
 
 from immutables import Map
 
@@ -17,7 +17,12 @@ from midstride.model.document import (
     specification_from_document,
     specification_to_document,
 )
+from midstride.model.problems import Problem
 from midstride.model.specification import Node, Specification
+from midstride.model.wellformed import check, check_component, check_node, errors
+
+# How many names are listed where none is near the one that is not there.
+SHOWN: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,11 +41,17 @@ class Request:
         if self.to is not None:
             if self.replace or self.add or self.remove:
                 raise PlanRefused("ask either for a whole specification or for single changes, not for both")
+            _well_formed(check(self.to))
             return self.to
         if not (self.replace or self.add or self.remove):
             raise PlanRefused("nothing is asked for: name nodes to replace, add or remove, or a specification")
+        named = [*self.remove, *(role for role, _ in self.replace)]
+        for index, role in enumerate(named):
+            if role in named[:index]:
+                raise PlanRefused(f"node {role} is named twice: say once what is to become of it")
         target = specification
         for component in self.components:
+            _well_formed(check_component(component), f"component {component.name}: ")
             known = target.components.get(component.name)
             if known is not None and known != component:
                 raise PlanRefused(
@@ -58,6 +69,9 @@ class Request:
             if node.role in target.nodes:
                 raise PlanRefused(f"there is a node {node.role} already; replace it, or choose another name")
             target = _added(target, node)
+        for role in (*(role for role, _ in self.replace), *(node.role for node in self.add)):
+            # Whether the contracts fit is said by the change itself, of the instances concerned.
+            _well_formed(problem for problem in check_node(target, role) if problem.code != "E020")
         return target
 
     def to_document(self) -> dict[str, Any]:
@@ -106,13 +120,19 @@ def _node(entry: Mapping[str, Any]) -> Node:
     return Node(str(entry["role"]), str(entry["component"]), Map(attachments), Map(entry.get("parameters") or {}))
 
 
-def _known(name: str, names: Iterable[str], kind: str) -> None:
+def _well_formed(problems: Iterable[Problem], of: str = "") -> None:
+    if found := errors(problems):
+        raise PlanRefused("; ".join(f"{of}{problem}" for problem in found))
+
+
+def _known(name: str, names: Iterable[str], kind: str, of: str = "") -> None:
     if name in names:
         return
     every = sorted(names)
     near = difflib.get_close_matches(name, every, n=1)
-    hint = f"; did you mean {near[0]}?" if near else f"; there are {', '.join(every[:10]) or 'none'}"
-    raise PlanRefused(f"there is no {kind} {name}{hint}")
+    more = f" and {len(every) - SHOWN} more" if len(every) > SHOWN else ""
+    hint = f"; did you mean {near[0]}?" if near else f"; there are {', '.join(every[:SHOWN]) or 'none'}{more}"
+    raise PlanRefused(f"there is no {kind} {name}{of}{hint}")
 
 
 def _replaced(target: Specification, role: str, name: str) -> Specification:
@@ -130,9 +150,9 @@ def _added(target: Specification, node: Node) -> Specification:
     _known(node.component, target.components, "component")
     component = target.components[node.component]
     for port, names in node.attachments.items():
-        _known(port, component.ports(), f"port of {node.component}")
+        _known(port, component.ports(), "port", f" of {node.component}")
         for name in names:
             _known(name, target.connectors, "topic")
     for name in node.parameters:
-        _known(name, component.parameters, f"parameter of {node.component}")
+        _known(name, component.parameters, "parameter", f" of {node.component}")
     return target.with_node(node)
