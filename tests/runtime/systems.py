@@ -14,6 +14,7 @@ from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
 from midstride.runtime.verifying import Verifier
 from midstride.runtime.workspace import Workspace
+from midstride.wire.messages import Command
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -49,6 +50,15 @@ def managed(
             await manager.close()
 
     return simulator.run(main())
+
+
+async def kept(workspace: Workspace, simulator: Simulator, port: str) -> int:
+    """How many receipts the input ``port`` keeps: 64 at most, unless it records."""
+    component, _, name = port.partition(".")
+    state = workspace.load()
+    assert state is not None
+    reply = await simulator.call(component, Command("records", {"input": name}, "asked", state["token"]), 3.0)
+    return len(reply.result["rows"])
 
 
 async def snapshot(manager: Manager, simulator: Simulator) -> dict[str, Any]:

@@ -10,12 +10,14 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
-from midstride.errors import ManagerError, StepFailed
+from midstride.errors import BackendError, ManagerError, StepFailed
 from midstride.model.rules import violations
 from midstride.model.specification import Node
 from midstride.plan.request import Request
+from midstride.runtime.backend import Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
+from midstride.wire.messages import Command, Reply
 from tests.runtime.systems import EXAMPLES, example, managed, replace
 
 CHANGES = [("talker", "talker", "NewTalker"), ("obstacle", "detector", "StereoDetector")]
@@ -131,6 +133,87 @@ def test_a_crash_lowers_whom_it_must_and_the_next_plan_restores(tmp_path: Path) 
     managed("obstacle", tmp_path, body)
 
 
+def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Path) -> None:
+    """The source is gone; the sink, which the filter feeds, does not answer. The filter is lowered all the same."""
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        simulator.faults.freeze("sink", 60)
+        simulator.faults.kill("source")
+        await asyncio.sleep(30)
+        view = (await manager.peek("filter"))["functionalities"]["smooth"]
+        assert (view["mode"], view["because"]) == ("degraded", "source has ended by itself")
+        assert not (await manager.status())["valid"], "the sink's mode is not known"
+        await asyncio.sleep(60)
+        assert (await manager.change(Request(remove=("filter",))))["outcome"] == "done"
+        assert (await manager.peek("sink"))["functionalities"]["use"]["mode"] == "degraded"
+
+    managed("filter", tmp_path, body)
+
+
+def test_a_crash_at_the_very_end_of_a_command_is_seen_to(tmp_path: Path) -> None:
+    """While the manager looks whether anybody has fallen meanwhile, the last thing it does, the detector dies."""
+
+    class Late(Simulator):
+        looks: int | None = None
+
+        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+            if self.looks is not None and (instance, command.op) == ("controller", "observe"):
+                self.looks += 1
+                if self.looks == 2:
+                    self.faults.kill("detector")
+                    await self.time.sleep(0.1)
+            return await super().call(instance, command, timeout)
+
+    simulator = Late()
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        simulator.looks = 0
+        assert (await manager.change(Request()))["outcome"] == "refused"
+        await asyncio.sleep(2)
+        assert sorted(manager.configuration.instances) == ["controller"]
+        assert (await manager.peek("controller"))["functionalities"]["control"]["mode"] == "degraded"
+
+    managed("obstacle", tmp_path, body, simulator)
+
+
+def test_at_no_call_does_a_process_run_that_the_next_manager_would_not_know(tmp_path: Path) -> None:
+    class Watching(Simulator):
+        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+            state = Workspace(tmp_path).load()
+            assert state is not None
+            assert set(self.processes) <= {entry["name"] for entry in state["instances"] if entry["handle"]}
+            return await super().call(instance, command, timeout)
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        assert (await manager.change(replace("talker", "NewTalker")))["outcome"] == "done"
+
+    managed("talker", tmp_path, body, Watching())
+
+
+def test_a_component_started_by_hand_is_taken_in_found_again_and_left_running(tmp_path: Path) -> None:
+    specification = example("talker")
+    by_hand = changed(specification.components["Talker"], run=None)
+    specification = changed(specification, components=specification.components.set("Talker", by_hand))
+    simulator = Simulator()
+
+    async def main() -> None:
+        launch = Launch("talker", "", ("python3", "talker.py"), "", EXAMPLES / "talker")
+        await simulator.start(launch)
+        first = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        assert (await first.up())["components"] == ["listener", "talker"]
+        assert (await first.status())["valid"]
+        await first.close()
+        second = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        assert (await second.up())["components"] == ["listener", "talker"]
+        await second.down()
+        words = [event["words"] for event in second.log()]
+        assert "talker was started elsewhere and is left running" in words and "talker has ended" not in words
+        assert list(simulator.processes) == ["talker"]
+        await second.close()
+
+    simulator.run(main())
+
+
 def test_the_next_manager_finds_everything_again(tmp_path: Path) -> None:
     simulator = Simulator()
 
@@ -215,6 +298,47 @@ def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -
             await manager.up()
         assert not simulator.processes
         assert Workspace(tmp_path).load() is None
+        await manager.close()
+
+    simulator.run(main())
+
+
+def test_a_system_that_does_not_come_up_and_cannot_be_taken_back_is_not_forgotten(tmp_path: Path) -> None:
+    class Stuck(Simulator):
+        async def end(self, instance: str, grace: float) -> None:
+            if instance in self.processes:
+                raise BackendError(f"the kernel does not let go of {instance}")
+
+    (tmp_path / "broken.py").write_text("raise RuntimeError('no camera')")
+    specification = example("talker")
+    broken = changed(specification.components["Talker"], run=f"python3 {tmp_path}/broken.py")
+    specification = changed(specification, components=specification.components.set("Talker", broken))
+    simulator = Stuck()
+
+    async def main() -> None:
+        manager = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        with pytest.raises(StepFailed, match="does not let go of listener"):
+            await manager.up()
+        state = Workspace(tmp_path).load()
+        assert list(simulator.processes) == ["listener"] and state is not None
+        assert [entry["name"] for entry in state["instances"] if entry["handle"]] == ["listener"]
+        await manager.close()
+
+    simulator.run(main())
+
+
+@pytest.mark.parametrize("after", [0.0, 0.03, 0.06, 0.09])
+def test_a_manager_told_to_end_while_the_system_comes_up_leaves_nothing(after: float, tmp_path: Path) -> None:
+    simulator = Simulator()
+
+    async def main() -> None:
+        manager = Manager(example("talker"), simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        coming = asyncio.ensure_future(manager.up())
+        await asyncio.sleep(after)
+        coming.cancel()
+        await asyncio.wait({coming})
+        assert coming.cancelled(), "it was up before: the test missed what it is about"
+        assert not simulator.processes and Workspace(tmp_path).load() is None
         await manager.close()
 
     simulator.run(main())

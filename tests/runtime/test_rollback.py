@@ -6,18 +6,22 @@ each of them, a run in which just that one fails.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterator
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
+from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Command, Reply
-from tests.runtime.systems import managed, replace, snapshot
+from tests.runtime.systems import example, kept, managed, replace, snapshot
 
 # Reads that only watch: a change may go on without them.
 WATCHING = {"observe", "grid", "record", "records", "export_state"}
@@ -156,3 +160,143 @@ class Dying(Failing):
                 self.faults.kill(instance)
             self.calls.append((instance, command.op))
         return await Simulator.call(self, instance, command, timeout)
+
+
+class Cancelling(Failing):
+    """Cancels ``change``, as at the manager's end, while call number ``at`` is under way."""
+
+    task: asyncio.Task[dict[str, Any]] | None = None
+
+    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+        if self.armed and len(self.calls) == self.at and self.task is not None:
+            asyncio.get_running_loop().call_later(self.network.latency, self.task.cancel)
+        return await super().call(instance, command, timeout)
+
+
+@pytest.mark.parametrize(("name", "request_"), CASES[:2], ids=lambda value: getattr(value, "strategy", value))
+def test_a_change_that_is_broken_off_at_any_call_is_taken_back_whole(
+    name: str, request_: Request, tmp_path: Path
+) -> None:
+    whole = Failing()
+    change(whole, name, request_, tmp_path / "whole")
+    for at, call in enumerate(whole.calls):
+        simulator = Cancelling(at)
+
+        async def body(
+            manager: Manager, _: Simulator, simulator: Cancelling = simulator, call: tuple[str, str] = call
+        ) -> None:
+            before = await snapshot(manager, simulator)
+            simulator.armed = True
+            simulator.task = asyncio.ensure_future(manager.change(request_))
+            await asyncio.wait({simulator.task})
+            simulator.armed = False
+            after = await snapshot(manager, simulator)
+            if after["specification"] == before["specification"]:
+                assert after == before, call
+            else:  # all was done, and only the measuring was broken off
+                assert call[1] in ("records", "observe", "record")
+            assert await differing(manager) == [], call
+
+        folder = tmp_path / str(at)
+        folder.mkdir()
+        managed(name, folder, body, simulator)
+
+
+def test_a_recording_ends_with_the_change_however_that_ends(tmp_path: Path) -> None:
+    simulator = Simulator()
+    workspace = Workspace(tmp_path)
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        task = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
+        while not any(event["kind"] == "measuring" for event in manager.log()):
+            await asyncio.sleep(0.01)
+        task.cancel()
+        await asyncio.wait({task})
+        await asyncio.sleep(10)
+        assert await kept(workspace, simulator, "listener.in") == 64
+
+    managed("talker", tmp_path, body, simulator)
+
+
+def test_a_witness_of_the_inputs_ends_where_there_is_nobody_to_measure(tmp_path: Path) -> None:
+    simulator = Simulator()
+    workspace = Workspace(tmp_path)
+
+    async def body(manager: Manager, _: Simulator) -> None:
+        assert (await manager.change(Request(remove=("sink",))))["outcome"] == "done"
+        assert (await manager.change(replace("filter", "MedianFilter")))["outcome"] == "done"
+        await asyncio.sleep(1)
+        assert await kept(workspace, simulator, "filter_2.in") == 64
+
+    managed("filter", tmp_path, body, simulator)
+
+
+def test_a_failure_that_nobody_foresaw_is_taken_back_as_well(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    class Odd(Failing):
+        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+            if self.armed and command.op == "attach":
+                self.armed = False
+                raise KeyError("what is this?")
+            return await super().call(instance, command, timeout)
+
+    simulator = Odd()
+
+    async def body(manager: Manager, _: Simulator) -> dict[str, Any]:
+        before = await snapshot(manager, simulator)
+        simulator.armed = True
+        outcome = await manager.change(replace("talker", "NewTalker"))
+        assert await snapshot(manager, simulator) == before
+        return outcome
+
+    outcome = managed("talker", tmp_path, body, simulator)
+    assert outcome["outcome"] == "rolled_back" and "internal error: KeyError('what is this?')" in outcome["because"]
+    assert "Traceback" in caplog.text
+
+
+STATEFUL = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("talker")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+state = {own!r}
+talk.set_normal_mode(lambda: out.write(String(data=state)), rate=10, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+
+@comp.on_export_state
+def export():
+    return state.encode()
+
+@comp.on_import_state
+def take_up(given):
+    global state
+    state = given.decode() + "+"
+
+comp.start()
+"""
+
+
+def test_a_component_that_comes_back_has_its_own_state_again(tmp_path: Path) -> None:
+    """Under ``paper`` the old one is removed before the new one comes, which has taken up its state and then fails."""
+    specification, components = example("talker"), example("talker").components
+    for component, own in (("Talker", "the old one's"), ("NewTalker", "the new one's")):
+        script = tmp_path / f"{component}.py"
+        script.write_text(STATEFUL.format(own=own))
+        components = components.set(component, changed(components[component], run=f"python3 {script}"))
+    simulator = Simulator()
+
+    async def body(manager: Manager, _: Simulator) -> tuple[dict[str, Any], str]:
+        simulator.faults.fail_next("talker_2", "attach", "refused")
+        outcome = await manager.change(replace("talker", "NewTalker", "paper"))
+        reader = simulator.network.create_reader(
+            simulator.processes["listener"], "/chatter", "std_msgs/msg/String", DEFAULT_QOS, lambda: None
+        )
+        await asyncio.sleep(1)
+        return outcome, reader.queue[-1][0].data
+
+    folder = tmp_path / "workspace"
+    folder.mkdir()
+    outcome, heard = managed("talker", folder, body, simulator, changed(specification, components=components))
+    assert outcome["outcome"] == "rolled_back", outcome["because"]
+    assert heard == "the old one's+"

@@ -137,9 +137,12 @@ class Agent:
     def _wrong_sender(self, command: Command) -> str | None:
         if self._standalone is not None:
             return f"{self._host.instance} was started with {FLAG} and is managed by nobody"
-        if not self._token and command.op == "welcome" and command.token:
-            self._token = command.token  # started by hand: it belongs to whoever welcomes it first
-            self._operations.belongs_to(command.token)
+        if not self._token and command.token:  # started by hand: it belongs to whoever welcomes it first
+            if command.op == "observe":
+                return None  # who is to welcome it must know its revision
+            if command.op == "welcome":
+                self._token = command.token
+                self._operations.belongs_to(command.token)
         if not self._token or not hmac.compare_digest(command.token.encode(), self._token.encode()):
             return "this is not the token of the system that the component belongs to"
         return None

@@ -7,7 +7,7 @@ behind its gate) is ended here, so that the configuration is one the model knows
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -34,12 +34,11 @@ def state_document(
     specification: Specification,
     backend: str,
     token: str,
-    configuration: Configuration,
-    handles: dict[str, Handle],
-    starting: dict[str, Instance],
+    instances: Iterable[Instance],
+    attachments: Iterable[tuple[PortRef, str]],
+    handles: Mapping[str, Handle],
 ) -> dict[str, Any]:
     """What the next manager needs to find this system again."""
-    instances = {**dict(configuration.instances.items()), **starting}
     return {
         "version": 1,
         "backend": backend,
@@ -53,9 +52,9 @@ def state_document(
                 "parameters": dict(instance.parameters),
                 "handle": asdict(handles[instance.name]) if instance.name in handles else None,
             }
-            for instance in sorted(instances.values(), key=lambda instance: instance.name)
+            for instance in sorted(instances, key=lambda instance: instance.name)
         ],
-        "attachments": [[str(port), connector] for port, connector in sorted(configuration.attachments())],
+        "attachments": [[str(port), connector] for port, connector in sorted(attachments)],
     }
 
 
@@ -73,7 +72,7 @@ async def adopt(
             entry["name"], entry["role"], component_from_document(entry["component"]), Map(entry["parameters"])
         )
         handle = Handle(**entry["handle"]) if entry["handle"] else Handle(instance.name)
-        observed = await launcher.adopt(handle)
+        observed = await launcher.adopt(handle, own=entry["handle"] is not None)
         if observed is None:
             tell("gone", f"{instance.name} no longer runs")
             await launcher.abandon(instance.name)
@@ -83,6 +82,11 @@ async def adopt(
     for name in _half_done(found):
         tell("ended", f"{name} had been left half done by an earlier manager, and is ended")
         await _end(found.pop(name)[0].name, launcher, link)
+    for name, (instance, _) in found.items():
+        # A cut that was under way may have been settled since it was looked at.
+        found[name] = (instance, await link.observe(name))
+        if inputs := list(instance.component.input_order):  # what the earlier manager measured nobody asks for now
+            await link.take_back(name, "record", inputs=inputs, on=False)
     return await _configuration(specification, found, link)
 
 

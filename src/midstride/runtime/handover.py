@@ -89,11 +89,11 @@ async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
             if await _told(link, s, cuts, last_try=lead == LEADS[-1]):
                 break
         last = await _await_cuts(link, s, cuts)
-    except (MidstrideError, asyncio.CancelledError) as error:
+    except (Exception, asyncio.CancelledError) as error:
         await _take_back(link, s, cuts, begun)
-        if isinstance(error, asyncio.CancelledError):
-            raise
-        raise StepFailed(str(error)) from error
+        if isinstance(error, MidstrideError):
+            raise StepFailed(str(error)) from error
+        raise
     warnings = [warning for swap in swaps if (warning := await _retire(link, s, swap))]
     return Handed(last, tuple(warnings))
 
@@ -116,7 +116,7 @@ async def _told(link: Link, s: Configuration, cuts: list[Cut], last_try: bool) -
 async def _cancel(link: Link, cuts: list[Cut]) -> None:
     for cut in cuts:
         for side in (cut.new, cut.old):
-            await _quietly(link, side, "cancel_cut", cut=cut.id)
+            await link.take_back(side, "cancel_cut", cut=cut.id)
 
 
 def _topic(s: Configuration, connector: str) -> str:
@@ -234,7 +234,7 @@ async def _take_back(link: Link, s: Configuration, cuts: list[Cut], begun: list[
     await _cancel(link, cuts)
     for swap in begun:
         topic = _topic(s, swap.connector)
-        await _quietly(link, swap.new.component, "detach", DETACH_TIMEOUT, port=swap.new.port, topic=topic)
+        await link.take_back(swap.new.component, "detach", DETACH_TIMEOUT, port=swap.new.port, topic=topic)
 
 
 async def _retire(link: Link, s: Configuration, swap: Swap) -> str | None:
@@ -245,11 +245,3 @@ async def _retire(link: Link, s: Configuration, swap: Swap) -> str | None:
     except MidstrideError as error:
         return f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
     return None
-
-
-async def _quietly(link: Link, instance: str, op: str, timeout: float = 0.0, **arguments: Any) -> None:
-    try:
-        link.forget(instance)
-        await link.change(instance, op, timeout=timeout, **arguments)
-    except MidstrideError:
-        pass

@@ -48,21 +48,21 @@ class Launcher:
         if waiting is not None and not waiting.done():
             waiting.set_exception(StartFailed(_told_exit(event)))
 
-    async def start(self, instance: Instance) -> Handle | None:
+    async def start(self, instance: Instance) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 
-        None for a component without ``run``: it is started elsewhere. Raises StartFailed.
+        False where that has been done before. A component without ``run`` is started elsewhere. Raises StartFailed.
         """
         name = instance.name
         if name in self._waiting:
-            return self.handles.get(name)
+            return False
         waiting: asyncio.Future[Announcement] = asyncio.get_running_loop().create_future()
         self._waiting[name] = waiting
         command = instance.component.run
         if command is None:
             if (early := self._early.pop(name, None)) is not None:
                 waiting.set_result(early)
-            return None
+            return True
         try:
             arguments = tuple(shlex.split(command))
             if not arguments:
@@ -84,7 +84,7 @@ class Launcher:
             self._drop(name)
             raise
         self.handles[name] = handle
-        return handle
+        return True
 
     async def registered(self, instance: Instance) -> None:
         """Wait until ``instance`` has announced itself, check that it is what was declared, and welcome it.
@@ -98,11 +98,11 @@ class Launcher:
             self._verify(instance, announcement)
             await self._link.observe(name)
             await self._link.change(name, "welcome", manager=str(os.getpid()))
-        except (MidstrideError, asyncio.CancelledError) as error:
+        except (Exception, asyncio.CancelledError) as error:
             await self.abandon(name)
-            if isinstance(error, (StartFailed, asyncio.CancelledError)):
-                raise
-            raise StartFailed(f"{name} registered but could not be taken in: {error}") from error
+            if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
+                raise StartFailed(f"{name} registered but could not be taken in: {error}") from error
+            raise
         finally:
             self._drop(name)
 
@@ -152,16 +152,20 @@ class Launcher:
                 await self.end(name)
 
     async def end(self, name: str) -> None:
-        """End a component that was started here (or by an earlier manager). Raises BackendError."""
-        self.handles.pop(name, None)
+        """End a component that was started here, or by an earlier manager. Raises BackendError: then it is kept."""
         self._link.forget(name)
         await self._backend.end(name, STOP_GRACE)
+        self.handles.pop(name, None)
 
-    async def adopt(self, handle: Handle) -> dict[str, Any] | None:
-        """Find a component of an earlier manager again: its state, or None where it is gone or not ours."""
+    async def adopt(self, handle: Handle, *, own: bool = True) -> dict[str, Any] | None:
+        """Find a component of an earlier manager again: its state, or None where it is gone or not ours.
+
+        ``own``: it was started by that manager, so that it is also this one's to end.
+        """
         if not await self._backend.adopt(handle):
             return None
-        self.handles[handle.instance] = handle
+        if own:
+            self.handles[handle.instance] = handle
         try:
             return await self._link.observe(handle.instance)
         except CommandRefused:

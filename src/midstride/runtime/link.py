@@ -5,12 +5,14 @@ from __future__ import annotations
 import uuid
 from typing import Any, Final
 
-from midstride.errors import CallTimeout, CommandRefused, Unreachable
+from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
 from midstride.runtime.backend import Backend
 from midstride.wire.messages import Command, Reply
 
 # How long a component may take to answer what needs no user code (s), on top of a command's own time-out.
 ANSWER_TIMEOUT: Final = 3.0
+# How often something is taken back where an earlier command ends only meanwhile.
+TAKE_BACK_ATTEMPTS: Final = 2
 
 
 class Link:
@@ -45,6 +47,22 @@ class Link:
     async def peek(self, instance: str) -> dict[str, Any]:
         """The component's own state, for showing: what is expected of its revision stays as it is."""
         return await self._send(instance, "observe", 0.0, None, {})
+
+    async def take_back(self, instance: str, op: str, timeout: float = 0.0, **arguments: Any) -> None:
+        """Have a component put something back, wherever it stands by now; what it will not or cannot do is left.
+
+        A command that was given up may still be under way there. It is carried out first, and the component has moved
+        on: then it is asked again.
+        """
+        for _ in range(TAKE_BACK_ATTEMPTS):
+            self.forget(instance)
+            try:
+                await self.change(instance, op, timeout=timeout, **arguments)
+            except CommandRefused:
+                continue
+            except BackendError:
+                pass
+            return
 
     def forget(self, instance: str) -> None:
         self._revisions.pop(instance, None)

@@ -9,14 +9,16 @@ finds them again (semantics.md section 7).
 from __future__ import annotations
 
 import asyncio
+import logging
 import secrets
-from collections.abc import AsyncIterator, Awaitable, Sequence
+from collections.abc import AsyncIterator, Awaitable
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from midstride.errors import ManagerError, MidstrideError, PlanRefused, StepFailed
+from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.snapshot import configuration_to_document
 from midstride.model.specification import Specification
@@ -29,15 +31,19 @@ from midstride.runtime.backend import Backend, Exited
 from midstride.runtime.events import Event, EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.falling import FallClock
+from midstride.runtime.keeping import Keeper
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.link import Link
 from midstride.runtime.live import Live, live
+from midstride.runtime.performing import Performer
 from midstride.runtime.recording import Recording, to_documents
 from midstride.runtime.settling import settled
 from midstride.runtime.verifying import Verifier, Watch
 from midstride.runtime.workspace import Workspace
 from midstride.verify.verdict import Verdict
 from midstride.wire.messages import Announcement
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,14 +77,16 @@ class Manager:
         self._running: Running | None = None
         self._gone: dict[str, Exited] = {}  # ended by themselves, and still in the model
         self._crashed: dict[str, Exited] = {}  # settled, and not come back
-        self._unwritten: str | None = None
+        self._owing: set[FunctionalityRef] = set()  # to be lowered, and not to be reached
         self._tasks: set[asyncio.Task[None]] = set()
         self._equip(secrets.token_hex(16))
 
     def _equip(self, token: str) -> None:
-        self._token = token
         self._link = Link(self._backend, token)
         self._launcher = Launcher(self._backend, self._link, token, self._directory)
+        self._keeper = Keeper(
+            self._workspace, self._backend.name, token, self._launcher, lambda words: self._note("note", words)
+        )
 
     # -- coming and going ---------------------------------------------------------------------------
 
@@ -95,17 +103,24 @@ class Manager:
         async with self._command(f"up {self.specification.name}"):
             if state is not None:
                 await self._adopt(state)
-            change = Change.between(self.configuration, self.specification, self.specification)
-            plan = planner("minimal")(change)
-            if plan.steps:
-                outcome = await self._execute(plan, self.specification)
-                if outcome["outcome"] != "done":
-                    if state is None:
-                        self._workspace.forget()
-                    raise StepFailed(str(outcome["because"]), outcome["outcome"])
-            self._save()
+            try:
+                await self._complete()
+            except BaseException:
+                if state is None:
+                    self._keeper.forget(unless_running=True)
+                raise
             self.events.add("up", f"{self.specification.name} is up: {len(self.configuration.instances)} components")
             return {"outcome": "done", "components": sorted(self.configuration.instances)}
+
+    async def _complete(self) -> None:
+        """Bring up what the specification has and does not run. Raises StepFailed once that has been taken back."""
+        change = Change.between(self.configuration, self.specification, self.specification)
+        plan = planner("minimal")(change)
+        self._save()  # the token at least, before anything bears it
+        if plan.steps:
+            outcome = await self._execute(plan, self.specification)
+            if outcome["outcome"] != "done":
+                raise StepFailed(str(outcome["because"]), outcome["outcome"])
 
     async def _adopt(self, state: dict[str, Any]) -> None:
         running = adoption.specification_of(state)
@@ -126,6 +141,7 @@ class Manager:
         """Leave; the components go on."""
         for task in self._tasks:
             task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
         await self._backend.close()
 
     async def down(self) -> None:
@@ -136,7 +152,7 @@ class Manager:
             if faults := [fault for fault in ended if fault is not None]:
                 raise ManagerError("; ".join(faults))
             self.configuration = Configuration(world=self.specification.world)
-            self._workspace.forget()
+            self._keeper.forget()
             self.events.add("down", f"{self.specification.name} is down")
 
     async def _end(self, name: str) -> str | None:
@@ -165,7 +181,7 @@ class Manager:
         document["backend"] = self._backend.name
         document["revision"] = self.revision
         document["running"] = running
-        document["unwritten"] = self._unwritten
+        document["unwritten"] = self._keeper.unwritten
         return document
 
     async def live(self) -> dict[str, Any]:
@@ -221,7 +237,7 @@ class Manager:
                 return _refused("the configuration has changed since the plan was shown; look at the new plan")
             try:
                 plan, target = self._plan(request)
-                self._writable()
+                self._keeper.require(self.specification, self.configuration)
             except (PlanRefused, ManagerError) as error:
                 return self._refuse(str(error))
             if not verify:
@@ -248,22 +264,31 @@ class Manager:
         return _refused(because)
 
     async def _execute(self, plan: Plan, target: Specification, watch: Watch | None = None) -> dict[str, Any]:
+        recording = Recording(self._link, self._backend.clock)
+        try:
+            return await self._recorded(plan, target, recording, watch)
+        finally:
+            await recording.stop(self.configuration.instances)
+
+    async def _recorded(
+        self, plan: Plan, target: Specification, recording: Recording, watch: Watch | None
+    ) -> dict[str, Any]:
         clock = self._backend.clock
         actions = [step.action for step in plan.steps]
-        documents = plan.step_documents()
-        self.events.add("plan", f"{len(actions)} steps, disruption {plan.disruption:g}", plan=plan.to_document())
-        recording = Recording(self._link, clock)
+        document = plan.to_document()
+        preview = {name: value for name, value in document.items() if name not in ("start", "target")}
+        self.events.add("plan", f"{len(actions)} steps, disruption {plan.disruption:g}", plan=preview)
         await recording.begin(self.configuration, actions)
         falls = FallClock(plan.change, clock.steady)
         begun = clock.steady()
         before = self.configuration
         self.configuration = plan.change.start
         executor = self._executor(falls)
-        executor.before_handover = recording.witness
+        executor.performer.before_handover = recording.witness
         executor.after_step = None if watch is None else watch.look
         outcome, because = "done", None
         try:
-            await executor.run(actions, documents)
+            await executor.run(actions, plan.step_documents())
             self.specification = target
             self.configuration = plan.change.settled(self.configuration)
         except StepFailed as error:
@@ -275,7 +300,7 @@ class Manager:
         self._save()
         if recording.subjects:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
-        swaps = await recording.finish(executor.last_numbers)
+        swaps = await recording.finish(executor.performer.last_numbers)
         documents_of_swaps = to_documents(swaps)
         if documents_of_swaps:
             self.events.add("measured", f"measured at {len(swaps)} subscribers", swaps=documents_of_swaps)
@@ -283,7 +308,7 @@ class Manager:
         self.events.add("outcome", told, outcome=outcome)
         return {
             "outcome": outcome,
-            "plan": plan.to_document(),
+            "plan": document,
             "seconds": round(seconds, 6),
             "fallen": fallen,
             "swaps": documents_of_swaps,
@@ -298,21 +323,22 @@ class Manager:
                 falls.moved(configuration)
             self._save()
 
-        return Executor(
+        performer = Performer(
             link=self._link,
             launcher=self._launcher,
-            configuration=self.configuration,
-            moved=moved,
             tell=lambda kind, words, details: self._note(kind, words, **details),
             is_gone=lambda name: name in self._gone,
-            starting=self._starting,
         )
+        return Executor(performer, self.configuration, moved, self._started)
 
-    def _starting(self, instances: Sequence[Instance]) -> None:
-        for instance in instances:
-            self._gone.pop(instance.name, None)
-            self._crashed.pop(instance.name, None)
-        self._save(instances)
+    def _started(self, instance: Instance) -> None:
+        self._gone.pop(instance.name, None)
+        self._crashed.pop(instance.name, None)
+        self._keeper.started(instance)
+        self._save()
+
+    def _save(self) -> None:
+        self._keeper.save(self.specification, self.configuration)
 
     def _note(self, kind: str, words: str, **details: Any) -> None:
         self.events.add(kind, words, **details)
@@ -331,6 +357,8 @@ class Manager:
                 await self._settle()  # what has ended by itself meanwhile
             finally:
                 self._running = None
+                if self._gone:  # while that was being seen to, or where the command has failed
+                    self._settle_soon()
 
     # -- what happens by itself ------------------------------------------------------------------------
 
@@ -341,13 +369,20 @@ class Manager:
             status_words = "" if event.status is None else f" (status {event.status})"
             self.events.add("exited", f"{event.instance} has ended by itself{status_words}", log=event.log_tail)
             if self._running is None:
-                task = asyncio.get_running_loop().create_task(self._settle_alone())
-                self._tasks.add(task)
-                task.add_done_callback(self._tasks.discard)
+                self._settle_soon()
+
+    def _settle_soon(self) -> None:
+        task = asyncio.get_running_loop().create_task(self._settle_alone())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
 
     async def _settle_alone(self) -> None:
         async with self._turn:
-            await self._settle()
+            try:
+                await self._settle()
+            except Exception as error:  # nobody waits for it: what went wrong is told here or never
+                log.exception("what has ended by itself could not be seen to")
+                self._note("note", f"what has ended by itself could not be seen to: internal error: {error!r}")
 
     async def _settle(self) -> None:
         """Bring the model to what is true, and lower whom that leaves without what they assume."""
@@ -359,47 +394,18 @@ class Manager:
             self._link.forget(name)
         s = self.configuration
         worse = await status.own_degradations(s, self._link, self._backend.clock, gone)
-        if not gone and not worse:
+        if not gone and not worse and not self._owing:
             return
+        because = [f"{name} has ended by itself" for name in sorted(gone)]
         for ref, index in sorted(worse.items()):
             words = f"{ref} has gone to {s.functionality(ref).modes[index].name} by itself"
             self.events.add("degraded", words, functionality=str(ref))
-        self.configuration, actions = settled(s, gone, worse)
+            because.append(words)
+        self.configuration, fallen = settled(s, gone, worse, self._owing)
         self.revision += 1
-        executor = self._executor()
-        for action in actions:
-            try:
-                await executor.perform(action)
-                self.events.add("degraded", executor.describe(action))
-            except MidstrideError as error:
-                self.events.add("note", f"{executor.describe(action)} failed: {error}")
+        reason = "; ".join(because) or "what it assumes was gone before it could be reached"
+        self._owing = await self._executor().lower(fallen, reason)
         self._save()
-
-    # -- what is kept for the next manager ---------------------------------------------------------------
-
-    def _document(self, starting: Sequence[Instance] = ()) -> dict[str, Any]:
-        return adoption.state_document(
-            self.specification,
-            self._backend.name,
-            self._token,
-            self.configuration,
-            self._launcher.handles,
-            {instance.name: instance for instance in starting},
-        )
-
-    def _save(self, starting: Sequence[Instance] = ()) -> None:
-        """Keep the state. A disk that refuses does not stop a change half way: it is told, here and in `status`."""
-        try:
-            self._workspace.save(self._document(starting))
-            self._unwritten = None
-        except ManagerError as error:
-            if self._unwritten is None:
-                self.events.add("note", f"{error}; a later manager would not find everything again")
-            self._unwritten = str(error)
-
-    def _writable(self) -> None:
-        """Raises ManagerError where the state cannot be kept: then nothing is begun."""
-        self._workspace.save(self._document())
 
 
 def _refused(because: str) -> dict[str, Any]:

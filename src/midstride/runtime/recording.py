@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -73,6 +73,8 @@ class Recording:
     subjects: list[_Subject] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)
     _witnesses: dict[PortRef, PortRef] = field(default_factory=dict)
+    # Where recording is on, and since when (ns); None where the answer was lost.
+    _begun: dict[PortRef, int | None] = field(default_factory=dict)
 
     async def begin(self, s: Configuration, actions: Sequence[Action]) -> None:
         """Turn recording on at each subscriber that is there before and after."""
@@ -86,11 +88,19 @@ class Recording:
                 if port.component in leaving:
                     continue
                 try:
-                    reply = await self.link.change(port.component, "record", inputs=[port.port], on=True)
+                    begun = await self._begin(port)
                 except MidstrideError:
                     self.unknown.append(_unknown(topic, port, period))
                     continue
-                self.subjects.append(_Subject(exchange, topic, port, int(reply["now"]), period, grid_period))
+                self.subjects.append(_Subject(exchange, topic, port, begun, period, grid_period))
+
+    async def _begin(self, port: PortRef) -> int:
+        """Turn recording on at ``port``, once; since when it is on there (ns)."""
+        begun = self._begun.setdefault(port, None)
+        if begun is None:
+            reply = await self.link.change(port.component, "record", inputs=[port.port], on=True)
+            begun = self._begun[port] = int(reply["now"])
+        return begun
 
     async def witness(self, s: Configuration, action: Handover) -> None:
         """Just before a hand-over: have the new side of a message-driven output note what there is to answer."""
@@ -101,7 +111,7 @@ class Recording:
                 owner = s.component(swap.new.component).owner(swap.new.port)
                 inputs = [PortRef(swap.new.component, name) for name in owner.inputs]
                 if len(inputs) == 1:
-                    await self.link.change(swap.new.component, "record", inputs=[inputs[0].port], on=True)
+                    await self._begin(inputs[0])
                     self._witnesses[swap.old] = inputs[0]
             except MidstrideError:
                 continue  # the hand-over itself will say what is wrong
@@ -114,24 +124,31 @@ class Recording:
         return None if period is None else float(period)
 
     async def finish(self, last_numbers: dict[PortRef, int | None]) -> list[SwapReport]:
-        """Wait for the tail, turn recording off, and work out the figures."""
+        """Wait for the tail, and work out the figures. :meth:`stop` is still due."""
         if not self.subjects:
             return self.unknown
         periods = [subject.guaranteed_period for subject in self.subjects]
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
         await self.clock.sleep(min(max(tails), LONGEST_TAIL))
         # The subscribers first: what they have received, the witnesses must have too.
-        seen = [(subject, await self._records(subject.input)) for subject in self.subjects]
-        inputs = {old: await self._records(port) for old, port in self._witnesses.items()}
-        return [_report(subject, records, inputs, last_numbers) for subject, records in seen] + self.unknown
+        ports = dict.fromkeys([*(subject.input for subject in self.subjects), *self._witnesses.values()])
+        records = {port: await self._records(port) for port in ports}
+        inputs = {old: records[port] for old, port in self._witnesses.items()}
+        reports = [_report(subject, records[subject.input], inputs, last_numbers) for subject in self.subjects]
+        return reports + self.unknown
+
+    async def stop(self, live: Container[str]) -> None:
+        """Turn recording off in whichever of ``live`` it is on: they would go on keeping what nobody asks for."""
+        for port in self._begun:
+            if port.component in live:
+                await self.link.take_back(port.component, "record", inputs=[port.port], on=False)
+        self._begun.clear()
 
     async def _records(self, port: PortRef) -> dict[str, Any] | None:
         try:
-            reply = await self.link.read(port.component, "records", input=port.port)
-            await self.link.change(port.component, "record", inputs=[port.port], on=False)
+            return await self.link.read(port.component, "records", input=port.port)
         except MidstrideError:
             return None
-        return reply
 
 
 def _report(

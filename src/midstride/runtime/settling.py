@@ -8,18 +8,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from midstride.model.action import Action
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
-from midstride.plan.lowering import degradations
 
 
 def settled(
-    s: Configuration, gone: Iterable[str], worse: Mapping[FunctionalityRef, int]
-) -> tuple[Configuration, list[Action]]:
-    """``s`` without the instances in ``gone`` and with the modes in ``worse``; and the steps that make that valid."""
-    touched: set[FunctionalityRef] = set()
+    s: Configuration,
+    gone: Iterable[str],
+    worse: Mapping[FunctionalityRef, int],
+    owing: Iterable[FunctionalityRef] = (),
+) -> tuple[Configuration, dict[FunctionalityRef, int]]:
+    """``s`` without the instances in ``gone`` and with the modes in ``worse``; and the modes to lower others to.
+
+    ``owing`` are those that were to be lowered before, and could not be.
+    """
+    touched: set[FunctionalityRef] = set(owing)
     for name in gone:
         for port, connector in s.attached_ports(name):
             if s.is_output(port):
@@ -30,5 +34,4 @@ def settled(
             for connector in s.attached_to(PortRef(ref.component, output)):
                 touched.update(s.consumers(connector))
     s = s.with_modes(worse)
-    fallen = lowered(s, [ref for ref in touched if ref.component in s.instances])
-    return s, list(degradations(s, fallen))
+    return s, lowered(s, [ref for ref in touched if ref.component in s.instances])
