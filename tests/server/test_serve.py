@@ -16,6 +16,7 @@ import httpx
 import pytest
 
 from midstride import errors
+from midstride.plan.request import Request
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import Tcp, serve
 from tests.server.scripted import ScriptedManager
@@ -171,6 +172,57 @@ def test_leaving_ends_the_manager_and_not_the_system(workspace: Workspace) -> No
                 assert await anext(stream, None) is None
             assert await asyncio.wait_for(server, 20) == 0
         assert [operation for operation, _ in manager.asked] == ["up", "close"]
+
+    run(test)
+
+
+def test_a_change_under_way_when_the_manager_is_told_to_end_is_taken_back_first(workspace: Workspace) -> None:
+    import os
+    import signal
+
+    class Changing(ScriptedManager):
+        async def change(
+            self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        ) -> Any:
+            self.asked.append(("change", None))
+            try:
+                await asyncio.Event().wait()
+            finally:
+                await asyncio.sleep(0.05)
+                self.asked.append(("taken back", None))
+
+    async def test() -> None:
+        manager = Changing()
+        async with serving(manager, workspace) as (client, server):
+            await client.get("/up")
+            changing = asyncio.ensure_future(client.post("/change", json={"request": {"remove": ["talker"]}}))
+            while ("change", None) not in manager.asked:
+                assert not changing.done()
+                await asyncio.sleep(0.01)
+            os.kill(os.getpid(), signal.SIGTERM)
+            response = await changing
+            assert response.status_code == 409
+            assert "told to end" in response.json()["error"]["message"]
+            assert await asyncio.wait_for(server, 20) == 0
+        assert [operation for operation, _ in manager.asked] == ["up", "change", "taken back", "close"]
+
+    run(test)
+
+
+def test_a_system_whose_manager_is_told_to_end_while_it_comes_is_not_said_to_be_up(workspace: Workspace) -> None:
+    import os
+    import signal
+
+    async def test() -> None:
+        manager = ScriptedManager()
+        manager.holds["up"] = asyncio.Event()
+        async with serving(manager, workspace) as (client, server):
+            asking = asyncio.ensure_future(client.get("/up"))
+            await client.get("/log")
+            os.kill(os.getpid(), signal.SIGTERM)
+            response = await asking
+            assert (response.status_code, response.json()["error"]["kind"]) == (409, "ManagerError")
+            assert await asyncio.wait_for(server, 20) == 1
 
     run(test)
 

@@ -140,7 +140,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
     @router.post("/down", responses=_REFUSED)
     async def down() -> Response:
         """End every component, and then the manager."""
-        await lifecycle.carry_out(lifecycle.take_down())
+        await lifecycle.carry_out(lifecycle.take_down(), breakable=False)
         return JSONResponse({"outcome": "done"})
 
     return router

@@ -21,6 +21,7 @@ Phase = Literal["starting", "up", "failed", "down"]
 
 # How long a manager that has failed waits for somebody to ask why (s).
 LINGER: Final = 5.0
+_TOLD_TO_END: Final = "the manager was told to end meanwhile, so what had been begun was broken off and taken back"
 
 
 class Lifecycle:
@@ -35,6 +36,7 @@ class Lifecycle:
         self._told = asyncio.Event()
         self._outcome: dict[str, Any] = {}
         self._tasks: set[asyncio.Task[Any]] = set()
+        self._breakable: set[asyncio.Task[Any]] = set()
 
     async def bring_up(self) -> None:
         """Bring the system up; afterwards ``phase`` is ``up`` or ``failed``. Raises nothing."""
@@ -43,6 +45,8 @@ class Lifecycle:
             self.phase = "up"
         except MidstrideError as error:
             self.failure, self.phase = error, "failed"
+        except asyncio.CancelledError:
+            self.failure, self.phase = ManagerError(f"the system is not up: {_TOLD_TO_END}"), "failed"
         except Exception as error:  # ours, not the user's: it must still end in an answer
             log.exception("bringing the system up failed")
             self.failure = ManagerError(f"internal error while bringing the system up: {error!r}")
@@ -58,12 +62,27 @@ class Lifecycle:
             raise self.failure
         return self._outcome
 
-    async def carry_out(self, work: Any) -> Any:
-        """Await ``work`` even if the client that asked for it goes away meanwhile."""
+    async def carry_out(self, work: Any, *, breakable: bool = True) -> Any:
+        """Await ``work`` even if the client that asked for it goes away meanwhile.
+
+        What is ``breakable`` is broken off when the manager is told to end, and raises ManagerError then.
+        """
         task = asyncio.ensure_future(work)
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-        return await asyncio.shield(task)
+        for tasks in (self._tasks, self._breakable) if breakable else (self._tasks,):
+            tasks.add(task)
+            task.add_done_callback(tasks.discard)
+        try:
+            return await asyncio.shield(task)
+        except asyncio.CancelledError:
+            if task.cancelled():
+                raise ManagerError(_TOLD_TO_END) from None
+            raise
+
+    async def break_off(self) -> None:
+        """Have every change under way taken back, while the components can still be reached; returns when it is."""
+        for task in list(self._breakable):
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
 
     def require_up(self) -> None:
         """Raises ManagerError while there is no running system to change."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import logging
 import os
 import signal
 import socket
@@ -20,6 +21,8 @@ from midstride.runtime.workspace import Workspace
 from midstride.server.app import create_app
 from midstride.server.guard import Guarded, new_token
 from midstride.server.lifecycle import Lifecycle
+
+log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
 # How long requests under way may take to be answered when the manager ends (s).
@@ -45,8 +48,9 @@ class _Server(uvicorn.Server):
 async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tcp | None = None) -> int:
     """Bring the system up and serve it until it is down, or until SIGTERM or SIGINT: components then go on.
 
-    The caller holds the workspace's lock. Returns the exit status: 1 where the system could not be
-    brought up. Raises ManagerError where a door cannot be opened; nothing has been started then.
+    A change that is under way at such a signal is taken back first. The caller holds the workspace's lock. Returns
+    the exit status: 1 where the system could not be brought up, or a door fails. Raises ManagerError where one cannot
+    be opened; nothing has been started then.
     """
     lifecycle = Lifecycle(manager)
     app = create_app(lifecycle, backend=backend)
@@ -65,12 +69,16 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
             lifecycle.ended.set()
             up.cancel()
             over.cancel()
+            breaking_off = asyncio.ensure_future(lifecycle.break_off())
             for server, _ in servers:
                 server.should_exit = True
-            await asyncio.gather(*serving, return_exceptions=True)
-            await asyncio.gather(up, over, return_exceptions=True)
+            ends = await asyncio.gather(*serving, return_exceptions=True)
+            await asyncio.gather(up, over, breaking_off, return_exceptions=True)
             await manager.close()
-    return 1 if lifecycle.phase == "failed" else 0
+    failures = [end for end in ends if isinstance(end, Exception)]
+    for failure in failures:
+        log.error("a door of the manager has failed, so it ends", exc_info=failure)
+    return 1 if failures or lifecycle.phase == "failed" else 0
 
 
 def _server(app: ASGIApp) -> _Server:
