@@ -92,6 +92,8 @@ def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
         ),
         (["up", TALKER, "--backend", "ros3"], "'ros3' is not one of " + ", ".join(map(repr, NAMES))),
         (["up", TALKER, "--http-host", "0.0.0.0"], "--http-host needs --http PORT"),
+        (["up", TALKER, "--http", "0"], "invalid value for '--http': 0 is not in the range 1<=x<=65535"),
+        (["log", "--since", "-1"], "invalid value for '--since': -1 is not in the range x>=0"),
         (["demo", "talkr"], "there is no example `talkr`; did you mean `talker`?"),
         (["add", "second", "Listener", "in", "--yes"], "`in` is not of the form PORT=TOPIC, such as out=/chatter"),
     ],
@@ -236,6 +238,7 @@ def test_the_paper_s_seven_steps(capsys: pytest.CaptureFixture[str]) -> None:
         "attach talker_2.out to /chatter",
         "upgrade listener.listen: degraded → normal",
     ]
+    assert out.startswith("talker.json: replace talker by NewTalker\n")
     assert "Falls: listener.listen to degraded for about" in out
 
 

@@ -6,6 +6,8 @@ import asyncio
 import time
 from typing import Any
 
+import click
+
 from midstride import backends
 from midstride.cli.systems import find
 from midstride.errors import ManagerBusy, ManagerError, MidstrideError, NoManager
@@ -29,6 +31,8 @@ def take_down(system: str | None) -> str:
         with left[0].lock():
             _end_what_is_left(left[0])
         return left[0].name
+    if (running := client.get("/status")["running"]) is not None:
+        click.echo(f"{workspace.name} is carrying out `{running['command']}`: it goes down after that …", err=True)
     client.post("/down")
     until_free(workspace)
     return workspace.name

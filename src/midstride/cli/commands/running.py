@@ -48,7 +48,9 @@ def why_command(functionality: str, system: str | None) -> int:
 
 
 @click.command("log")
-@click.option("--since", default=0, show_default=True, metavar="N", help="Only the events after number N.")
+@click.option(
+    "--since", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Only the events after number N."
+)
 @system_option
 @json_option
 def log_command(since: int, system: str | None) -> int:
