@@ -476,3 +476,32 @@ comp.start()
         assert bench.log("node") == ["True True"]
 
     simulate(tmp_path, main)
+
+
+def test_an_attach_that_user_code_holds_up_leaves_no_endpoint(tmp_path: Path) -> None:
+    """Nobody is there to match with, and when that is clear user code is busy: the endpoint goes once it returns."""
+
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+import time
+
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+talk.set_normal_mode(lambda: time.sleep(3), rate=0.25)
+talk.set_degraded_mode(lambda: None)
+comp.start()
+""",
+        )
+        await bench.send("node", "welcome", manager="me")
+        await bench.mode("node", "talk", "normal")
+        await bench.sleep(3.5)
+        refused = await bench.refusal("node", "attach", port="out", topic="/nobody", peers=3, timeout=1.0)
+        assert "only 0 of 3 endpoints on /nobody" in refused
+        await bench.sleep(3.5)
+        assert (await bench.simulator.endpoints()).publishers == ()
+        await bench.attach("node", "out", "/nobody")
+
+    simulate(tmp_path, main)

@@ -158,6 +158,16 @@ def test_an_unforeseen_failure_is_told_as_one() -> None:
     served(test)
 
 
+@pytest.mark.parametrize(("method", "path", "status"), [("GET", "/stauts", 404), ("PUT", "/change", 405)])
+def test_what_is_no_operation_is_told_as_every_other_failure(method: str, path: str, status: int) -> None:
+    async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
+        response = await client.request(method, path)
+        assert error_of(response)[:2] == (status, "NoOperation")
+        assert f"{method} /api/v1{path}" in error_of(response)[2]
+
+    served(test)
+
+
 def test_nothing_is_changed_before_the_system_is_up() -> None:
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, lifecycle: Lifecycle) -> None:
         body: dict[str, Any] = {"request": {"remove": ["talker"]}}
@@ -225,6 +235,18 @@ def test_down_is_the_end() -> None:
         assert (await client.post("/down")).json() == {"outcome": "done"}
         await lifecycle.until_over()
         assert (await client.get("http://manager/api/v1")).json()["phase"] == "down"
+
+    served(test)
+
+
+def test_the_log_from_an_earlier_managers_number_on_is_the_whole_log() -> None:
+    """A client that comes back to the next manager, which counts from 1 again, must not wait for number 500."""
+
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.events.add("step", "one")
+        whole = (await client.get("/log")).json()
+        assert (await client.get("/log?since=500")).json() == whole
+        assert await anext(manager.subscribe(500)) == whole[0]
 
     served(test)
 

@@ -8,13 +8,14 @@ acknowledged, since destroying one right after publishing loses messages.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Final
 
 from midstride.errors import CommandRefused
 from midstride.node.arguments import Arguments
 from midstride.node.host import Host, Publisher, Subscription
 from midstride.node.ports import Input, InputLink, Output, OutputLink
-from midstride.node.switch import DataSide
+from midstride.node.switch import DataSide, within
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
 SETTLE: Final = 0.05
@@ -68,14 +69,22 @@ class Attachments:
         if isinstance(port, Output):
             opened = arguments.gate("gate", "open")
             link = await self._data.run(lambda: self._publish(port, topic), timeout)
-            undo: Callable[[], None] = lambda: self._unpublish(link)  # noqa: E731
-            await self._match(link.publisher, peers, timeout, topic, undo)
-            if opened:
-                await self._data.run(lambda: link.set_gate(True), timeout)
+            undo: Callable[[], None] = partial(self._unpublish, link)
+            endpoint: Publisher | Subscription = link.publisher
         else:
+            opened = False
             inlet = await self._data.run(lambda: self._subscribe(port, topic), timeout)
             assert inlet.subscription is not None
-            await self._match(inlet.subscription, peers, timeout, topic, lambda: self._unsubscribe(port, inlet))
+            undo = partial(self._unsubscribe, port, inlet)
+            endpoint = inlet.subscription
+        try:
+            await self._match(endpoint, peers, timeout, topic)
+            if opened:
+                await self._data.run(lambda: link.set_gate(True), timeout)
+        except CommandRefused:
+            # As soon as user code returns, however long that takes: a refused command has changed nothing.
+            await within(self._host, self._host.on_data(undo), timeout)
+            raise
         return {}
 
     async def detach(self, arguments: Arguments) -> dict[str, Any]:
@@ -129,6 +138,8 @@ class Attachments:
         return link
 
     def _unpublish(self, link: OutputLink) -> None:
+        if link not in link.output.links:
+            return  # taken back already
         link.set_gate(False)
         link.output.links = tuple(other for other in link.output.links if other is not link)
         link.publisher.destroy()
@@ -141,6 +152,8 @@ class Attachments:
         return link
 
     def _unsubscribe(self, port: Input, link: InputLink) -> None:
+        if link not in port.links:
+            return
         port.links = tuple(other for other in port.links if other is not link)
         if link.subscription is not None:
             link.subscription.destroy()
@@ -155,14 +168,11 @@ class Attachments:
             for inlet in port.links:
                 self._unsubscribe(port, inlet)
 
-    async def _match(
-        self, endpoint: Publisher | Subscription, peers: int, timeout: float, topic: str, undo: Callable[[], None]
-    ) -> None:
-        """Wait for ``peers`` compatible endpoints, and until the match has settled; else undo the attachment."""
+    async def _match(self, endpoint: Publisher | Subscription, peers: int, timeout: float, topic: str) -> None:
+        """Wait for ``peers`` compatible endpoints, and until the match has settled. Raises CommandRefused."""
         deadline = self._host.steady() + int(timeout * 1e9)
         while (matched := endpoint.matched()) < peers:
             if self._host.steady() >= deadline:
-                await self._data.run(undo, timeout)
                 raise CommandRefused(
                     f"only {max(matched, 0)} of {peers} endpoints on {topic} were found within {timeout:g} s; "
                     "the others have another type or incompatible QoS, or are not there"

@@ -29,13 +29,16 @@ class EventLog:
         return event
 
     def since(self, n: int = 0) -> list[Event]:
-        """The events after number ``n`` that are still kept."""
+        """The events after number ``n`` that are still kept; all, where ``n`` is an earlier manager's count."""
+        if n > self._count:
+            n = 0
         return [event for event in self._events if event["n"] > n]
 
     async def follow(self, n: int = 0) -> AsyncIterator[Event]:
-        """The events after number ``n``, then each new one as it comes; a slow reader loses only the oldest."""
+        """The events after number ``n`` as in ``since``, then each new one; a slow reader loses only the oldest."""
         waker = asyncio.Event()
         self._wakers.add(waker)
+        n = n if n <= self._count else 0
         try:
             while True:
                 waker.clear()

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, StreamingResponse
+from starlette.exceptions import HTTPException
 
 from midstride import __version__
 from midstride.errors import MidstrideError
@@ -44,6 +45,7 @@ def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
     app.include_router(_changing(lifecycle), prefix="/api/v1", tags=["changing"])
     app.add_exception_handler(MidstrideError, _told)
     app.add_exception_handler(RequestValidationError, _not_a_request)
+    app.add_exception_handler(HTTPException, _no_operation)
     app.add_exception_handler(Exception, _our_fault)
     return app
 
@@ -56,6 +58,13 @@ async def _not_a_request(_: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     message = faults.in_one_line(list(error.errors()))
     return JSONResponse({"error": {"kind": "SpecificationError", "message": message}}, 422)
+
+
+async def _no_operation(request: Request, error: Exception) -> Response:
+    assert isinstance(error, HTTPException)
+    asked = f"{request.method} {request.url.path}"
+    message = f"{asked}: {error.detail}; /api/v1/openapi.json lists every operation"
+    return JSONResponse({"error": {"kind": "NoOperation", "message": message}}, error.status_code, error.headers)
 
 
 async def _our_fault(_: Request, error: Exception) -> Response:
