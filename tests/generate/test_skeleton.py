@@ -99,6 +99,29 @@ def test_any_components_skeleton_keeps_its_promises(component: Component) -> Non
     assert mismatches(component, registered(text, component.name)) == []
 
 
+@pytest.mark.usefixtures("messages")
+def test_numbers_of_many_digits_are_written_as_they_are() -> None:
+    declared = (
+        load_text(
+            """system s component C {
+              run "python3 node.py"   output out
+              input in : sensor_msgs/msg/Range @ 33.3333333 Hz where range in [0.1234567, 7654321]
+              functionality f weight 1.23456789 {
+                uses in   produces out
+                mode normal {
+                  assume in   guarantee out : sensor_msgs/msg/Range @ 16.6666667 Hz where range >= 1234567
+                }
+                mode degraded { }
+              }
+            }"""
+        )
+        .require()
+        .components["C"]
+    )
+    (text,) = skeletons(of(declared)).values()
+    assert mismatches(declared, registered(text, "C")) == []
+
+
 def of(component: Component) -> Specification:
     from dataclasses import replace
 

@@ -13,6 +13,7 @@ from midstride.model.contract import (
     QoS,
     canonical_type,
     explain,
+    figure,
     satisfies,
 )
 
@@ -97,6 +98,14 @@ UNSATISFIED: list[tuple[Contract, Contract, list[str]]] = [
             "field width: width >= 640 is offered, width > 640 is needed",
         ],
     ),
+    (
+        Predicate(SCAN, 33.3333333, fields=((W, Interval(0.1234567, 1234567)),)),
+        Predicate(SCAN, 33.3333334, fields=((W, Interval(0.1234568, 1234567)),)),
+        [
+            "rate: 33.3333333 Hz is offered, at least 33.3333334 Hz is needed",
+            "field width: width in [0.1234567, 1234567] is offered, width in [0.1234568, 1234567] is needed",
+        ],
+    ),
 ]
 
 
@@ -104,6 +113,15 @@ UNSATISFIED: list[tuple[Contract, Contract, list[str]]] = [
 def test_unsatisfied_and_why(offered: Contract, needed: Contract, clauses: list[str]) -> None:
     assert not satisfies(offered, needed)
     assert explain(offered, needed) == clauses
+
+
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [(10.0, "10"), (0.1, "0.1"), (1e18, "1e+18"), (8192, "8192"), (1234567, "1234567"), (1 / 3, "0.3333333333333333")],
+)
+def test_numbers_are_told_in_the_fewest_digits_that_tell_them_apart(number: float, text: str) -> None:
+    assert figure(number) == text
+    assert float(text) == number
 
 
 def test_every_clause_is_told_at_once() -> None:

@@ -10,7 +10,7 @@ from typing import Final
 from midstride.errors import SpecificationError
 from midstride.generate.names import Attributes
 from midstride.model.component import Component, EnvironmentGuarantee, Functionality, Mode, NamedInputs
-from midstride.model.contract import Interval, OneOf, Predicate, QoS, Scalar, ValueSet, satisfies
+from midstride.model.contract import Interval, OneOf, Predicate, QoS, Scalar, ValueSet, figure, satisfies
 
 # Attributes of the skeleton's own.
 _OWN: Final = ("component", "wire", "start")
@@ -113,7 +113,7 @@ class _Builder:
         """An input's assumption as arguments."""
         yield self.classes[predicate.type]
         if predicate.rate is not None:
-            yield f"rate={predicate.rate:g}"
+            yield f"rate={figure(predicate.rate)}"
         yield from self._qos(predicate.qos)
         if predicate.fields:
             yield f"where={self._where(predicate.fields)}"
@@ -139,7 +139,7 @@ class _Builder:
             return f"Interval({ends[0]}, {ends[1]}, low_open={values.low_open}, high_open={values.high_open})"
         helper = "at_most" if math.isinf(low) else "at_least" if math.isinf(high) else "between"
         self.used.add(helper)
-        told = {"at_most": f"{high:g}", "at_least": f"{low:g}", "between": f"{low:g}, {high:g}"}
+        told = {"at_most": figure(high), "at_least": figure(low), "between": f"{figure(low)}, {figure(high)}"}
         return f"{helper}({told[helper]})"
 
     # -- parameters ------------------------------------------------------------------------------------------
@@ -166,7 +166,7 @@ class _Builder:
         if functionality.outputs:
             arguments.append(f"outputs={self._ports(functionality.outputs)}")
         if functionality.weight not in {0, 1}:  # the author's API knows no weight of 0, and the manager takes its own
-            arguments.append(f"weight={functionality.weight:g}")
+            arguments.append(f"weight={figure(functionality.weight)}")
         created = f"self.component.create_functionality({', '.join(arguments)})"
         self.result.declarations.append(f"{attribute} = {created}")
         for index, mode in enumerate(functionality.modes):
@@ -200,7 +200,7 @@ class _Builder:
             called = "{" + ", ".join(entries) + "}"
         arguments = [called]
         if rates:
-            arguments.append(f"rate={max(rates):g}")
+            arguments.append(f"rate={figure(max(rates))}")
         if assumed:
             arguments.append(f"inputs=[{', '.join(self._alternatives(names) for names in assumed)}]")
         if guarantees:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from midstride.lang.index import Symbol
 from midstride.model.component import Component, Functionality, FunctionalityRef, NamedInputs
 from midstride.model.configuration import Configuration
-from midstride.model.contract import NOTHING
+from midstride.model.contract import NOTHING, figure
 from midstride.model.rules import Judge
 from midstride.model.specification import Specification, initial
 from midstride.model.why import reasons_against
@@ -92,7 +92,7 @@ class _Teller:
         found = self._declared(symbol.owner, symbol.name)
         if found is None:
             return
-        yield f"modes: {', '.join(mode.name for mode in found.modes)}; weight {found.weight:g}"
+        yield f"modes: {', '.join(mode.name for mode in found.modes)}; weight {figure(found.weight)}"
         for role in self.specification.roles():
             if self.specification.nodes[role].component == symbol.owner:
                 yield from self._stands(FunctionalityRef(role, symbol.name))
@@ -110,9 +110,9 @@ class _Teller:
     def resource(self, symbol: Symbol) -> Iterator[str]:
         declared = self.specification.resources.get(symbol.name)
         if declared is not None:
-            yield f"capacity {declared.capacity:g}"
+            yield f"capacity {figure(declared.capacity)}"
             held = 0.0 if self.s is None else float(self.s.held.get(symbol.name, 0))
-            yield f"held at first: {held:g}"
+            yield f"held at first: {figure(held)}"
 
     def guarantee(self, symbol: Symbol) -> Iterator[str]:
         for offer in self.specification.environment:

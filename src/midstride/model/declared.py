@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from midstride.model.component import Component, Functionality, Mode, NamedInputs
-from midstride.model.contract import OneOf, Predicate, QoS, ValueSet, explain
+from midstride.model.contract import OneOf, Predicate, QoS, ValueSet, explain, figure
 from midstride.model.problems import Problem
 
 Path = tuple[str, ...]
@@ -21,7 +21,7 @@ def number_problems(value: float | None, what: str, path: Path, *, zero: bool = 
     """``value``, where it is stated, must be finite and positive (or zero, where that has a meaning)."""
     if value is not None and not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
         least = "at least" if zero else "more than"
-        yield Problem("E004", path, f"{what} must be finite and {least} 0, it is {value:g}")
+        yield Problem("E004", path, f"{what} must be finite and {least} 0, it is {figure(value)}")
 
 
 def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:

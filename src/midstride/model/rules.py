@@ -13,7 +13,7 @@ from typing import Literal
 
 from midstride.model.component import Assumption, Component, Functionality, FunctionalityRef, Mode, NamedInputs, PortRef
 from midstride.model.configuration import Configuration, exact
-from midstride.model.contract import Contract, explain, satisfies
+from midstride.model.contract import Contract, explain, figure, satisfies
 
 _SHOWN = 8  # so many names a message lists
 
@@ -187,7 +187,7 @@ def capacity_violation(s: Configuration, resource: str) -> Violation | None:
     if held is None or held <= exact(capacity):
         return None
     holders = _listed(sorted(s.holders[resource]))
-    because = f"{float(held):g} held by {holders}, capacity {capacity:g}"
+    because = f"{figure(float(held))} held by {holders}, capacity {figure(capacity)}"
     return Violation("capacity", f"resource {resource}", because, (resource, *sorted(s.holders[resource])[:_SHOWN]))
 
 

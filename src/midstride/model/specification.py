@@ -23,6 +23,7 @@ from midstride.model.component import (
     Resource,
 )
 from midstride.model.configuration import Configuration, Instance, World, configure
+from midstride.model.contract import figure
 
 # What a step takes where neither the file nor earlier runs say (s); platform.md measured the order of magnitude.
 DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
@@ -72,7 +73,7 @@ class Limit:
     seconds: float
 
     def __str__(self) -> str:
-        return f"limit {self.functionality} below baseline {self.seconds:g} s"
+        return f"limit {self.functionality} below baseline {figure(self.seconds)} s"
 
 
 @dataclass(frozen=True, slots=True)

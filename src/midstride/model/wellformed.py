@@ -14,7 +14,7 @@ from fractions import Fraction
 from midstride.model.best import best
 from midstride.model.component import Component, NamedInputs, PortRef, value_fits, value_kind
 from midstride.model.configuration import Configuration, exact
-from midstride.model.contract import Contract, Predicate, explain, satisfies
+from midstride.model.contract import Contract, Predicate, explain, figure, satisfies
 from midstride.model.declared import component_rules, number_problems, predicate_problems
 from midstride.model.names import Path, component_names, node_names, specification_names
 from midstride.model.problems import Problem
@@ -115,8 +115,8 @@ def _capacities(specification: Specification) -> Iterator[Problem]:
     for name, declared in specification.resources.items():
         total = sum((exact(amount) for _, amount in holders.get(name, [])), start=Fraction())
         if 0 < declared.capacity < math.inf and total > exact(declared.capacity):
-            who = ", ".join(f"{role} {amount:g}" for role, amount in holders[name])
-            message = f"{float(total):g} of {name} is held ({who}), its capacity is {declared.capacity:g}"
+            who = ", ".join(f"{role} {figure(amount)}" for role, amount in holders[name])
+            message = f"{figure(float(total))} of {name} is held ({who}), its capacity is {figure(declared.capacity)}"
             yield Problem("E023", ("resources", name), message, "take a holder out, or raise the capacity")
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from midstride.model.component import Component, Connector, Parameter
-from midstride.model.contract import NOTHING, Contract
+from midstride.model.contract import NOTHING, Contract, figure
 from midstride.model.specification import Node, Specification
 
 Kind = Literal["added", "removed", "changed", "replaced", "rewired", "set"]
@@ -68,11 +68,11 @@ def _resources(old: Specification, new: Specification) -> Iterator[Difference]:
     for name in sorted({*old.resources, *new.resources}):
         before, after = old.resources.get(name), new.resources.get(name)
         if before is None and after is not None:
-            yield Difference(f"resource {name}", "added", (f"capacity {after.capacity:g}",))
+            yield Difference(f"resource {name}", "added", (f"capacity {figure(after.capacity)}",))
         elif after is None:
             yield Difference(f"resource {name}", "removed")
         elif before is not None and before.capacity != after.capacity:
-            detail = _became("capacity", f"{before.capacity:g}", f"{after.capacity:g}")
+            detail = _became("capacity", figure(before.capacity), figure(after.capacity))
             yield Difference(f"resource {name}", "changed", (detail,))
 
 
@@ -137,7 +137,7 @@ def _functionality(name: str, before: Component, after: Component) -> Iterator[s
         return
     where = f"functionality {name}"
     if old.weight != new.weight:
-        yield _became(f"{where}: weight", f"{old.weight:g}", f"{new.weight:g}")
+        yield _became(f"{where}: weight", figure(old.weight), figure(new.weight))
     for what, then, now in (("uses", old.inputs, new.inputs), ("produces", old.outputs, new.outputs)):
         if set(then) != set(now):
             yield _became(f"{where}: {what}", ", ".join(then), ", ".join(now))

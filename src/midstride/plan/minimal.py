@@ -15,6 +15,7 @@ from typing import Final
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import exact
+from midstride.model.contract import figure
 from midstride.model.specification import Constraint, Order
 from midstride.plan.change import Change
 from midstride.plan.constraints import Breach, Watch, breaches, conflict, in_force, refusal, roles_of
@@ -75,7 +76,7 @@ def _no_room(change: Change) -> list[str]:
         if together > exact(s.world.capacity(resource)):
             names = [name for name in change.leaving if resource in s.component(name).holds]
             who = " and ".join([*names, *(instance.name for instance in coming)])
-            told.append(f"{who} do not fit at once: {resource} has a capacity of {s.world.capacity(resource):g}")
+            told.append(f"{who} do not fit at once: {resource} has a capacity of {figure(s.world.capacity(resource))}")
     return told
 
 
