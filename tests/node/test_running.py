@@ -2,7 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.backends.simulator.host import SimulatedHost
 
 from .author import Bench, simulate
 
@@ -315,6 +321,7 @@ def test_set_up_comes_first_and_start_values_are_there(tmp_path: Path) -> None:
             HEAD
             + """
 speed = comp.parameter("speed", 1.5, on_change=lambda value: print("speed", value))
+frame = comp.parameter("frame", "map")
 print("declared", speed.value)
 comp.on_setup(lambda node: print("set up", node, speed.value, comp.instance))
 f = comp.create_functionality("f")
@@ -328,12 +335,16 @@ print("after start")
         )
         assert bench.log("node") == ["declared 2.0", "set up None 2.0 node", "degraded"]
         await bench.send("node", "set", parameters={"speed": 3})
-        assert bench.simulator.state("node")["parameters"] == {"speed": 3.0}
+        refused = await bench.refusal("node", "set", parameters={"speed": 4, "frame": "odom"})
+        assert "frame keeps the value that the component was started with" in refused
+        assert bench.simulator.state("node")["parameters"] == {"speed": 3.0, "frame": "map"}
         await bench.send("node", "stop")
         await bench.sleep(0.5)
         (exited,) = bench.exits()
         assert exited.status == 0
-        assert [line for line in exited.log_tail.splitlines() if line[0] != "["][-3:] == [
+        assert [line for line in exited.log_tail.splitlines() if line[0] != "["][-5:] == [
+            "speed 3.0",
+            "speed 4.0",
             "speed 3.0",
             "last word",
             "after start",
@@ -503,5 +514,29 @@ comp.start()
         await bench.sleep(3.5)
         assert (await bench.simulator.endpoints()).publishers == ()
         await bench.attach("node", "out", "/nobody")
+
+    simulate(tmp_path, main)
+
+
+def test_a_mode_that_the_platform_cannot_run_is_a_failure_with_its_reason(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create = SimulatedHost.create_timer
+
+    def failing(host: SimulatedHost, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Any:
+        if period < 0.2:
+            raise RuntimeError("no more timers")
+        return create(host, period, epoch, callback)
+
+    monkeypatch.setattr(SimulatedHost, "create_timer", failing)
+
+    async def main(bench: Bench) -> None:
+        await bench.start("node", TALKER)
+        await bench.send("node", "welcome", manager="me")
+        await bench.mode("node", "talk", "normal")
+        await bench.sleep(0.1)
+        view = (await bench.send("node", "observe"))["functionalities"]["talk"]
+        assert view["mode"] == "degraded" and view["because"].startswith("mode normal raised: RuntimeError: no more")
+        await bench.mode("node", "talk", "degraded")
 
     simulate(tmp_path, main)

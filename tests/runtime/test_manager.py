@@ -18,7 +18,7 @@ from midstride.runtime.backend import Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Command, Reply
-from tests.runtime.systems import EXAMPLES, example, managed, replace
+from tests.runtime.systems import EXAMPLES, example, kept, managed, replace
 
 CHANGES = [("talker", "talker", "NewTalker"), ("obstacle", "detector", "StereoDetector")]
 CHANGES += [("filter", "filter", "MedianFilter")]
@@ -236,6 +236,24 @@ def test_the_next_manager_finds_everything_again(tmp_path: Path) -> None:
     simulator.run(main())
 
 
+def test_the_next_manager_ends_a_recording_that_a_killed_one_has_left(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        workspace = Workspace(tmp_path)
+        kept_state = workspace.load()
+        assert kept_state is not None
+        revision = (await manager.peek("listener"))["revision"]
+        left = Command("record", {"inputs": ["in"], "on": True}, "left", kept_state["token"], revision)
+        assert (await simulator.call("listener", left, 3.0)).ok
+        await manager.close()
+        following = Manager(example("talker"), simulator, workspace, EXAMPLES / "talker")
+        await following.up()
+        await asyncio.sleep(10)
+        assert await kept(workspace, simulator, "listener.in") == 64
+        await following.close()
+
+    managed("talker", tmp_path, body)
+
+
 def test_another_specification_does_not_take_over_a_running_system(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         await manager.close()
@@ -342,3 +360,29 @@ def test_a_manager_told_to_end_while_the_system_comes_up_leaves_nothing(after: f
         await manager.close()
 
     simulator.run(main())
+
+
+def test_a_component_has_the_time_to_stop_that_its_author_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text(
+        "from midstride import Component\nfrom std_msgs.msg import String\nc = Component('talker')\n"
+        "o = c.create_output('out', String)\nf = c.create_functionality('talk', outputs=[o])\n"
+        "f.set_normal_mode(lambda: o.write(String(data='')), rate=10, outputs=[o])\n"
+        "f.set_degraded_mode(lambda: None)\n"
+        "async def stop():\n    await c.clock.sleep(6)\n    print('stopped in order')\n"
+        "c.on_stop(stop, timeout=8)\nc.start()"
+    )
+    specification = example("talker")
+    slow = changed(specification.components["Talker"], run=f"python3 {tmp_path}/slow.py")
+    specification = changed(specification, components=specification.components.set("Talker", slow))
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        log = simulator.processes["talker"].log
+        await manager.close()
+        following = Manager(specification, simulator, Workspace(folder), EXAMPLES / "talker")
+        await following.up()
+        await following.down()
+        assert not simulator.processes and "stopped in order" in log.tail()
+
+    folder = tmp_path / "workspace"
+    folder.mkdir()
+    managed("talker", folder, body, specification=specification)

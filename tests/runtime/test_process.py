@@ -168,6 +168,19 @@ def test_what_cannot_be_started_is_named(tmp_path: Path) -> None:
         asyncio.run(run([sys.executable], tmp_path / "nowhere"))
 
 
+def test_what_cannot_be_watched_does_not_run(tmp_path: Path, token: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(pid: int) -> int:
+        raise OSError(24, "Too many open files")
+
+    async def main() -> None:
+        monkeypatch.setattr(os, "pidfd_open", full)
+        with pytest.raises(StartFailed, match=r"cannot watch .*: Too many open files"):
+            spawn(("sleep", "600"), tmp_path, {**os.environ, VARIABLE: token}, tmp_path / "log")
+
+    asyncio.run(main())
+    assert not guardian.left({}, VARIABLE, token)
+
+
 def test_the_tail_of_a_log_is_whole_lines(tmp_path: Path) -> None:
     log = tmp_path / "log.txt"
     log.write_text("".join(f"line {number}\n" for number in range(100)))

@@ -30,6 +30,8 @@ Handler = Callable[[Arguments], Awaitable[dict[str, Any]]]
 
 # How long user code may take over what is no mode change, where the command does not say (s).
 PATIENCE: Final = 2.0
+# How long the end takes beside the author's own part in it (s): its endpoints and the platform are left in order.
+LEAVING: Final = 1.0
 
 
 class Operations:
@@ -155,7 +157,8 @@ class Operations:
         for port in self._component.inputs.values():
             ports[port.name] = {link.topic: {"gate": None, "count": link.count, "gated": 0} for link in port.links}
         parameters = {parameter.name: parameter.value for parameter in self._component.parameters.values()}
-        return {"functionalities": functionalities, "ports": ports, "parameters": parameters}
+        stopping = self._component.hooks.stop_timeout + LEAVING
+        return {"functionalities": functionalities, "ports": ports, "parameters": parameters, "stopping": stopping}
 
     def _busy_words(self) -> str:
         now = self._host.steady()

@@ -30,14 +30,21 @@ class Parameter:
         self._value = self.fitted(value)
 
     def change(self, value: Any) -> None:
-        """Called on the data side when it is set. What the author's function raises leaves it as it was."""
+        """Called on the data side when it is set. What the author's function raises leaves it as it was.
+
+        Raises NodeError where there is no such function: whoever reads the value once would not notice.
+        """
+        if self.on_change is None:
+            raise NodeError(
+                f"parameter {self.name} keeps the value that the component was started with: replace the component, or "
+                f"give the parameter an on_change="
+            )
         before, self._value = self._value, self.fitted(value)
-        if self.on_change is not None:
-            try:
-                self.on_change(self._value)
-            except BaseException:
-                self._value = before
-                raise
+        try:
+            self.on_change(self._value)
+        except BaseException:
+            self._value = before
+            raise
 
     def fitted(self, value: Any) -> Any:
         """``value`` as a value of this parameter: of the default's type, a whole number serving as a real one."""

@@ -92,9 +92,12 @@ class Runner:
         self.since = self._steady()
 
     def begin(self) -> None:
-        """Start the current mode's calls; the first may come at once."""
+        """Start the current mode's calls; the first may come at once. A platform that refuses is a failure like any."""
         self._trigger = trigger_of(self.mode, self, self._host)
-        self._trigger.begin()
+        try:
+            self._trigger.begin()
+        except Exception as error:  # not user code's: that is caught where it is called
+            self._fail(error)
 
     def hold(self, switch: Waiting) -> None:
         """Start no further call until ``switch`` lets go; it is attempted when the call under way ends."""

@@ -152,10 +152,14 @@ class Switch:
             return
         if not self.claim():  # in this very moment the control side gave up waiting
             return
-        self.refused = self._guard()
-        if self.refused is None:
-            self._switch()
-        else:
+        try:
+            self.refused = self._guard()
+            if self.refused is None:
+                self._switch()
+        except Exception as error:  # ours, or the platform's: whoever waits must hear of it
+            self.refused = f"the change failed half way: {type(error).__name__}: {error}"
+            raise
+        finally:
             self._settled()
             self.release()
 
@@ -168,7 +172,6 @@ class Switch:
         self._settled()
         for runner in moved:
             runner.begin()
-        self.release()
 
     def claim(self) -> bool:
         """Whether the caller is the first to settle what becomes of it; on the control side: that it never happens."""

@@ -19,7 +19,7 @@ from midstride.wire.messages import Announcement
 
 # How long a process may take from its start to its registration (s): imports of large libraries and models included.
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
-# How long a component may take to end in order before it is ended by force (s).
+# How long a component may take to end in order before it is ended by force (s), where it does not ask for longer.
 STOP_GRACE: Final = 3.0
 
 
@@ -33,6 +33,7 @@ class Launcher:
         self._directory = directory
         self._waiting: dict[str, asyncio.Future[Announcement]] = {}
         self._early: dict[str, Announcement] = {}
+        self._graces: dict[str, float] = {}
         self.handles: dict[str, Handle] = {}
 
     def heard(self, event: Announcement | Exited) -> None:
@@ -97,7 +98,7 @@ class Launcher:
             announcement = await self._announced(instance)
             self._verify(instance, announcement)
             await self._link.observe(name)
-            await self._link.change(name, "welcome", manager=str(os.getpid()))
+            self._learn(name, await self._link.change(name, "welcome", manager=str(os.getpid())))
         except (Exception, asyncio.CancelledError) as error:
             await self.abandon(name)
             if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
@@ -154,7 +155,8 @@ class Launcher:
     async def end(self, name: str) -> None:
         """End a component that was started here, or by an earlier manager. Raises BackendError: then it is kept."""
         self._link.forget(name)
-        await self._backend.end(name, STOP_GRACE)
+        await self._backend.end(name, self._graces.get(name, STOP_GRACE))
+        self._graces.pop(name, None)
         self.handles.pop(name, None)
 
     async def adopt(self, handle: Handle, *, own: bool = True) -> dict[str, Any] | None:
@@ -167,9 +169,15 @@ class Launcher:
         if own:
             self.handles[handle.instance] = handle
         try:
-            return await self._link.observe(handle.instance)
+            state = await self._link.observe(handle.instance)
         except CommandRefused:
             return None
+        self._learn(handle.instance, state)
+        return state
+
+    def _learn(self, name: str, state: dict[str, Any]) -> None:
+        """How long the author of a component wants it to have for its end (``on_stop``)."""
+        self._graces[name] = max(STOP_GRACE, float(state.get("stopping", 0.0)))
 
 
 def _told_exit(event: Exited) -> str:

@@ -157,7 +157,12 @@ def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, s
     child.returncode = 0  # it is waited for by its file descriptor: Popen need not, and must not, reap it
     seen = look(child.pid)
     assert seen is not None, "a child stays in /proc until it is waited for"
-    return Process(child.pid, seen.started, child=True, log=log, log_begins=begins)
+    try:
+        return Process(child.pid, seen.started, child=True, log=log, log_begins=begins)
+    except OSError as error:  # no file descriptor is left for it: what cannot be watched must not run
+        send(child.pid, signal.SIGKILL)
+        os.waitpid(child.pid, 0)
+        raise StartFailed(f"cannot watch `{' '.join(arguments)}`: {error.strerror or error}") from None
 
 
 def find(pid: int, started: float, variable: str, value: str, log: Path | None = None) -> Process | None:

@@ -51,7 +51,7 @@ told of the cut. New side: {"outcome": "done"|"cancelled"|"waiting", "first": {p
 
 State: {"instance", "uuid", "pid", "revision", "functionalities": {name: {"mode", "since": s ago, "because",
 "busy": s | None}}, "ports": {port: {topic: {"gate": "open"|"closed"|None, "count": n, "gated": n}}},
-"parameters": {name: value}, "waiting": words | None}
+"parameters": {name: value}, "waiting": words | None, "stopping": s, how long it may take to end in order}
 """
 
 from __future__ import annotations
