@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -18,6 +19,7 @@ from midstride.backends.ros1.master import Master
 from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle
 from midstride.runtime.guardian import carries
+from midstride.runtime.process import Process, spawn
 from midstride.wire.messages import Command
 from tests.backends.ros1_support import free_port, own_master_uri, program, rig, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, alive, run, until, until_async
@@ -298,6 +300,37 @@ def test_a_killed_manager_is_forgotten_by_the_next(tmp_path: Path) -> None:
             assert (await master.state()).nodes() == {master.caller}
 
     run(scenario())
+
+
+def test_a_master_that_is_started_for_nothing_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The manager is told to end while its master comes up, or then cannot join it."""
+    from midstride.backends.ros1 import create_backend
+    from midstride.backends.ros1.listening import Listener
+
+    started: list[int] = []
+
+    def noted(*arguments: Any) -> Process:
+        process = spawn(*arguments)
+        started.append(process.pid)
+        return process
+
+    async def refused(listener: Listener, host: str) -> None:
+        raise Unreachable("the master does not take it")
+
+    async def scenario() -> None:
+        opening = asyncio.ensure_future(create_backend(logs=tmp_path).open(lambda event: None))
+        await until_async(lambda: asyncio.sleep(0, bool(started)))
+        opening.cancel()
+        await asyncio.wait({opening})
+        assert opening.cancelled() and not alive(started[0])
+        monkeypatch.setattr(Listener, "open", refused)
+        with pytest.raises(Unreachable):
+            await create_backend(logs=tmp_path).open(lambda event: None)
+        assert len(started) == 2 and not alive(started[1])
+
+    monkeypatch.setattr(core, "spawn", noted)
+    with own_master_uri():
+        run(scenario())
 
 
 def test_a_master_that_cannot_be_started_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

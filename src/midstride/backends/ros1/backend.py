@@ -56,9 +56,14 @@ class Ros1Backend:
         self._master = Master(uri, f"{names.MANAGER}{os.getpid()}_{time.time_ns() // 1_000_000}")
         self._caller = Caller(self._master)
         self.started_master = await core.ensure(self._master, self._folder(), self._guardian)
-        await core.forget_dead_managers(self._master)
-        listener = Listener(self._master, names.ANNOUNCEMENT, self._heard)
-        await listener.open(host)
+        try:
+            await core.forget_dead_managers(self._master)
+            listener = Listener(self._master, names.ANNOUNCEMENT, self._heard)
+            await listener.open(host)
+        except BaseException:
+            if self.started_master:
+                await self._release_master()
+            raise
         self._listener = listener
 
     async def close(self) -> None:
@@ -71,8 +76,11 @@ class Ros1Backend:
         await asyncio.gather(*self._tidying, return_exceptions=True)
         await listener.close()
         if not any_left:
-            with contextlib.suppress(BackendError):  # a master that does not answer is left alone
-                await core.release(self._master, self._guardian)
+            await self._release_master()
+
+    async def _release_master(self) -> None:
+        with contextlib.suppress(BackendError):  # a master that does not answer is left alone
+            await core.release(self._master, self._guardian)
 
     # -- components ----------------------------------------------------------------------------------
 

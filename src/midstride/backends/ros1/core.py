@@ -46,17 +46,21 @@ async def ensure(master: Master, logs: Path, guardian: Guardian | None) -> bool:
     log = logs / f"rosmaster-{port}.log"
     arguments = [launching.require_interpreter(), "-c", _PROGRAM, "--core", "-p", port, "-w", _WORKERS]
     process = spawn(arguments, Path("/"), environment, log)
+    if guardian is not None:
+        guardian.watch(process.pid, process.started)
     deadline = asyncio.get_running_loop().time() + _START
     try:
         while await master.process() is None:
             if not process.running:
                 raise StartFailed(f"the ROS master did not start on port {port}:\n{tail(log).strip()}")
             if asyncio.get_running_loop().time() > deadline:
-                await process.end(_GRACE)
                 raise StartFailed(f"the ROS master did not answer within {_START:g} s; its log: {log}")
             await asyncio.sleep(_POLL)
+    except BaseException:  # whoever is cancelled leaves no master behind either
+        await process.end(_GRACE)
         if guardian is not None:
-            guardian.watch(process.pid, process.started)
+            guardian.release(process.pid)
+        raise
     finally:
         process.close()
     return True

@@ -79,15 +79,16 @@ class Listener:
             try:
                 await self._read(uri)
                 return
-            except (OSError, EOFError, ValueError, BackendError):
-                await asyncio.sleep(_AGAIN)
+            except (OSError, EOFError, ValueError, TypeError, LookupError, asyncio.TimeoutError, BackendError):
+                await asyncio.sleep(_AGAIN)  # not there yet, or it answers otherwise than a node does
 
     async def _read(self, uri: str) -> None:
         answer = await rpc.call(uri, "requestTopic", self._master.caller, self._topic, [["TCPROS"]])
         code, words, protocol = answer
         if code != 1 or protocol[0] != "TCPROS":
             raise Unreachable(f"{uri} does not publish {self._topic}: {words}")
-        reader, writer = await asyncio.open_connection(protocol[1], protocol[2])
+        connecting = asyncio.open_connection(protocol[1], protocol[2])
+        reader, writer = await asyncio.wait_for(connecting, rpc.PATIENCE)
         try:
             fields = {
                 "callerid": self._master.caller,
