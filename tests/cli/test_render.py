@@ -47,6 +47,9 @@ def test_what_stays_lower_is_not_called_nothing() -> None:
         "Rolled back in 270 ms, every step is undone: create filter_2 (Median): it ended",
         "Nothing fell below its level.",
     ]
+    crashed = shown(render.outcome(done("rolled_back", because="the process of talker has ended", ended=["talker"])))
+    assert crashed[1].startswith("By itself ended meanwhile: talker;")
+    assert len(crashed) == 2
 
 
 def test_of_one_that_does_not_answer_no_mode_is_claimed() -> None:

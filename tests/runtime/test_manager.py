@@ -150,6 +150,29 @@ def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Pa
     managed("filter", tmp_path, body)
 
 
+@pytest.mark.parametrize("when", ["step", "measuring"])
+def test_a_crash_during_a_change_is_told_and_does_not_wait_for_the_measure(when: str, tmp_path: Path) -> None:
+    """The talker dies while it is being replaced, or its successor while the swap is still being measured."""
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        begun = len(manager.log())
+        change = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
+        while not any(event["kind"] == when for event in manager.log(begun)):
+            await asyncio.sleep(0.001)
+        dies = {"step": "talker", "measuring": "talker_2"}[when]
+        simulator.faults.kill(dies)
+        outcome = await change
+        assert outcome["outcome"] == {"step": "rolled_back", "measuring": "done"}[when]
+        assert outcome["ended"] == [dies]
+        kinds = [event["kind"] for event in manager.log(begun)]
+        assert kinds.index("degraded") < kinds.index("measured")
+        view = (await manager.peek("listener"))["functionalities"]["listen"]
+        assert (view["mode"], view["because"].endswith("has ended by itself")) == ("degraded", True)
+        assert [entry["name"] for entry in (await manager.status())["crashed"]] == [dies]
+
+    managed("talker", tmp_path, body)
+
+
 def test_a_crash_at_the_very_end_of_a_command_is_seen_to(tmp_path: Path) -> None:
     """While the manager looks whether anybody has fallen meanwhile, the last thing it does, the detector dies."""
 

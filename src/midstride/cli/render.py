@@ -166,6 +166,8 @@ def fallen_words(document: Document) -> list[str]:
     if document["outcome"] == "done":
         lower, _ = _afterwards(document["plan"])
         lines += [f"Stays lower: {words}." for words in lower]
+    if ended := document.get("ended"):
+        lines.append(f"By itself ended meanwhile: {', '.join(ended)}; `midstride status` says what that lowers.")
     return lines or ["Nothing fell below its level."]
 
 

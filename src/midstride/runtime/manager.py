@@ -9,10 +9,10 @@ finds them again (semantics.md section 7).
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import secrets
 from collections.abc import AsyncIterator, Awaitable
-from contextlib import asynccontextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -75,6 +75,8 @@ class Manager:
         self._verifier = verifier or Verifier()
         self._turn = asyncio.Lock()
         self._running: Running | None = None
+        self._measuring = False  # all steps are done, and the command only watches
+        self._seeing = asyncio.Lock()  # held while what has happened by itself is seen to
         self._gone: dict[str, Exited] = {}  # ended by themselves, and still in the model
         self._crashed: dict[str, Exited] = {}  # settled, and not come back
         self._owing: set[FunctionalityRef] = set()  # to be lowered, and not to be reached
@@ -281,7 +283,7 @@ class Manager:
         await recording.begin(self.configuration, actions)
         falls = FallClock(plan.change, clock.steady)
         begun = clock.steady()
-        before = self.configuration
+        before, crashed = self.configuration, set(self._crashed)
         self.configuration = plan.change.start
         executor = self._executor(falls)
         executor.performer.before_handover = recording.witness
@@ -298,9 +300,15 @@ class Manager:
         seconds = clock.steady() - begun
         fallen = falls.stop()
         self._save()
+        await self._settle_crashes()  # who relies on them is not to wait for the end of the measure
         if recording.subjects:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
-        swaps = await recording.finish(executor.performer.last_numbers)
+        self._measuring = True
+        try:
+            swaps = await recording.finish(executor.performer.last_numbers)
+        finally:
+            self._measuring = False
+        await self._settle_crashes()
         documents_of_swaps = to_documents(swaps)
         if documents_of_swaps:
             self.events.add("measured", f"measured at {len(swaps)} subscribers", swaps=documents_of_swaps)
@@ -313,6 +321,7 @@ class Manager:
             "fallen": fallen,
             "swaps": documents_of_swaps,
             "because": because,
+            "ended": sorted(set(self._crashed) - crashed),
         }
 
     def _executor(self, falls: FallClock | None = None) -> Executor:
@@ -343,7 +352,7 @@ class Manager:
     def _note(self, kind: str, words: str, **details: Any) -> None:
         self.events.add(kind, words, **details)
 
-    @asynccontextmanager
+    @contextlib.asynccontextmanager
     async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
         """One command at a time, first come first served; who must wait is told for whom."""
         if self._running is not None:
@@ -368,7 +377,7 @@ class Manager:
             self._gone[event.instance] = event
             status_words = "" if event.status is None else f" (status {event.status})"
             self.events.add("exited", f"{event.instance} has ended by itself{status_words}", log=event.log_tail)
-            if self._running is None:
+            if self._running is None or self._measuring:
                 self._settle_soon()
 
     def _settle_soon(self) -> None:
@@ -377,7 +386,7 @@ class Manager:
         task.add_done_callback(self._tasks.discard)
 
     async def _settle_alone(self) -> None:
-        async with self._turn:
+        async with contextlib.nullcontext() if self._measuring else self._turn:
             try:
                 await self._settle()
             except Exception as error:  # nobody waits for it: what went wrong is told here or never
@@ -386,6 +395,15 @@ class Manager:
 
     async def _settle(self) -> None:
         """Bring the model to what is true, and lower whom that leaves without what they assume."""
+        async with self._seeing:
+            await self._see_to_it()
+
+    async def _settle_crashes(self) -> None:
+        """The same where somebody has ended and nobody has seen to it to the end."""
+        if self._gone or self._seeing.locked():
+            await self._settle()
+
+    async def _see_to_it(self) -> None:
         told, self._gone = self._gone, {}
         gone = {name: event for name, event in told.items() if name in self.configuration.instances}
         self._crashed.update(gone)
@@ -416,6 +434,7 @@ def _refused(because: str) -> dict[str, Any]:
         "fallen": {},
         "swaps": [],
         "because": because,
+        "ended": [],
     }
 
 

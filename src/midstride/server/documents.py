@@ -113,6 +113,7 @@ class Outcome(Outgoing):
     fallen: dict[str, float] | None = None
     swaps: list[dict[str, Any]] = Field(default_factory=list)
     because: str | None = None
+    ended: list[str] = Field(default_factory=list, description="instances that ended by themselves meanwhile")
     verdict: dict[str, Any] | None = Field(default=None, description="what Alloy found, where it was asked")
 
 
