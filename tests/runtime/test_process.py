@@ -15,10 +15,12 @@ from pathlib import Path
 
 import pytest
 
+from midstride.backends import common
 from midstride.errors import StartFailed
 from midstride.runtime import guardian
 from midstride.runtime.guardian import Guardian, look, members
-from midstride.runtime.process import Process, find, spawn, tail
+from midstride.runtime.logs import shorten, tail
+from midstride.runtime.process import Process, find, spawn
 
 VARIABLE = "MIDSTRIDE_TOKEN"
 
@@ -205,6 +207,46 @@ def test_the_last_words_are_its_own(tmp_path: Path) -> None:
     assert tail(tmp_path / "log.txt", 3, since=15) == ""
 
 
+def test_a_long_log_is_cut_to_its_last_lines_and_its_writer_goes_on(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    with open(log, "ab", buffering=0) as writer:
+        writer.write(b"".join(b"line %d\n" % number for number in range(1000)))
+        assert not shorten(log, longest=log.stat().st_size, kept=100)
+        assert shorten(log, longest=log.stat().st_size - 1, kept=100)
+        writer.write(b"the next\n")
+    assert log.read_text().splitlines() == [f"line {number}" for number in range(989, 1000)] + ["the next"]
+    assert not shorten(tmp_path / "nowhere", longest=0, kept=0)
+
+
+def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(common, "LOOK_AT_LOGS", 0.01)
+    monkeypatch.setattr(common, "LONGEST_LOG", 100_000)
+    monkeypatch.setattr(common, "KEPT_OF_LOG", 10_000)
+    log = tmp_path / "log"
+    talkative = (
+        "import itertools, time\nfor n in itertools.count():\n    print(n, flush=True)\n    n % 50 or time.sleep(0.001)"
+    )
+
+    def last() -> int:
+        return int(tail(log).rstrip("\n").rpartition("\n")[2] or 0)
+
+    async def main() -> None:
+        children = common.Children(None, lambda *_: None)
+        children.take("talkative", spawn([sys.executable, "-u", "-c", talkative], tmp_path, os.environ, log))
+        deadline = time.monotonic() + 60
+        while not log.read_bytes()[:1] or log.read_bytes().startswith(b"0\n"):
+            assert time.monotonic() < deadline, "it was not cut"
+            await asyncio.sleep(0.01)
+        cut_at = last()
+        while last() <= cut_at:
+            assert time.monotonic() < deadline, "its writer does not go on"
+            await asyncio.sleep(0.01)
+        assert await children.end("talkative", 3.0)
+        children.close()
+
+    asyncio.run(main())
+
+
 def test_a_process_of_an_earlier_manager_is_found_and_watched(tmp_path: Path, token: str) -> None:
     starting = (
         "import asyncio, os, sys; from pathlib import Path; from midstride.runtime.process import spawn\n"
@@ -260,7 +302,8 @@ MANAGER = """
 import asyncio, os, sys, time
 from pathlib import Path
 from midstride.runtime.guardian import Guardian
-from midstride.runtime.process import spawn, tail
+from midstride.runtime.logs import tail
+from midstride.runtime.process import spawn
 
 async def main(token, family):
     guardian = Guardian("MIDSTRIDE_TOKEN", token)

@@ -23,6 +23,10 @@ from midstride.wire.messages import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, EN
 T = TypeVar("T")
 
 _OURS: Final = ("python", "python3")
+# How often the logs of components are looked at (s), how long one may get, and what is then left of it (bytes).
+LOOK_AT_LOGS: Final = 60.0
+LONGEST_LOG: Final = 8 * 1024 * 1024
+KEPT_OF_LOG: Final = 1024 * 1024
 # How long the control side may keep the data side from running, while both have something to do (s).
 SWITCH_INTERVAL: Final = 0.0005
 
@@ -70,6 +74,7 @@ class Children:
         self._exited = exited
         self._processes: dict[str, Process] = {}
         self._gone: dict[str, asyncio.Event] = {}
+        self._looking: asyncio.Task[None] | None = None
 
     def __contains__(self, instance: object) -> bool:
         return instance in self._processes
@@ -84,6 +89,14 @@ class Children:
         if self._guardian is not None:
             self._guardian.watch(process.pid, process.started)
         process.on_exit(lambda status: self._ended(instance, process, status))
+        if self._looking is None:
+            self._looking = asyncio.get_running_loop().create_task(self._look_at_logs())
+
+    async def _look_at_logs(self) -> None:
+        while True:
+            await asyncio.sleep(LOOK_AT_LOGS)
+            for process in list(self._processes.values()):
+                process.shorten_log(LONGEST_LOG, KEPT_OF_LOG)
 
     def _ended(self, instance: str, process: Process, status: int | None) -> None:
         self._forget(instance, process)
@@ -129,6 +142,9 @@ class Children:
 
     def close(self) -> None:
         """Let go of them all; they go on."""
+        if self._looking is not None:
+            self._looking.cancel()
+            self._looking = None
         for process in self._processes.values():
             process.close()
         self._processes.clear()

@@ -19,11 +19,11 @@ from typing import Final
 
 from midstride.errors import BackendError, StartFailed
 from midstride.runtime.guardian import carries, look, members, send
+from midstride.runtime.logs import shorten, tail
 
 # How long the kernel may take to end what was killed (s).
 KILL_PATIENCE: Final = 10.0
 _TICK: Final = 0.02
-_TAIL: Final = 4000
 
 
 class Process:
@@ -64,6 +64,11 @@ class Process:
     def last_words(self) -> str:
         """The end of what it has written to its log."""
         return tail(self.log, since=self._log_begins)
+
+    def shorten_log(self, longest: int, kept: int) -> None:
+        """Cut its log to the last ``kept`` bytes where it is longer than ``longest``."""
+        if self.log is not None and shorten(self.log, longest, kept):
+            self._log_begins = 0
 
     def on_exit(self, callback: Callable[[int | None], None] | None) -> None:
         """Call ``callback(status)`` when it has ended, instead of what was asked for before."""
@@ -177,17 +182,3 @@ def find(pid: int, started: float, variable: str, value: str, log: Path | None =
         return Process(pid, started, child=False, log=log)
     except ProcessLookupError:
         return None
-
-
-def tail(log: Path | None, length: int = _TAIL, since: int = 0) -> str:
-    """The end of a log from the byte ``since`` on, in whole lines."""
-    if log is None:
-        return ""
-    try:
-        with open(log, "rb") as file:
-            size = file.seek(0, os.SEEK_END)
-            file.seek(max(since, size - length))
-            text = file.read().decode(errors="replace")
-    except OSError:
-        return ""
-    return text if size - since <= length else text.partition("\n")[2]

@@ -15,7 +15,8 @@ from midstride.backends.ros1 import launching, names, rpc
 from midstride.backends.ros1.master import PROBE, Master
 from midstride.errors import BackendError, StartFailed
 from midstride.runtime.guardian import Guardian, look
-from midstride.runtime.process import find, spawn, tail
+from midstride.runtime.logs import tail
+from midstride.runtime.process import find, spawn
 
 ENV_STARTED: Final = "MIDSTRIDE_ROS1_MASTER"
 # How long a master may take to answer after its start (s).
