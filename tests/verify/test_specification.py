@@ -46,6 +46,16 @@ def test_the_specification_comes_out_as_it_says_to_scope_5() -> None:
     assert sorted(str(checked.task) for checked in found) == sorted(str(c) for m in MODULES for c in commands(m))
 
 
+@pytest.mark.alloy
+def test_the_analyzer_leaves_no_files_where_java_puts_them(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JAVA_TOOL_OPTIONS", f"-Djava.io.tmpdir={tmp_path}")
+    source = tmp_path.parent / f"{tmp_path.name}.als"
+    source.write_text("sig A {} run Some { some A } for 1\n", encoding="utf-8")
+    assert "sat4j" in find().solvers()
+    assert find().solve(source)["Some"].satisfiable
+    assert list(tmp_path.iterdir()) == []
+
+
 _MENDED = {"'": "_", "...": "", "env_guards": "env_guars", "mode_guards": "mode_guars"}
 
 

@@ -75,12 +75,20 @@ class Alloy:
         where starting up is what takes the time. Raises AlloyFailed, with the reason, where no answer comes.
         """
         with tempfile.TemporaryDirectory(prefix="midstride-alloy-") as folder:
-            line = [self.java, f"-Djava.io.tmpdir={folder}", "-Djava.awt.headless=true"]
-            line += ["-XX:+UseSerialGC", *(["-XX:TieredStopAtLevel=1"] if quick else [])]
-            line += [f"-Xmx{memory}m"] if memory else []
+            options = [*(["-XX:TieredStopAtLevel=1"] if quick else []), *([f"-Xmx{memory}m"] if memory else [])]
             output = Path(folder) / "out"
-            line += ["-jar", str(self.jar), "exec", "-q", "-f", "-t", "json", "-s", solver, "-o", str(output)]
+            line = [*self._java(folder, *options), "exec", "-q", "-f", "-t", "json", "-s", solver, "-o", str(output)]
             return self._execute([*line, "-c", commands, str(source)], output, limit, stop)
+
+    def solvers(self) -> list[str]:
+        """The solvers that can be had on this machine. Raises AlloyFailed where no answer comes."""
+        with tempfile.TemporaryDirectory(prefix="midstride-alloy-") as folder:
+            return run([*self._java(folder), "solvers", "-l"], 60.0).text.split()
+
+    def _java(self, folder: str, *options: str) -> list[str]:
+        """How a command of the Analyzer begins. It leaves files in its temporary folder: that is ``folder``."""
+        headless = "-Djava.awt.headless=true"
+        return [self.java, f"-Djava.io.tmpdir={folder}", headless, "-XX:+UseSerialGC", *options, "-jar", str(self.jar)]
 
     def _execute(self, line: Sequence[str], output: Path, limit: float, stop: Event | None) -> dict[str, Outcome]:
         said = run(line, limit, stop)
@@ -237,10 +245,9 @@ def _java_version(java: str) -> int | None:
 def fast_solver(alloy: Alloy) -> str:
     """The quickest solver that this machine has: a native one where there is one."""
     try:
-        listed = run([alloy.java, "-jar", str(alloy.jar), "solvers", "-l"], 60.0).text.split()
+        return "glucose" if "glucose" in alloy.solvers() else "sat4j"
     except AlloyFailed:
         return "sat4j"
-    return "glucose" if "glucose" in listed else "sat4j"
 
 
 def available_memory() -> int:
