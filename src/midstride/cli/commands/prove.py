@@ -55,7 +55,7 @@ def prove_command(
     Needs the solvers: pip install 'midstride[proof]'.
 
     With --alloy, the same is then asked of the Alloy specification, for all systems up to a scope. Needs Java and
-    the Alloy Analyzer (`make alloy`). At scope 5 that takes the better part of an hour.
+    the Alloy Analyzer (`make alloy`). At scope 5 that takes 20 to 40 minutes of two cores.
     """
     from midstride.cli.output import print_json, wants_json
     from midstride.verify.run import find
