@@ -164,7 +164,8 @@ class Performer:
 
     async def _hand_over(self, action: Handover, s: Configuration) -> None:
         for old, new in sorted({(swap.old.component, swap.new.component) for swap in action.swaps}):
-            await self._carry_state(old, new)
+            if old != new and s.instances[old].role == s.instances[new].role:  # else nobody is replaced
+                await self._carry_state(old, new)
         if self.before_handover is not None:
             await self.before_handover(s, action)
         handed = await hand_over(self.link, s, action)
