@@ -17,14 +17,18 @@ class ComponentClock:
         self.host: Host | None = None
 
     def now(self) -> int:
-        """Nanoseconds."""
+        """Nanoseconds; 0 while ``use_sim_time`` is on and nothing has come on ``/clock``."""
         return time.time_ns() if self.host is None else self.host.now()
 
     def seconds(self) -> float:
+        """The same in seconds."""
         return self.now() / 1e9
 
     def stamp(self, time_message: Any) -> Any:
-        """Fill a time message, e.g. ``comp.clock.stamp(message.header.stamp)``, of ROS 2 or ROS 1; returns it."""
+        """Fill a time message, e.g. ``comp.clock.stamp(message.header.stamp)``, of ROS 2 or ROS 1; returns it.
+
+        Raises NodeError for what is no time.
+        """
         seconds, nanoseconds = divmod(self.now(), 1_000_000_000)
         if hasattr(time_message, "nanosec"):
             time_message.sec, time_message.nanosec = seconds, nanoseconds
@@ -35,7 +39,10 @@ class ComponentClock:
         return time_message
 
     def sleep(self, seconds: float) -> Awaitable[None]:
-        """``await comp.clock.sleep(0.5)`` in an async mode function; elsewhere it would do nothing."""
+        """``await comp.clock.sleep(0.5)`` in an async mode function; elsewhere it would do nothing.
+
+        Seconds of the ROS clock. Raises NodeError before the component has started.
+        """
         if self.host is None:
             raise NodeError("clock.sleep() belongs in an async mode function, which runs after start()")
         return self.host.pause(seconds)

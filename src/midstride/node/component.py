@@ -52,9 +52,11 @@ class Hooks:
 
 
 class Component:
-    """A node of the system: declare ports and functionalities, then ``start()``.
+    """A node of the system: declare ports and functionalities, then ``start()`` (semantics.md section 2).
 
-    ``name`` is the default; the manager may give the instance another one (``instance``).
+    ``name`` is the default; the manager may give the instance another one (``instance``). ``clock`` is its ROS clock,
+    ``logger`` its ROS logger. Everything that declares raises NodeError where it is used wrongly, or after ``start()``:
+    the message says what to write instead, and nothing has been declared.
     """
 
     def __init__(self, name: str) -> None:
@@ -79,9 +81,11 @@ class Component:
         qos: QoS | int | None = None,
         where: Where | None = None,
     ) -> Input:
-        """An input port, with what it assumes of the topic it will be attached to.
+        """An input port, with what it assumes of the topic it will be attached to (semantics.md section 1).
 
-        ``rate`` in Hz; ``where`` constrains fields: ``{"width": at_least(640), "encoding": {"rgb8", "bgr8"}}``.
+        ``type`` is the message class; ``rate`` the least rate in Hz, None where any will do. ``qos`` is what the
+        subscription requests: a QoS, or a depth alone; what it does not state is ROS's default. ``where`` constrains
+        fields: ``{"width": at_least(640), "encoding": {"rgb8", "bgr8"}}``. Raises NodeError.
         """
         where_ = f"input {self._new_port(name)}"
         message_type = check_type(type, where_)
@@ -91,7 +95,11 @@ class Component:
         return self.inputs[name]
 
     def create_output(self, name: str, type: type, qos: QoS | int | None = None) -> Output:
-        """An output port. What it guarantees is up to the modes of the functionality it belongs to."""
+        """An output port; attached to no topic until the manager does so.
+
+        What it guarantees is up to the modes of the one functionality it belongs to; ``type`` and ``qos``, as for an
+        input, are the same in all of them (semantics.md section 2, M3). Raises NodeError.
+        """
         where = f"output {self._new_port(name)}"
         self.outputs[name] = Output(name, check_type(type, where), check_qos(qos, where))
         return self.outputs[name]
@@ -99,7 +107,12 @@ class Component:
     def create_functionality(
         self, name: str, inputs: Sequence[Input] = (), outputs: Sequence[Output] = (), weight: float = 1
     ) -> Functionality:
-        """What the component does with ``inputs`` for ``outputs``; ``weight`` says how much its loss matters."""
+        """What the component does with ``inputs`` for ``outputs``: declare its modes on what this returns.
+
+        An input may serve several functionalities, an output has one. ``weight``, greater than 0, says how much its
+        loss matters when a plan is made: the unit of disruption is this times seconds (semantics.md section 6).
+        Raises NodeError.
+        """
         self._declaring(f"functionality {name}")
         where = f"functionality {check_name(name, 'create_functionality()')}"
         if name in self.functionalities:
@@ -122,8 +135,10 @@ class Component:
     ) -> Parameter:
         """A ROS parameter. Its ``value`` is the one in force; ``on_change(value)`` makes it changeable in place.
 
-        What ``on_change`` raises refuses the change. Before ``start()`` the value is the manager's
-        where the manager gave one, else the default.
+        ``on_change`` is called between two calls of the modes; what it raises refuses the change. Without it, another
+        value means another instance (semantics.md section 6). Values are booleans, numbers, words, or lists of one of
+        these, of the type that ``default`` has. Before ``start()`` the value is the manager's where the manager gave
+        one, else the default. Raises NodeError.
         """
         self._declaring(f"parameter {name}")
         check_parameter(name, default)
@@ -139,25 +154,30 @@ class Component:
     def on_setup(self, fn: F) -> F:
         """``fn(node)`` is called with the ROS node before registration, where user code runs: for transforms, services.
 
-        In the simulator, which has no ROS node, it is called with None.
+        ``node`` is rclpy's node on ROS 2, the module rospy on ROS 1 (there a process is one node), and None in the
+        simulator. What is no port is live from then on (semantics.md section 7). What ``fn`` raises ends the start.
         """
         self.hooks.setup = self._hook("on_setup", fn)
         return fn
 
     def on_export_state(self, fn: F) -> F:
-        """``fn() -> bytes``: what a replacement of this component should know."""
+        """``fn() -> bytes``: what a replacement of this component should know. Called just before the hand-over.
+
+        What it raises fails that step (semantics.md section 7, State).
+        """
         self.hooks.export_state = self._hook("on_export_state", fn)
         return fn
 
     def on_import_state(self, fn: F) -> F:
-        """``fn(state: bytes)``: take up what the replaced component knew."""
+        """``fn(state: bytes)``: take up what the replaced component knew. What it raises fails that step."""
         self.hooks.import_state = self._hook("on_import_state", fn)
         return fn
 
     def on_stop(self, fn: F, timeout: float = 2.0) -> F:
         """``fn()`` is called after the last call of any mode, while outputs are still open: a last zero velocity.
 
-        The component ends after ``timeout`` seconds even if it has not returned.
+        It may be async. The component ends after ``timeout`` seconds even if it has not returned; what it raises is
+        logged. Raises NodeError.
         """
         self.hooks.stop = self._hook("on_stop", fn)
         self.hooks.stop_timeout = check_seconds(timeout, "on_stop(timeout=)")
@@ -181,6 +201,9 @@ class Component:
         Started by the manager, it announces itself and waits, degraded and unattached, for orders;
         so it does when started by hand. ``--standalone out:=/chatter`` on the command line attaches
         it and runs its best modes, with nobody managing it; other arguments are left alone.
+
+        Raises NodeError where the declaration is incomplete or breaks a rule of semantics.md section 2, where no ROS
+        can be imported, or where the node's name is taken; BackendError where the platform cannot be joined.
         """
         self._declaring("start()")
         declaration = self.declaration()

@@ -47,7 +47,10 @@ class Guarantee:
 
 
 def guarantee(rate: float | None = None, where: Where | None = None) -> Guarantee:
-    """What a mode promises of an output, for ``guarantees={out: guarantee(rate=20, where={"width": 640})}``."""
+    """What a mode promises of an output, for ``guarantees={out: guarantee(rate=20, where={"width": 640})}``.
+
+    ``rate`` in Hz; ``where`` as for ``create_input`` (semantics.md section 1). Raises NodeError.
+    """
     return Guarantee(check_rate(rate, "guarantee()"), field_constraints(where, None, "guarantee()"))
 
 

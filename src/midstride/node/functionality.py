@@ -14,7 +14,12 @@ if TYPE_CHECKING:
 
 
 class Functionality:
-    """Made by ``Component.create_functionality``. The normal mode is the best, the degraded one assumes nothing."""
+    """A chain of modes, best first (semantics.md section 2). Made by ``Component.create_functionality``.
+
+    The normal mode is the best, the degraded one assumes nothing (M1); what a worse one guarantees, every better one
+    does too (M2). It starts in the degraded one; which it is in later is the manager's affair, save that it goes to
+    the degraded one by itself where a function raises.
+    """
 
     def __init__(
         self,
@@ -53,8 +58,9 @@ class Functionality:
         message of each. Without either, ``fn()`` is called once, on entry. An ``async`` function
         counts as running until it returns.
 
-        ``inputs`` names what the mode assumes; ``any_of(left, right)`` for alternatives.
-        ``guarantees`` states rates or fields of outputs where ``rate`` does not say it all.
+        ``inputs`` names what the mode assumes; ``any_of(left, right)`` for alternatives. ``outputs`` are those it
+        writes: an output that is not among them is guaranteed nothing. ``guarantees`` states rates (Hz) or fields of
+        outputs where ``rate`` does not say it all. ``name`` is what the specification calls the mode. Raises NodeError.
         """
         if self._normal is not None:
             raise NodeError(
@@ -74,7 +80,10 @@ class Functionality:
         *,
         sync: Approximate | None = None,
     ) -> None:
-        """A mode between the normal and the degraded one; call it for the better ones first."""
+        """A mode between the normal and the degraded one; call it for the better ones first.
+
+        The arguments are those of ``set_normal_mode``. Raises NodeError.
+        """
         self._between.append(self._declare(name, fn, rate, inputs, outputs, guarantees, sync))
 
     def set_degraded_mode(
@@ -87,7 +96,10 @@ class Functionality:
         name: str = "degraded",
         inputs: Sequence[Input | AnyOf] = (),
     ) -> None:
-        """The last mode: what is left to do when nothing can be relied on. It must not assume anything."""
+        """The last mode: what is left to do when nothing can be relied on. It must not assume anything (M1).
+
+        With ``rate`` (Hz), ``fn()`` is called at that rate; without, once, on entry. Raises NodeError.
+        """
         if self._degraded is not None:
             raise NodeError(
                 f"functionality {self.name}: set_degraded_mode() was called before; for a finer mode in between write "

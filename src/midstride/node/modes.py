@@ -29,7 +29,7 @@ def approximate(slop: float, queue: int = 10) -> Approximate:
     """``sync=approximate(0.05)``: call with one message of each input, at most 0.05 s apart.
 
     The time of a message is its ``header.stamp`` where it has one, else that of its publication.
-    ``queue`` messages of each input wait for their partners; the oldest go first.
+    ``queue`` messages of each input wait for their partners; the oldest go first. Raises NodeError.
     """
     seconds = check_seconds(slop, "approximate()")
     if not queue >= 1:

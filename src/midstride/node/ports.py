@@ -83,7 +83,11 @@ class OutputLink:
 
 
 class Output:
-    """An output port. ``write`` publishes on every topic it is attached to; attached to none, it only counts."""
+    """An output port. ``write`` publishes on every topic it is attached to; attached to none, it only counts.
+
+    To be written to from mode functions, and whatever else is called where they are (``on_stop``, ``on_change``,
+    timers of the author's own node): not from threads of the author's, for it takes no lock.
+    """
 
     def __init__(self, name: str, type_: type, qos: QoS) -> None:
         self.name = name
@@ -95,7 +99,10 @@ class Output:
         self.owner: Runner | None = None
 
     def write(self, message: Any) -> None:
-        """Publish ``message``. Raises NodeError where it is not of the output's type."""
+        """Publish ``message``. Raises NodeError where it is not of the output's type.
+
+        Behind a closed gate, before and after a hand-over, it is counted and goes nowhere (semantics.md section 7).
+        """
         if message.__class__ is not self.type and not isinstance(message, self.type):
             self._refuse(message)
         links = self.links
@@ -137,7 +144,7 @@ class InputLink:
 
 
 class Input:
-    """An input port. ``latest`` is the newest message since it was attached, or None; ``age`` how old that is."""
+    """An input port. ``latest`` is the newest message since it was attached, or None; ``age`` how old that is (s)."""
 
     def __init__(self, name: str, type_: type, assumption: Predicate) -> None:
         self.name = name
@@ -207,7 +214,10 @@ class AnyOf:
 
 
 def any_of(*inputs: Input) -> AnyOf:
-    """An assumption that one of several inputs meets: ``inputs=[any_of(left, right)]``."""
+    """An assumption that one of several inputs meets: ``inputs=[any_of(left, right)]`` (semantics.md section 2).
+
+    Raises NodeError for fewer than two, or for what is no input.
+    """
     for port in inputs:
         if not isinstance(port, Input):
             raise NodeError(f"any_of(): {port!r} is not an input; write what create_input gave")
