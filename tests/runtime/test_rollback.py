@@ -21,7 +21,7 @@ from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Command, Reply
-from tests.runtime.systems import example, kept, managed, replace, snapshot
+from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, snapshot
 
 # Reads that only watch: a change may go on without them.
 WATCHING = {"observe", "grid", "record", "records", "export_state"}
@@ -300,3 +300,27 @@ def test_a_component_that_comes_back_has_its_own_state_again(tmp_path: Path) -> 
     outcome, heard = managed("talker", folder, body, simulator, changed(specification, components=components))
     assert outcome["outcome"] == "rolled_back", outcome["because"]
     assert heard == "the old one's+"
+
+
+def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) -> None:
+    """Not what it then refused: its revision is another one by that, which explains nothing to anybody."""
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    for file in (EXAMPLES / "talker").glob("*.py"):
+        text = file.read_text()
+        broken = text.replace("    out.write(", "    raise ValueError('unplugged')\n    out.write(")
+        (programs / file.name).write_text(broken if file.name == "new_talker.py" else text)
+    simulator = Simulator()
+
+    async def main() -> dict[str, Any]:
+        manager = Manager(example("talker"), simulator, Workspace(tmp_path), programs)
+        await manager.up()
+        try:
+            return await manager.change(replace("talker", "NewTalker"))
+        finally:
+            await manager.close()
+
+    outcome = simulator.run(main())
+    assert outcome["outcome"] == "rolled_back"
+    told = "talker_2.talk has gone to degraded by itself: mode normal raised: ValueError: unplugged"
+    assert told in outcome["because"]

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 from midstride.errors import CommandRefused, MidstrideError, StepFailed
 from midstride.model.action import Handover, Swap
-from midstride.model.component import PortRef
+from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.runtime.link import Link
@@ -90,12 +90,27 @@ async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
                 break
         last = await _await_cuts(link, s, cuts)
     except (Exception, asyncio.CancelledError) as error:
+        fallen = await _fallen(link, s, swaps) if isinstance(error, MidstrideError) else None
         await _take_back(link, s, cuts, begun)
         if isinstance(error, MidstrideError):
-            raise StepFailed(str(error)) from error
+            raise StepFailed(fallen or str(error)) from error
         raise
     warnings = [warning for swap in swaps if (warning := await _retire(link, s, swap))]
     return Handed(last, tuple(warnings))
+
+
+async def _fallen(link: Link, s: Configuration, swaps: Iterable[Swap]) -> str | None:
+    """Why a new side cannot take over that has degraded by itself: that is the reason, whatever it then refused."""
+    for swap in swaps:
+        owner = s.component(swap.new.component).owner(swap.new.port)
+        try:
+            view = (await link.peek(swap.new.component))["functionalities"].get(owner.name, {})
+        except MidstrideError:
+            continue
+        ref = FunctionalityRef(swap.new.component, owner.name)
+        if view and owner.mode_index(view["mode"]) > s.modes[ref]:
+            return f"{ref} has gone to {view['mode']} by itself: {str(view.get('because')).strip()}"
+    return None
 
 
 async def _told(link: Link, s: Configuration, cuts: list[Cut], last_try: bool) -> bool:
