@@ -42,6 +42,9 @@ def test_what_stays_lower_is_not_called_nothing() -> None:
         "Done in 270 ms.",
         "Stays lower: brake.watch, from normal to cautious.",
     ]
+    assert render.fell(done(plan=plan(afterwards=lower))) == "brake.watch, from normal to cautious, for good"
+    assert render.fell(done(fallen={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
+    assert render.fell(done()) == "nothing"
     rolled_back = done("rolled_back", plan=plan(afterwards=lower), because="create filter_2 (Median): it ended")
     assert shown(render.outcome(rolled_back)) == [
         "Rolled back in 270 ms, every step is undone: create filter_2 (Median): it ended",

@@ -128,10 +128,9 @@ def _side_by_side(example: Example, outcomes: list[Document]) -> Table:
     for name in ("longest gap", "in periods", "missed", "lost", "duplicates"):
         table.add_column(name, justify="right")
     for act, outcome in zip(example.acts, outcomes, strict=False):
-        fell = [f"{name} {render.seconds(spent)}" for name, spent in sorted(outcome["fallen"].items()) if spent]
         rows: list[Document] = outcome["swaps"] or [{}]
         for swap in rows:
-            table.add_row(act.name, ", ".join(fell) or "nothing", *_figures(swap))
+            table.add_row(act.name, render.fell(outcome), *_figures(swap))
     return table
 
 

@@ -161,14 +161,27 @@ def outcome(document: Document) -> RenderableType:
 
 def fallen_words(document: Document) -> list[str]:
     """What really fell, and for how long, as measured; and what was meant to stay lower than it was."""
-    fell = {name: spent for name, spent in (document.get("fallen") or {}).items() if spent}
-    lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in sorted(fell.items())]
-    if document["outcome"] == "done":
-        lower, _ = _afterwards(document["plan"])
-        lines += [f"Stays lower: {words}." for words in lower]
+    lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in _fallen(document)]
+    lines += [f"Stays lower: {words}." for words in _lower(document)]
     if ended := document.get("ended"):
         lines.append(f"By itself ended meanwhile: {', '.join(ended)}; `midstride status` says what that lowers.")
     return lines or ["Nothing fell below its level."]
+
+
+def fell(document: Document) -> str:
+    """The same on one line, for a table."""
+    told = [f"{name} {seconds(spent)}" for name, spent in _fallen(document)]
+    told += [f"{words}, for good" for words in _lower(document)]
+    return ", ".join(told) or "nothing"
+
+
+def _fallen(document: Document) -> list[tuple[str, float]]:
+    return sorted((name, spent) for name, spent in (document.get("fallen") or {}).items() if spent)
+
+
+def _lower(document: Document) -> list[str]:
+    """What was meant to stay lower than it was, and does."""
+    return _afterwards(document["plan"])[0] if document["outcome"] == "done" else []
 
 
 def status(document: Document) -> RenderableType:
