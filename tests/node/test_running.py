@@ -414,8 +414,25 @@ def test_started_by_hand_it_belongs_to_whoever_welcomes_it_first(tmp_path: Path)
         await bench.send("node", "welcome", token="mine", manager="me")
         await bench.send("node", "modes", token="mine", modes={"talk": "normal"})
         assert "token" in await bench.refusal("node", "welcome", token="yours", manager="you")
+        await bench.send("node", "attach", token="mine", port="out", topic="/chatter")
+        await bench.send("node", "release", token="mine")
+        assert "token" in await bench.refusal("node", "modes", token="mine", modes={"talk": "normal"})
+        view = (await bench.send("node", "observe", token="yours"))["functionalities"]["talk"]
+        assert (view["mode"], view["because"]) == ("degraded", "released: nobody manages it any more")
+        assert (await bench.simulator.endpoints()).publishers == ()
+        before = len(bench.events)
+        await bench.sleep(0.3)
+        assert len(bench.events) > before, "it announces itself again"
+        await bench.send("node", "welcome", token="yours", manager="you")
+        assert "for it to end" in await refusal_of_one_started_by_its_manager(bench)
 
     simulate(tmp_path, main)
+
+
+async def refusal_of_one_started_by_its_manager(bench: Bench) -> str:
+    await bench.start("own", TALKER)
+    await bench.send("own", "welcome", manager="me")
+    return await bench.refusal("own", "release")
 
 
 def test_a_changing_command_needs_an_id(tmp_path: Path) -> None:

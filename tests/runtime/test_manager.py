@@ -230,9 +230,16 @@ def test_a_component_started_by_hand_is_taken_in_found_again_and_left_running(tm
         assert (await second.up())["components"] == ["listener", "talker"]
         await second.down()
         words = [event["words"] for event in second.log()]
-        assert "talker was started elsewhere and is left running" in words and "talker has ended" not in words
-        assert list(simulator.processes) == ["talker"]
+        assert "talker was started elsewhere: it is released, and left running" in words
+        assert list(simulator.processes) == ["talker"] and not (await simulator.endpoints()).publishers
         await second.close()
+        third = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        assert (await third.up())["components"] == ["listener", "talker"]
+        outcome = await third.change(replace("talker", "NewTalker"))
+        assert outcome["outcome"] == "done" and outcome["swaps"][0]["missed"] == 0
+        assert sorted(third.configuration.instances) == ["listener", "talker_2"]
+        assert sorted(simulator.processes) == ["listener", "talker", "talker_2"]
+        await third.close()
 
     simulator.run(main())
 

@@ -14,7 +14,7 @@ import uuid
 from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, Final
 
-from midstride.errors import MidstrideError
+from midstride.errors import CommandRefused, MidstrideError
 from midstride.model import component as model
 from midstride.model.document import component_to_document
 from midstride.node.arguments import Arguments
@@ -70,6 +70,7 @@ class Agent:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._welcomed = False
         self._stopping = asyncio.Event()
+        self._free = asyncio.Event()  # released, or stopping
         self._operations = Operations(component, host, self._revision, self._degraded, self._publish_state)
         self._operations.belongs_to(token)
 
@@ -85,9 +86,11 @@ class Agent:
             self._publish_state()
             if self._standalone is not None:
                 await self._run_alone(self._standalone)
-            else:
-                await self._announce()
-            await self._stopping.wait()
+            while not self._stopping.is_set():
+                self._free.clear()
+                if self._standalone is None:
+                    await self._announce()
+                await self._free.wait()
         except asyncio.CancelledError:
             pass  # SIGTERM, SIGINT
         await operations.end()
@@ -176,7 +179,10 @@ class Agent:
                 result = self._welcome(command) if command.op == "welcome" else self._state()
             elif command.op == "stop":
                 self._stopping.set()
+                self._free.set()
                 result = {}
+            elif command.op == "release":
+                result = await self._release(command)
             else:
                 result = await self._operations.carry_out(command.op, command.arguments, expected)
         except MidstrideError as error:
@@ -200,6 +206,16 @@ class Agent:
             self._host.logger.info(f"{self._host.instance} is managed by {manager}")
         self._welcomed = True
         return self._state()
+
+    async def _release(self, command: Command) -> dict[str, Any]:
+        if self._start_token:
+            raise CommandRefused("it was started by its manager, and is for it to end")
+        await self._operations.release(Arguments("release", command.arguments))
+        self._token = ""
+        self._operations.belongs_to("")
+        self._welcomed = False
+        self._free.set()
+        return {}
 
     # -- state -------------------------------------------------------------------------------------
 

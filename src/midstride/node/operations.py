@@ -105,6 +105,14 @@ class Operations:
         for runner in self._runners:
             runner.begin()
 
+    async def release(self, arguments: Arguments) -> None:
+        """Degraded and unattached, as at first. Raises CommandRefused where user code does not return in time."""
+        modes = {runner.name: runner.chain[runner.last].name for runner in self._runners}
+        timeout = arguments.seconds("timeout", PATIENCE)
+        because = "released: nobody manages it any more"
+        await self._modes(Arguments("release", {"modes": modes, "timeout": timeout, "because": because}), None)
+        await self._attachments.close_all(timeout)
+
     async def end(self) -> None:
         """No call any more, the author's last word, then the endpoints; each in bounded time, whatever fails."""
         self._handovers.close()

@@ -21,6 +21,8 @@ from midstride.wire.messages import Announcement
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
 # How long a component may take to end in order before it is ended by force (s), where it does not ask for longer.
 STOP_GRACE: Final = 3.0
+# How long one that was started by hand may take to let go of its modes and topics (s).
+RELEASE_TIMEOUT: Final = 5.0
 
 
 class Launcher:
@@ -158,6 +160,14 @@ class Launcher:
         await self._backend.end(name, self._graces.get(name, STOP_GRACE))
         self._graces.pop(name, None)
         self.handles.pop(name, None)
+
+    async def release(self, name: str) -> None:
+        """Let go of a component that was started by hand: degraded and unattached, it waits for the next manager.
+
+        Raises MidstrideError where it cannot be reached, or its code does not return in time.
+        """
+        await self._link.change(name, "release", timeout=RELEASE_TIMEOUT)
+        self._link.forget(name)
 
     async def adopt(self, handle: Handle, *, own: bool = True) -> dict[str, Any] | None:
         """Find a component of an earlier manager again: its state, or None where it is gone or not ours.

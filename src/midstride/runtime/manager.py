@@ -158,14 +158,13 @@ class Manager:
             self.events.add("down", f"{self.specification.name} is down")
 
     async def _end(self, name: str) -> str | None:
-        if name not in self._launcher.handles:
-            self.events.add("note", f"{name} was started elsewhere and is left running")
-            return None
+        own = name in self._launcher.handles
         try:
-            await self._launcher.end(name)
+            await (self._launcher.end(name) if own else self._launcher.release(name))
         except MidstrideError as error:
             return f"{name}: {error}"
-        self.events.add("ended", f"{name} has ended")
+        told = "has ended" if own else "was started elsewhere: it is released, and left running"
+        self.events.add("ended" if own else "note", f"{name} {told}")
         return None
 
     # -- asking -------------------------------------------------------------------------------------

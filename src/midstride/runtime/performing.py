@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from midstride.errors import CallTimeout, MidstrideError, StepFailed, Unreachable
+from midstride.errors import CallTimeout, MidstrideError, Unreachable
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
@@ -88,11 +88,6 @@ class Performer:
 
     async def _remove(self, action: Remove, s: Configuration) -> None:
         instance = s.instances[action.component]
-        if instance.component.run is None:
-            raise StepFailed(
-                f"{action.component} was started elsewhere (component {instance.component.name} has no `run`), "
-                "so it is not ended here: end it yourself, or give the component a `run`"
-            )
         if not self.taking_back:  # else it is what this very change has created, and what comes back has its own
             try:
                 exported = await self.link.read(action.component, "export_state")
@@ -100,7 +95,11 @@ class Performer:
                     self._exported[instance.role] = exported["state"]
             except (CallTimeout, Unreachable) as error:  # what no longer answers must still be removable
                 self.tell("note", f"the state of {action.component} is lost: {error}", {})
-        await self.launcher.end(action.component)
+        if instance.component.run is None:
+            await self.launcher.release(action.component)
+            self.tell("note", f"{action.component} was started elsewhere: it is released, and left running", {})
+        else:
+            await self.launcher.end(action.component)
 
     async def _give(self, instance: str, state: str) -> None:
         try:

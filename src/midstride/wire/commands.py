@@ -38,6 +38,8 @@ Changing (with the expected revision):
                   its peer after its first write; ``latch``: writes the last gated message again at ``at``
 ``cancel_cut``    {cut} -> {}; the old side's gates stay or become open, the new side's closed
 ``gate``          {port, topic, gate} -> {}
+``release``       {timeout} -> {}; one that was started by hand belongs to nobody again: every functionality goes to its
+                  last mode, every port is detached, and it announces itself as at first
 ``stop``          {} -> {}; ends the process in order
 
 Between components (by the token of the system, no revision):
@@ -73,6 +75,7 @@ CHANGING: Final = frozenset(
         "cut_in",
         "cancel_cut",
         "gate",
+        "release",
         "stop",
     }
 )
