@@ -94,6 +94,13 @@ def test_a_folder_that_cannot_be_made_is_named(folder: str, tmp_path: Path, monk
         Workspace.of("patrol")
 
 
+def test_a_socket_s_path_must_be_short(runtime_folder: Path) -> None:
+    room = 107 - len(f"{runtime_folder}/midstride//manager.sock")
+    assert Workspace.of("p" * room).path.is_dir()
+    with pytest.raises(ManagerError, match=r"manager.sock is 2 bytes too long for a socket: shorten the name"):
+        Workspace.of("p" * (room + 2))
+
+
 def test_a_full_disk_is_told_before_anything_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
     workspace = Workspace.of("patrol")
     workspace.require_room()

@@ -25,6 +25,7 @@ from midstride.errors import ManagerBusy, ManagerError
 VERSION: Final = 1
 # What must fit on the disk before a manager is started (bytes): a small state, and the first lines of the logs.
 _ROOM: Final = 16_384
+_LONGEST_SOCKET: Final = 107  # bytes, on Linux
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_\-]*\Z")
 
 
@@ -47,6 +48,11 @@ class Workspace:
         if not _NAME.match(system):
             raise ManagerError(f"{system!r} cannot name a running system: use letters, digits, _ and -")
         root = _root()
+        if (over := len(os.fsencode(cls(root / system).socket)) - _LONGEST_SOCKET) > 0:
+            raise ManagerError(
+                f"{cls(root / system).socket} is {over} bytes too long for a socket: shorten the name of the system, "
+                "or set XDG_RUNTIME_DIR to a folder with a shorter path"
+            )
         for folder in (root, root / system):
             try:
                 folder.mkdir(mode=0o700, parents=True, exist_ok=True)
