@@ -137,12 +137,17 @@ def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Pa
     """The source is gone; the sink, which the filter feeds, does not answer. The filter is lowered all the same."""
 
     async def body(manager: Manager, simulator: Simulator) -> None:
+        handles = manager._launcher.handles
+        handles["sink"] = changed(handles["sink"], pid=4711)  # the simulator's have none
         simulator.faults.freeze("sink", 60)
         simulator.faults.kill("source")
         await asyncio.sleep(30)
         view = (await manager.peek("filter"))["functionalities"]["smooth"]
         assert (view["mode"], view["because"]) == ("degraded", "source has ended by itself")
-        assert not (await manager.status())["valid"], "the sink's mode is not known"
+        status = await manager.status()
+        assert not status["valid"], "the sink's mode is not known"
+        (sink,) = [row for row in status["components"] if row["name"] == "sink"]
+        assert (sink["reachable"], sink["pid"]) == (False, 4711), "whoever is to kill it needs its number"
         await asyncio.sleep(60)
         assert (await manager.change(Request(remove=("filter",))))["outcome"] == "done"
         assert (await manager.peek("sink"))["functionalities"]["use"]["mode"] == "degraded"

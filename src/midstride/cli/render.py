@@ -206,9 +206,10 @@ def _heading(document: Document) -> str:
 
 
 def _process(component: Document) -> Text:
+    process = str(component["pid"] or "–")
     if not component["reachable"]:
-        return Text("no answer", style="red")
-    return Text(str(component["pid"] or "–"), style="dim")
+        return Text(f"{process}, no answer", style="red")
+    return Text(process, style="dim")
 
 
 def _functionality(row: Document, reachable: bool) -> tuple[Text, Text, Text]:

@@ -178,6 +178,9 @@ class Manager:
         document = await status.status(
             self.configuration, self._link, self._backend.clock, {**self._crashed, **self._gone}
         )
+        for row in document["components"]:
+            if row["pid"] is None and row["name"] in self._launcher.handles:  # it does not answer: who it is, is known
+                row["pid"] = self._launcher.handles[row["name"]].pid
         document["system"] = self.specification.name
         document["backend"] = self._backend.name
         document["revision"] = self.revision
