@@ -89,11 +89,12 @@ def test_the_socket_is_its_user_s_alone_and_goes_at_the_end(workspace: Workspace
     run(test)
 
 
-def test_a_path_too_long_for_a_socket_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / ("x" * 100)))
+def test_a_path_too_long_for_a_socket_is_told(tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path / ("x" * 100))
+    workspace.path.mkdir()
     manager = ScriptedManager()
     with pytest.raises(errors.ManagerError, match="is the path too long"):
-        asyncio.run(serve(manager.as_manager, Workspace.of("talker"), backend="scripted"))
+        asyncio.run(serve(manager.as_manager, workspace, backend="scripted"))
     assert manager.asked == []
 
 
