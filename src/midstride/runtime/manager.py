@@ -111,7 +111,8 @@ class Manager:
                 if state is None:
                     self._keeper.forget(unless_running=True)
                 raise
-            self.events.add("up", f"{self.specification.name} is up: {len(self.configuration.instances)} components")
+            many = _so_many(len(self.configuration.instances), "component")
+            self.events.add("up", f"{self.specification.name} is up: {many}")
             return {"outcome": "done", "components": sorted(self.configuration.instances)}
 
     async def _complete(self) -> None:
@@ -281,7 +282,7 @@ class Manager:
         actions = [step.action for step in plan.steps]
         document = plan.to_document()
         preview = {name: value for name, value in document.items() if name not in ("start", "target")}
-        self.events.add("plan", f"{len(actions)} steps, disruption {plan.disruption:g}", plan=preview)
+        self.events.add("plan", f"{_so_many(len(actions), 'step')}, disruption {plan.disruption:g}", plan=preview)
         await recording.begin(self.configuration, actions)
         falls = FallClock(plan.change, clock.steady)
         begun = clock.steady()
@@ -313,7 +314,7 @@ class Manager:
         await self._settle_crashes()
         documents_of_swaps = to_documents(swaps)
         if documents_of_swaps:
-            self.events.add("measured", f"measured at {len(swaps)} subscribers", swaps=documents_of_swaps)
+            self.events.add("measured", f"measured at {_so_many(len(swaps), 'subscriber')}", swaps=documents_of_swaps)
         told = f"{outcome}: {because}" if because else outcome
         self.events.add("outcome", told, outcome=outcome)
         return {
@@ -426,6 +427,10 @@ class Manager:
         reason = "; ".join(because) or "what it assumes was gone before it could be reached"
         self._owing = await self._executor().lower(fallen, reason)
         self._save()
+
+
+def _so_many(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _refused(because: str) -> dict[str, Any]:
