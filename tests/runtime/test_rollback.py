@@ -211,7 +211,8 @@ def test_a_recording_ends_with_the_change_however_that_ends(tmp_path: Path) -> N
         while not any(event["kind"] == "measuring" for event in manager.log()):
             await asyncio.sleep(0.01)
         task.cancel()
-        await asyncio.wait({task})
+        outcome = await task
+        assert (outcome["outcome"], outcome["swaps"][0]["missed"]) == ("done", None), "it is done, if not measured"
         await asyncio.sleep(10)
         assert await kept(workspace, simulator, "listener.in") == 64
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -124,17 +125,23 @@ class Recording:
         return None if period is None else float(period)
 
     async def finish(self, last_numbers: dict[PortRef, int | None]) -> list[SwapReport]:
-        """Wait for the tail, and work out the figures. :meth:`stop` is still due."""
+        """Wait for the tail, and work out the figures. :meth:`stop` is still due.
+
+        Whoever is cancelled meanwhile gets what is known by then: nothing. The change is done, and that is to be told.
+        """
         if not self.subjects:
             return self.unknown
         periods = [subject.guaranteed_period for subject in self.subjects]
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
-        await self.clock.sleep(min(max(tails), LONGEST_TAIL))
-        # The subscribers first: what they have received, the witnesses must have too.
-        ports = dict.fromkeys([*(subject.input for subject in self.subjects), *self._witnesses.values()])
-        records = {port: await self._records(port) for port in ports}
-        inputs = {old: records[port] for old, port in self._witnesses.items()}
-        reports = [_report(subject, records[subject.input], inputs, last_numbers) for subject in self.subjects]
+        try:
+            await self.clock.sleep(min(max(tails), LONGEST_TAIL))
+            # The subscribers first: what they have received, the witnesses must have too.
+            ports = dict.fromkeys([*(subject.input for subject in self.subjects), *self._witnesses.values()])
+            records = {port: await self._records(port) for port in ports}
+        except asyncio.CancelledError:
+            records = {}
+        inputs = {old: records.get(port) for old, port in self._witnesses.items()}
+        reports = [_report(subject, records.get(subject.input), inputs, last_numbers) for subject in self.subjects]
         return reports + self.unknown
 
     async def stop(self, live: Container[str]) -> None:
