@@ -10,7 +10,7 @@ import pytest
 from midstride.errors import PlanRefused
 from midstride.model.action import Remove
 from midstride.model.component import FunctionalityRef
-from midstride.model.specification import Constraint, Keep, Limit, Order, Specification, initial
+from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.constraints import conflict, in_force, layers
 from midstride.plan.plan import Plan
@@ -145,6 +145,19 @@ def test_orders_in_a_circle_are_refused(strategy: str) -> None:
     assert "`order a before b`" in words
     assert "`order b before a`" in words
     assert "keep" not in words
+
+
+@pytest.mark.parametrize("strategy", sorted(STRATEGIES))
+def test_orders_of_both_ends_may_contradict_each_other(strategy: str) -> None:
+    """Each specification is sound by itself; nothing comes, so nothing is stuck until it is asked what goes first."""
+    nodes = {name: ("Source", {"out": f"/{name}"}) for name in ("a", "b", "c")}
+    start = bound(system([work("Source", outputs=["out"])], nodes), Order("c", "b"), Order("b", "a"))
+    target = start.without_node("b")
+    for role in ("a", "c"):
+        target = target.with_node(Node(role, "Source"))
+    words = refused(start, bound(target, Order("a", "c")), strategy)
+    for order in ("`order c before b`", "`order b before a`", "`order a before c`"):
+        assert order in words
 
 
 def test_the_smallest_set_in_conflict_is_named() -> None:

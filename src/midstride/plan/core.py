@@ -93,6 +93,10 @@ class Core:
         """The roles whose turn it is under the user's orders."""
         return Turn(self.orders, self.busy() if self.orders else set())
 
+    def layers(self) -> list[list[str]] | None:
+        """The roles with something left to do, in the order asked for; None where the orders contradict each other."""
+        return layers(self.busy(), self.orders)
+
     def busy(self) -> set[str]:
         role_of = self.draft.change.role_of
         names = [*self.creates, *self.removes, *self.swaps]
@@ -205,8 +209,7 @@ class Core:
     def finish(self) -> None:
         """Detach and remove what is left, role after role where the user asks for an order."""
         change, draft = self.draft.change, self.draft
-        layered = layers(self.busy(), self.orders) or []
-        for layer in layered:
+        for layer in self.layers() or ():
             roles = set(layer)
             draft.detach(pair for pair in self.detaches if change.role_of(pair[0].component) in roles)
             for name in self.removes:

@@ -139,6 +139,8 @@ def _search(
     trials = _TRIALS
     watch = Watch(change, levels, constraints) if constraints else None
     stack = [Core(Draft(change, levels, ceiling, watch), orders, eager=eager)]
+    if stack[0].layers() is None:
+        return best
     stack[0].advance()
     while stack:
         core = stack.pop()
