@@ -6,6 +6,8 @@ import os
 import stat
 import subprocess
 import sys
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -15,9 +17,11 @@ from midstride.runtime.workspace import Workspace
 
 
 @pytest.fixture(autouse=True)
-def runtime_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path
+def runtime_folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    # Sockets have short paths, and pytest's own temporary folders long ones.
+    with tempfile.TemporaryDirectory(prefix="ms") as folder:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        yield Path(folder)
 
 
 def test_it_is_a_private_folder_named_after_the_system(runtime_folder: Path) -> None:
@@ -87,10 +91,13 @@ def test_a_state_that_cannot_be_read_says_what_to_do(text: str) -> None:
 
 
 @pytest.mark.parametrize("folder", ["a file", "a file/deeper"])
-def test_a_folder_that_cannot_be_made_is_named(folder: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "a file").write_text("")
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / folder))
-    with pytest.raises(ManagerError, match=f"cannot make the folder {tmp_path}/{folder}/midstride.*XDG_RUNTIME_DIR"):
+def test_a_folder_that_cannot_be_made_is_named(
+    folder: str, runtime_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (runtime_folder / "a file").write_text("")
+    path = runtime_folder / folder
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(path))
+    with pytest.raises(ManagerError, match=f"cannot make the folder {path}/midstride.*XDG_RUNTIME_DIR"):
         Workspace.of("patrol")
 
 
