@@ -2,7 +2,7 @@
 
 A state is the set of structural differences already made; its configuration stands in ``best``.
 Dijkstra over the states gives the least disruption there is, and, among the plans that have it,
-whether one lets nothing fall.
+whether one lets nothing fall. :class:`Constrained` keeps to the user's constraints on the way.
 """
 
 from __future__ import annotations
@@ -13,11 +13,13 @@ from dataclasses import dataclass
 from itertools import count
 
 from midstride.model.best import best
-from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.component import Functionality, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
+from midstride.model.specification import Constraint, Keep, Limit, Order
 from midstride.plan.change import Change
+from midstride.plan.constraints import in_force
 
 NO_PORT = PortRef("", "")
 
@@ -181,3 +183,38 @@ class Exhaustive:
                     known[after] = total
                     heapq.heappush(queue, (total, next(tie), after))
         return None
+
+
+class Constrained(Exhaustive):
+    """The same among the plans that meet ``keep``, ``order`` and ``limit … 0 s``; other limits depend on the way."""
+
+    def __init__(self, change: Change, most: int = 10) -> None:
+        super().__init__(change, most)
+        self.constraints = in_force(change)
+        at_start = self.levels(change.start)
+        self.thresholds = {
+            keep: max(self._chain(keep.functionality).mode_index(keep.mode), at_start[keep.functionality])
+            for keep in self.constraints
+            if isinstance(keep, Keep) and keep.functionality in at_start
+        }
+        self.of_role: dict[str, set[Op]] = {}
+        for op in self.all:
+            self.of_role.setdefault(change.role_of(op.name), set()).add(op)
+
+    def _chain(self, ref: FunctionalityRef) -> Functionality:
+        return self.change.target.component_of(ref.component).functionalities[ref.functionality]
+
+    def steps(self, state: State) -> Iterator[State]:
+        for after in super().steps(state):
+            levels = self.levels(self.configuration(after))
+            kept = all(levels[keep.functionality] <= least for keep, least in self.thresholds.items())
+            if kept and all(self._meets(constraint, state, after) for constraint in self.constraints):
+                yield after
+
+    def _meets(self, constraint: Constraint, before: State, after: State) -> bool:
+        if isinstance(constraint, Limit):
+            return constraint.functionality not in self.losses(after)
+        if isinstance(constraint, Order) and constraint.first != constraint.then:
+            later = any(self.change.role_of(op.name) == constraint.then for op in after - before)
+            return not later or self.of_role.get(constraint.first, set()) <= after
+        return True

@@ -22,21 +22,47 @@ from midstride.model.component import (
     Parameter,
     Resource,
 )
-from midstride.model.contract import Predicate, satisfies
+from midstride.model.contract import Interval, OneOf, Predicate, QoS, ValueSet, satisfies
 from midstride.model.specification import Keep, Limit, Node, Order, Specification
 
 TYPES = ("std_msgs/msg/A", "std_msgs/msg/B")
-RATES = (None, 5.0, 10.0)
+PROFILES = (QoS(), QoS(reliability="best_effort"), QoS(durability="transient_local"), QoS(deadline=0.5))
+FIELDS: tuple[tuple[tuple[str, ValueSet], ...], ...] = (
+    (),
+    (("width", Interval(low=1)),),
+    (("width", OneOf.of([3.0])),),
+    (("encoding", OneOf.of(["mono8", "rgb8"])), ("width", Interval(1, 5))),
+)
+
+
+def strong(rng: Random, kind: str | None = None) -> Predicate:
+    """What is promised at best: a rate, now and then a QoS and fields."""
+    profile = rng.choice(PROFILES) if rng.random() < 0.2 else PROFILES[0]
+    fields = rng.choice(FIELDS) if rng.random() < 0.25 else ()
+    return Predicate(kind or rng.choice(TYPES), 10.0, profile, fields)
+
+
+def weakened(rng: Random, predicate: Predicate, *, endpoint: bool = False) -> Predicate:
+    """The same or less, in any clause; of one ``endpoint`` type and QoS stay (rule M3)."""
+    for _ in range(rng.choice((0, 1, 1, 2, 3))):
+        clause = rng.randrange(3)
+        if clause == 0:
+            predicate = replace(predicate, rate=rng.choice((5.0, None)) if predicate.rate == 10.0 else None)
+        elif clause == 1:
+            predicate = replace(predicate, fields=predicate.fields[1:])
+        elif not endpoint:
+            predicate = replace(predicate, qos=rng.choice(PROFILES[:2]))
+    return predicate
 
 
 def predicate(rng: Random, kind: str | None = None) -> Predicate:
-    return Predicate(kind or rng.choice(TYPES), rng.choice(RATES))
+    return weakened(rng, strong(rng, kind))
 
 
 def component(rng: Random, name: str, like: Component | None = None) -> Component:
     """A component; ``like`` gives the ports, so that the one can take the other's place."""
     if like is None:
-        inputs = {f"i{n}": predicate(rng) for n in range(rng.choice((0, 1, 1, 2, 3)))}
+        inputs = {f"i{n}": weakened(rng, predicate(rng)) for n in range(rng.choice((0, 1, 1, 2, 3)))}
         outputs = tuple(f"o{n}" for n in range(rng.choice((0, 1, 1, 2))))
         kinds = {output: rng.choice(TYPES) for output in outputs}
     else:
@@ -72,17 +98,11 @@ def functionality(
     rng: Random, name: str, inputs: dict[str, Predicate], outputs: list[str], kinds: dict[str, str]
 ) -> Functionality:
     used = tuple(sorted(rng.sample(sorted(inputs), rng.randint(0, len(inputs)))))
-    length = rng.choice((2, 2, 3))
-    rates = {
-        output: sorted((rng.choice((0.0, 5.0, 10.0, 10.0)) for _ in range(length)), reverse=True) for output in outputs
-    }
+    length = rng.choice((2, 2, 3, 4))
+    chains = {output: guarantees(rng, kinds[output], length) for output in outputs}
     modes = []
     for place in range(length):
-        guarantees = {}
-        for output in outputs:
-            rate = rates[output][place]
-            if rate or (place == 0 and rng.random() < 0.7):
-                guarantees[output] = Predicate(kinds[output], rate or 5.0)
+        stated = {output: chain[place] for output, chain in chains.items() if place < len(chain)}
         assumptions: list[Assumption] = []
         if place < length - 1:
             for _ in range(rng.choice((0, 1, 1, 2))):
@@ -90,8 +110,18 @@ def functionality(
                     assumptions.append(NamedInputs(tuple(sorted(rng.sample(used, rng.randint(1, min(2, len(used))))))))
                 elif rng.random() < 0.8:
                     assumptions.append(predicate(rng))
-        modes.append(Mode(f"m{place}", tuple(assumptions), Map(guarantees)))
+        modes.append(Mode(f"m{place}", tuple(assumptions), Map(stated)))
     return Functionality(name, tuple(modes), used, tuple(outputs), weight=float(rng.choice((1, 1, 2, 5))))
+
+
+def guarantees(rng: Random, kind: str, length: int) -> list[Predicate]:
+    """What one output guarantees in the first modes of a chain, each no more than the one before (rule M2)."""
+    if rng.random() < 0.1:
+        return []
+    chain = [strong(rng, kind) if rng.random() < 0.8 else weakened(rng, strong(rng, kind))]
+    while len(chain) < rng.choice((1, length - 1, length)):
+        chain.append(weakened(rng, chain[-1], endpoint=True))
+    return chain
 
 
 def node(rng: Random, role: str, of: Component, connectors: Map[str, Connector], density: float = 0.6) -> Node:
@@ -118,7 +148,8 @@ def system(rng: Random, nodes: int = 5, topics: int = 4) -> Specification:
     """A specification without caps and with capacities that suffice: :func:`change` sets those."""
     connectors = {}
     for n in range(topics):
-        connectors[f"/t{n}"] = Connector(f"/t{n}", Predicate(rng.choice(TYPES), rng.choice((None, 5.0, 5.0))))
+        plain = Predicate(rng.choice(TYPES), rng.choice((None, 5.0, 5.0)))
+        connectors[f"/t{n}"] = Connector(f"/t{n}", predicate(rng, plain.type) if rng.random() < 0.2 else plain)
     components = {f"C{n}": component(rng, f"C{n}") for n in range(rng.randint(2, nodes))}
     for name in list(components):
         if rng.random() < 0.7:
