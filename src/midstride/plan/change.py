@@ -14,6 +14,7 @@ from typing import Final
 
 from immutables import Map
 
+from midstride.model.action import Swap
 from midstride.model.component import Component, FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance, World
 from midstride.model.specification import DEFAULT_SECONDS, Node, Specification
@@ -193,6 +194,35 @@ class Change:
             return None
         topic = self.start.world.connectors[connector].topic
         return topic if self.identities.get(topic) == connector else None
+
+    def exchanges(self) -> dict[str, tuple[Swap, ...]]:
+        """What each replacement takes over from its predecessor, by its name.
+
+        An output hands on to the same port where there is one, else to any other on the same topic.
+        """
+        going: dict[str, list[Attachment]] = {}
+        for port, connector in self.detached:
+            if port.component in self.replaced and port.port not in self.component_of(port.component).inputs:
+                going.setdefault(port.component, []).append((port, connector))
+        coming: dict[str, list[Attachment]] = {}
+        for port, connector in self.attached:
+            if port.port not in self.component_of(port.component).inputs:
+                coming.setdefault(port.component, []).append((port, connector))
+        found: dict[str, list[Swap]] = {}
+        for old, olds in going.items():
+            new = self.replaced[old]
+            free = coming.get(new, [])
+            for same_port in (True, False):
+                for port, connector in list(olds):
+                    alike = (
+                        other for other, on in free if on == connector and (not same_port or other.port == port.port)
+                    )
+                    taking = next(alike, None)
+                    if taking is not None:
+                        free.remove((taking, connector))
+                        olds.remove((port, connector))
+                        found.setdefault(new, []).append(Swap(connector, port, taking))
+        return {new: tuple(swaps) for new, swaps in found.items()}
 
     def settled(self, configuration: Configuration) -> Configuration:
         """``configuration``, reached by the whole plan, in the target's own world and under its own names."""

@@ -21,7 +21,7 @@ from midstride.model.configuration import Instance, exact
 from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
 from midstride.model.specification import Order
-from midstride.plan.change import Attachment, Change
+from midstride.plan.change import Attachment
 from midstride.plan.constraints import layers
 from midstride.plan.draft import Draft
 from midstride.plan.moves import Move
@@ -58,8 +58,8 @@ class Core:
         self.attaches: dict[Attachment, None] = dict.fromkeys(change.attached)
         self.detaches: dict[Attachment, None] = dict.fromkeys(change.detached)
         self.swaps: dict[str, tuple[Swap, ...]] = {}
-        for new, swaps in _pairs(change).items():
-            self.swaps[new] = tuple(swaps)
+        for new, swaps in change.exchanges().items():
+            self.swaps[new] = swaps
             for swap in swaps:
                 del self.attaches[swap.new, swap.connector]
                 del self.detaches[swap.old, swap.connector]
@@ -285,30 +285,3 @@ class Core:
         for name in [name for name in self.removes if role_of(name) == role]:
             del self.removes[name]
             self.draft.remove(name)
-
-
-def _pairs(change: Change) -> dict[str, list[Swap]]:
-    """The exchanges of each replaced role: same port where there is one, else any other on the same topic."""
-    going: dict[str, list[Attachment]] = {}
-    for port, connector in change.detached:
-        if port.component in change.replaced and port.port not in change.component_of(port.component).inputs:
-            going.setdefault(port.component, []).append((port, connector))
-    coming: dict[str, list[Attachment]] = {}
-    for port, connector in change.attached:
-        if port.port not in change.component_of(port.component).inputs:
-            coming.setdefault(port.component, []).append((port, connector))
-    found: dict[str, list[Swap]] = {}
-    for old, olds in going.items():
-        new = change.replaced[old]
-        free = dict.fromkeys(coming.get(new, ()))
-        for same_port in (True, False):
-            for port, connector in list(olds):
-                match = next(
-                    (pair for pair in free if pair[1] == connector and (not same_port or pair[0].port == port.port)),
-                    None,
-                )
-                if match is not None:
-                    del free[match]
-                    olds.remove((port, connector))
-                    found.setdefault(new, []).append(Swap(connector, port, match[0]))
-    return found
