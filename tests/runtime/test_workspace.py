@@ -127,7 +127,11 @@ def test_a_manager_is_known_whether_it_answers_or_not() -> None:
     with workspace.lock():
         assert workspace.manager() is None  # held, but by no manager
     with subprocess.Popen([sys.executable, "-S", "-c", "input()", "_manager"], stdin=subprocess.PIPE) as process:
-        (workspace.path / "lock").write_text(str(process.pid))
-        assert workspace.manager() == process.pid
+        with workspace.lock():
+            (workspace.path / "lock").write_text(str(process.pid))
+            assert workspace.manager() == process.pid
+        assert workspace.manager() is None  # it is about to end
         process.communicate(b"\n")
-    assert workspace.manager() is None
+    with workspace.lock():
+        (workspace.path / "lock").write_text(str(process.pid))
+        assert workspace.manager() is None

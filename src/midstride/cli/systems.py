@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+import time
+from typing import Any, Final
 
 import click
 
@@ -10,6 +11,10 @@ from midstride.cli.client import Client
 from midstride.errors import ManagerError, NoManager
 from midstride.model.problems import suggestion
 from midstride.runtime.workspace import Workspace
+
+# How long a manager that does not answer may be about to begin, or to end (s).
+PATIENCE: Final = 3.0
+POLL: Final = 0.02
 
 
 def system_option(function: Any) -> Any:
@@ -50,14 +55,21 @@ def find(system: str | None) -> tuple[Client, Workspace]:
 
 def _answering(workspace: Workspace) -> Client:
     client = Client(workspace.socket)
-    if client.service() is not None:
-        return client
-    if (manager := workspace.manager()) is not None:
-        raise ManagerError(
-            f"the manager of {workspace.name} (process {manager}) runs, but does not answer. Should that last, "
-            f"`kill -9 {manager}` ends it alone: its components go on, `midstride up` with its file finds them again"
-        )
-    raise NoManager(
+    end = time.monotonic() + PATIENCE
+    while client.service() is None:
+        if (manager := workspace.manager()) is None:
+            raise _ended(workspace)
+        if time.monotonic() > end:
+            raise ManagerError(
+                f"the manager of {workspace.name} (process {manager}) runs, but does not answer. Should that last, "
+                f"`kill -9 {manager}` ends it alone: its components go on, and `midstride up FILE` finds them again"
+            )
+        time.sleep(POLL)
+    return client
+
+
+def _ended(workspace: Workspace) -> NoManager:
+    return NoManager(
         f"the manager of {workspace.name} has ended, its components may still run: "
         "`midstride up` with its file finds them again, `midstride down` ends them"
     )

@@ -114,11 +114,17 @@ class Workspace:
     def manager(self) -> int | None:
         """The process of the manager that runs, whether it answers or not; None where none does."""
         try:
-            pid = int((self.path / "lock").read_text())
-            words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+            with (self.path / "lock").open() as lock:
+                pid = int(lock.read())
+                words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+                if b"_manager" not in words:
+                    return None
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # one that is about to end has let go of it
+                return None
+        except BlockingIOError:
+            return pid
         except (OSError, ValueError):
             return None
-        return pid if b"_manager" in words else None
 
     def require_room(self) -> None:
         """Raises ManagerError where nothing can be written here: a manager could not even say why it ends."""
