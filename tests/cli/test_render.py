@@ -42,7 +42,7 @@ def test_what_stays_lower_is_not_called_nothing() -> None:
         "Done in 270 ms.",
         "Stays lower: brake.watch, from normal to cautious.",
     ]
-    assert render.fell(done(plan=plan(afterwards=lower))) == "brake.watch, from normal to cautious, for good"
+    assert render.fell(done(plan=plan(afterwards=lower))) == "brake.watch for good"
     assert render.fell(done(fallen={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
     assert render.fell(done()) == "nothing"
     rolled_back = done("rolled_back", plan=plan(afterwards=lower), because="create filter_2 (Median): it ended")

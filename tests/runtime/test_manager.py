@@ -129,6 +129,17 @@ def test_a_crash_lowers_whom_it_must_and_the_next_plan_restores(tmp_path: Path) 
         assert (await manager.change(Request(to=manager.specification)))["outcome"] == "done"
         assert (await manager.why("controller.control"))["mode"] == "normal"
         assert (await manager.status())["crashed"] == []
+        assert (await manager.change(replace("detector", "StereoDetector")))["outcome"] == "done"
+        simulator.faults.kill("detector_2")
+        await asyncio.sleep(1)
+        assert [entry["name"] for entry in (await manager.status())["crashed"]] == ["detector_2"]
+        assert (await manager.change(Request(to=manager.specification)))["outcome"] == "done"
+        assert sorted(manager.configuration.instances) == ["controller", "detector"]
+        assert (await manager.status())["crashed"] == []
+        simulator.faults.kill("detector")
+        await asyncio.sleep(1)
+        assert (await manager.change(Request(remove=("detector",))))["outcome"] == "done"
+        assert (await manager.status())["crashed"] == []
 
     managed("obstacle", tmp_path, body)
 

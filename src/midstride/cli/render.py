@@ -97,9 +97,13 @@ def _afterwards(document: Document) -> tuple[list[str], list[str]]:
     lower: list[str] = []
     higher: list[str] = []
     for shift in document["afterwards"]:
-        before, after = (shift[end] or "nobody serving it" for end in ("from", "to"))
-        (lower if shift["levels"] > 0 else higher).append(f"{shift['functionality']}, from {before} to {after}")
+        (lower if shift["levels"] > 0 else higher).append(_shift(shift))
     return lower, higher
+
+
+def _shift(shift: Document) -> str:
+    before, after = (shift[end] or "nobody serving it" for end in ("from", "to"))
+    return f"{shift['functionality']}, from {before} to {after}"
 
 
 def cost(document: Document) -> str:
@@ -162,7 +166,7 @@ def outcome(document: Document) -> RenderableType:
 def fallen_words(document: Document) -> list[str]:
     """What really fell, and for how long, as measured; and what was meant to stay lower than it was."""
     lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in _fallen(document)]
-    lines += [f"Stays lower: {words}." for words in _lower(document)]
+    lines += [f"Stays lower: {_shift(shift)}." for shift in _lowered(document)]
     if ended := document.get("ended"):
         lines.append(f"By itself ended meanwhile: {', '.join(ended)}; `midstride status` says what that lowers.")
     return lines or ["Nothing fell below its level."]
@@ -171,7 +175,7 @@ def fallen_words(document: Document) -> list[str]:
 def fell(document: Document) -> str:
     """The same on one line, for a table."""
     told = [f"{name} {seconds(spent)}" for name, spent in _fallen(document)]
-    told += [f"{words}, for good" for words in _lower(document)]
+    told += [f"{shift['functionality']} for good" for shift in _lowered(document)]
     return ", ".join(told) or "nothing"
 
 
@@ -179,9 +183,10 @@ def _fallen(document: Document) -> list[tuple[str, float]]:
     return sorted((name, spent) for name, spent in (document.get("fallen") or {}).items() if spent)
 
 
-def _lower(document: Document) -> list[str]:
+def _lowered(document: Document) -> list[Document]:
     """What was meant to stay lower than it was, and does."""
-    return _afterwards(document["plan"])[0] if document["outcome"] == "done" else []
+    shifts: list[Document] = document["plan"]["afterwards"] if document["outcome"] == "done" else []
+    return [shift for shift in shifts if shift["levels"] > 0]
 
 
 def status(document: Document) -> RenderableType:

@@ -79,6 +79,7 @@ class Manager:
         self._seeing = asyncio.Lock()  # held while what has happened by itself is seen to
         self._gone: dict[str, Exited] = {}  # ended by themselves, and still in the model
         self._crashed: dict[str, Exited] = {}  # settled, and not come back
+        self._roles: dict[str, str] = {}  # of these
         self._owing: set[FunctionalityRef] = set()  # to be lowered, and not to be reached
         self._tasks: set[asyncio.Task[None]] = set()
         self._equip(secrets.token_hex(16))
@@ -296,6 +297,7 @@ class Manager:
             await executor.run(actions, plan.step_documents())
             self.specification = target
             self.configuration = plan.change.settled(self.configuration)
+            self._forget_crashes()
         except StepFailed as error:
             outcome, because = error.outcome, str(error)
             if outcome == "rolled_back":
@@ -348,6 +350,15 @@ class Manager:
         self._crashed.pop(instance.name, None)
         self._keeper.started(instance)
         self._save()
+
+    def _forget_crashes(self) -> None:
+        """Whose role is played again, by whatever instance, or is no role any more, is not missing."""
+        s, roles = self.configuration, self.specification.nodes
+        self._crashed = {
+            name: event
+            for name, event in self._crashed.items()
+            if (role := self._roles[name]) in roles and not s.players.get(role)
+        }
 
     def _save(self) -> None:
         self._keeper.save(self.specification, self.configuration)
@@ -410,6 +421,7 @@ class Manager:
         told, self._gone = self._gone, {}
         gone = {name: event for name, event in told.items() if name in self.configuration.instances}
         self._crashed.update(gone)
+        self._roles.update({name: self.configuration.instances[name].role for name in gone})
         for name in gone:
             self._launcher.handles.pop(name, None)
             self._link.forget(name)
