@@ -8,7 +8,8 @@ import pytest
 from immutables import Map
 
 from midstride.model.action import Create, Handover, Remove
-from midstride.model.component import Mode, NamedInputs
+from midstride.model.component import Functionality, Mode, NamedInputs
+from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
 from tests.plan.cases import NEED, SLOW, changed, component, functionality, replaced, sound, system, told, work
 
@@ -209,3 +210,16 @@ def test_amounts_are_compared_as_they_are_written() -> None:
         start = system(parts, {"n": ("Old", {"out": "/x"})}, resources={"gpu": capacity})
         plan = sound(replaced(start, "n", "New", "minimal"))
         assert (plan.disruption == 0.0) == together
+
+
+def test_a_replacement_that_stands_only_by_itself_is_attached_beside_the_old_one() -> None:
+    """The new one needs what it writes itself: worse than the old one before it is on its topic, and better then."""
+    lamp, writes = Predicate(NEED.type, 20.0), Map({"out": NEED})  # nobody has a lamp
+    old = component("Old", Functionality("work", (Mode("m", (lamp,), writes), Mode("d")), (), ("out",)))
+    loop = (Mode("m", (NamedInputs(("in",)),), writes), Mode("w", (lamp,), writes))
+    new = component("New", Functionality("work", (*loop, Mode("d", (), writes)), ("in",), ("out",)))
+    start = system([old, new], {"n": ("Old", {"out": "/x"})})
+    target = start.with_node(Node("n", "New", Map({"out": ("/x",), "in": ("/x",)})))
+    plan = sound(changed(start, target, "minimal"))
+    assert plan.fallen == ()
+    assert told(plan)[2:5] == ["attach n_2.out to /x", "upgrade n_2.work from d to m", "detach n.out from /x"]

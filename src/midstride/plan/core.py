@@ -169,7 +169,7 @@ class Core:
     def _hand_over(self, turn: Turn) -> bool:
         progress = False
         for new, swaps in list(self.swaps.items()):
-            if self.fits(new, swaps, turn) and not self._costs(swaps) and not self.is_wanted(swaps):
+            if self.fits(new, swaps, turn) and not self.costs(swaps) and not self.is_wanted(swaps):
                 del self.swaps[new]
                 self.draft.hand_over(swaps)
                 self.draft.rise()
@@ -199,7 +199,7 @@ class Core:
         s = self.draft.s
         return satisfies(s.guarantee(output), s.world.connectors[connector].guarantee)
 
-    def _costs(self, swaps: tuple[Swap, ...]) -> bool:
+    def costs(self, swaps: tuple[Swap, ...]) -> bool:
         """Whether the role would fall, or fall further, by handing over now."""
         draft = self.draft
         after = Handover(swaps).effect(draft.s)
@@ -252,6 +252,8 @@ class Core:
             case "part":
                 swaps = self.swaps.pop(move.names[0])
                 good = tuple(swap for swap in swaps if self.good(swap) and not self.is_wanted([swap]))
+                if good == swaps:
+                    good = ()
                 if good:
                     self.swaps[move.names[0]] = good
                 self._dissolve(swap for swap in swaps if swap not in good)

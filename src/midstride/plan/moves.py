@@ -139,10 +139,11 @@ def _closings(core: Core, turn: Turn) -> Iterator[Move]:
 
 
 def _parts(core: Core, turn: Turn) -> Iterator[Move]:
-    """A replacement that is not good enough for all its topics, or whose place others want: not handed over there."""
+    """A replacement that is not good enough for all its topics, whose place others want, or whose role would fall by
+    the hand-over: it is not handed over there, but attached beside the old one where there is room."""
     for new, swaps in core.swaps.items():
         live = new in core.draft.s.instances and core.draft.change.role_of(new) in turn
-        if live and (not core.fits(new, swaps, turn) or core.is_wanted(swaps)):
+        if live and (not core.fits(new, swaps, turn) or core.is_wanted(swaps) or core.costs(swaps)):
             yield Move("part", (new,))
 
 
