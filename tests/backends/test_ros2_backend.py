@@ -268,6 +268,8 @@ def test_namespaces(tmp_path: Path) -> None:
             announced = await r.start("front/talker", TALKER, namespace="front")
             assert announced.instance == "front/talker"
             await r.attach("front/talker", "out", "/chatter")
+            await r.start("listener", LISTENER)
+            await r.link.change("front/talker", "meet", timeout=5.0, peer="listener")
             seen = await r.backend.endpoints()
             assert "/front/talker" in seen.nodes
             assert seen.publishers == (("/front/talker", "/chatter"),)

@@ -7,6 +7,7 @@ acknowledged, since destroying one right after publishing loses messages.
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Final
@@ -123,10 +124,12 @@ class Attachments:
         return {"gated": link.gated, "wrong_type": link.output.wrong_type}
 
     async def close_all(self, timeout: float) -> None:
-        """The end of the component: every reader has what was written, then the endpoints go."""
-        for output in self._outputs.values():
-            for link in output.links:
-                await link.publisher.acknowledged(timeout)
+        """The end of the component: every reader has what was written, then the endpoints go.
+
+        One that does not acknowledge costs ``timeout`` (s), and so do many.
+        """
+        links = [link for output in self._outputs.values() for link in output.links]
+        await asyncio.gather(*(link.publisher.acknowledged(timeout) for link in links))
         await self._data.run(self._destroy_all, timeout)
 
     # -- data side ---------------------------------------------------------------------------------

@@ -56,7 +56,6 @@ class Ros2Host:
         self.instance = name
         managed = bool(os.environ.get(ENV_TOKEN))
         node_name, inside = names.split(name, namespace)
-        self._inside = inside
         self._own_context = not rclpy.ok()
         if self._own_context:
             rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
@@ -178,7 +177,7 @@ class Ros2Host:
         await asyncio.sleep(seconds)
 
     async def call_peer(self, instance: str, command: Command, timeout: float) -> Reply:
-        return await self._caller.call(names.full(instance, self._inside), command, timeout)
+        return await self._caller.call(names.full(instance), command, timeout)
 
     def announce(self, announcement: Announcement) -> None:
         self._show({names.ANNOUNCEMENT: announcement.to_json()}, again=True)
