@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator.host import SimulatedHost
+from midstride.wire.messages import Command
 
 from .author import Bench, simulate
 
@@ -411,6 +412,8 @@ def test_started_by_hand_it_belongs_to_whoever_welcomes_it_first(tmp_path: Path)
     async def main(bench: Bench) -> None:
         await bench.start("node", TALKER, token="")
         assert "waits for a manager" in bench.simulator.log("node")
+        mistaken = Command("welcome", {"manager": "you"}, "mistaken", "yours", 99)
+        assert (await bench.simulator.call("node", mistaken, 1.0)).refused is not None
         await bench.send("node", "welcome", token="mine", manager="me")
         await bench.send("node", "modes", token="mine", modes={"talk": "normal"})
         assert "token" in await bench.refusal("node", "welcome", token="yours", manager="you")
@@ -436,8 +439,6 @@ async def refusal_of_one_started_by_its_manager(bench: Bench) -> str:
 
 
 def test_a_changing_command_needs_an_id(tmp_path: Path) -> None:
-    from midstride.wire.messages import Command
-
     async def main(bench: Bench) -> None:
         await bench.start("node", TALKER)
         reply = await bench.simulator.call("node", Command("welcome", {"manager": "me"}, "", "a token", 0), 1.0)

@@ -260,6 +260,35 @@ def test_a_component_started_by_hand_is_taken_in_found_again_and_left_running(tm
     simulator.run(main())
 
 
+def test_a_component_started_by_hand_that_has_ended_is_noticed_when_it_comes_back(tmp_path: Path) -> None:
+    specification = example("talker")
+    by_hand = changed(specification.components["Talker"], run=None)
+    specification = changed(specification, components=specification.components.set("Talker", by_hand))
+    simulator = Simulator()
+    launch = Launch("talker", "", ("python3", "talker.py"), "", EXAMPLES / "talker")
+
+    async def main() -> None:
+        await simulator.start(launch)
+        manager = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
+        await manager.up()
+        simulator.faults.kill("talker")
+        await asyncio.sleep(1)
+        assert not (await manager.status())["valid"]
+        await simulator.start(launch)
+        await asyncio.sleep(1)
+        ended = [event["words"] for event in manager.log() if event["kind"] == "exited"]
+        assert ended == ["talker has ended by itself"] and list(manager.configuration.instances) == ["listener"]
+        assert (await manager.change(Request(to=specification)))["outcome"] == "done"
+        assert (await manager.status())["valid"] and "talker" in manager.configuration.instances
+        simulator.faults.kill("talker")
+        await asyncio.sleep(1)
+        await manager.down()
+        assert not simulator.processes
+        await manager.close()
+
+    simulator.run(main())
+
+
 def test_the_next_manager_finds_everything_again(tmp_path: Path) -> None:
     simulator = Simulator()
 

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 ANNOUNCE_EVERY: Final = 0.1
 # How many answers are kept for repeated commands.
 REMEMBERED: Final = 1000
+_NOT_OURS: Final = "this is not the token of the system that the component belongs to"
 
 
 class Revision:
@@ -140,15 +141,14 @@ class Agent:
     def _wrong_sender(self, command: Command) -> str | None:
         if self._standalone is not None:
             return f"{self._host.instance} was started with {FLAG} and is managed by nobody"
-        if not self._token and command.token:  # started by hand: it belongs to whoever welcomes it first
-            if command.op == "observe":
-                return None  # who is to welcome it must know its revision
-            if command.op == "welcome":
-                self._token = command.token
-                self._operations.belongs_to(command.token)
-        if not self._token or not hmac.compare_digest(command.token.encode(), self._token.encode()):
-            return "this is not the token of the system that the component belongs to"
-        return None
+        if not self._token and command.token and command.op in ("observe", "welcome"):
+            return (
+                None  # started by hand: it belongs to whoever welcomes it first, and who is to must know its revision
+            )
+        return None if self._is_ours(command) else _NOT_OURS
+
+    def _is_ours(self, command: Command) -> bool:
+        return bool(self._token) and hmac.compare_digest(command.token.encode(), self._token.encode())
 
     async def _once(self, command: Command) -> Reply:
         """A changing command: in turn, at the expected revision, and a repeat gets the first answer."""
@@ -202,6 +202,11 @@ class Agent:
 
     def _welcome(self, command: Command) -> dict[str, Any]:
         manager = Arguments("welcome", command.arguments).text("manager")
+        if not self._token:
+            self._token = command.token
+            self._operations.belongs_to(command.token)
+        elif not self._is_ours(command):  # of two who came at once the first has it
+            raise CommandRefused(_NOT_OURS)
         if not self._welcomed:
             self._host.logger.info(f"{self._host.instance} is managed by {manager}")
         self._welcomed = True

@@ -9,7 +9,14 @@ import shlex
 from pathlib import Path
 from typing import Any, Final
 
-from midstride.errors import BackendError, CommandRefused, MidstrideError, SpecificationError, StartFailed
+from midstride.errors import (
+    BackendError,
+    CommandRefused,
+    MidstrideError,
+    SpecificationError,
+    StartFailed,
+    Unreachable,
+)
 from midstride.model.configuration import Instance
 from midstride.model.document import component_from_document
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
@@ -36,6 +43,7 @@ class Launcher:
         self._waiting: dict[str, asyncio.Future[Announcement]] = {}
         self._early: dict[str, Announcement] = {}
         self._graces: dict[str, float] = {}
+        self._uuids: dict[str, str] = {}
         self.handles: dict[str, Handle] = {}
 
     def heard(self, event: Announcement | Exited) -> None:
@@ -158,16 +166,29 @@ class Launcher:
         """End a component that was started here, or by an earlier manager. Raises BackendError: then it is kept."""
         self._link.forget(name)
         await self._backend.end(name, self._graces.get(name, STOP_GRACE))
-        self._graces.pop(name, None)
-        self.handles.pop(name, None)
+        for known in (self._graces, self._uuids, self.handles):
+            known.pop(name, None)
 
     async def release(self, name: str) -> None:
         """Let go of a component that was started by hand: degraded and unattached, it waits for the next manager.
 
-        Raises MidstrideError where it cannot be reached, or its code does not return in time.
+        One that is not there any more needs no letting go. Raises MidstrideError where it does not answer, or its code
+        does not return in time.
         """
-        await self._link.change(name, "release", timeout=RELEASE_TIMEOUT)
+        with contextlib.suppress(Unreachable):
+            await self._link.change(name, "release", timeout=RELEASE_TIMEOUT)
         self._link.forget(name)
+        self._uuids.pop(name, None)
+
+    def is_another(self, announcement: Announcement) -> bool:
+        """Whether this is from another process than the one of that name that was taken in, which is gone. Said once.
+
+        Of a component that was started by hand nothing else tells.
+        """
+        if self._uuids.get(announcement.instance, announcement.uuid) == announcement.uuid:
+            return False
+        del self._uuids[announcement.instance]
+        return True
 
     async def adopt(self, handle: Handle, *, own: bool = True) -> dict[str, Any] | None:
         """Find a component of an earlier manager again: its state, or None where it is gone or not ours.
@@ -186,7 +207,8 @@ class Launcher:
         return state
 
     def _learn(self, name: str, state: dict[str, Any]) -> None:
-        """How long the author of a component wants it to have for its end (``on_stop``)."""
+        """Which process it is, and how long its author wants it to have for its end (``on_stop``)."""
+        self._uuids[name] = str(state["uuid"])
         self._graces[name] = max(STOP_GRACE, float(state.get("stopping", 0.0)))
 
 

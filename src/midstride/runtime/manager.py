@@ -160,13 +160,19 @@ class Manager:
             self.events.add("down", f"{self.specification.name} is down")
 
     async def _end(self, name: str) -> str | None:
-        own = name in self._launcher.handles
+        if name not in self._launcher.handles:
+            try:
+                await self._launcher.release(name)
+                told = "it is released, and left running"
+            except MidstrideError as error:  # not ours to end by force
+                told = f"it is left as it is, and could not be released: {error}"
+            self.events.add("note", f"{name} was started elsewhere: {told}")
+            return None
         try:
-            await (self._launcher.end(name) if own else self._launcher.release(name))
+            await self._launcher.end(name)
         except MidstrideError as error:
             return f"{name}: {error}"
-        told = "has ended" if own else "was started elsewhere: it is released, and left running"
-        self.events.add("ended" if own else "note", f"{name} {told}")
+        self.events.add("ended", f"{name} has ended")
         return None
 
     # -- asking -------------------------------------------------------------------------------------
@@ -387,12 +393,19 @@ class Manager:
 
     def _heard(self, event: Announcement | Exited) -> None:
         self._launcher.heard(event)
-        if isinstance(event, Exited) and event.instance in self._launcher.handles:
-            self._gone[event.instance] = event
-            status_words = "" if event.status is None else f" (status {event.status})"
-            self.events.add("exited", f"{event.instance} has ended by itself{status_words}", log=event.log_tail)
-            if self._running is None or self._measuring:
-                self._settle_soon()
+        if isinstance(event, Announcement):
+            instance = self.configuration.instances.get(event.instance)
+            if instance is not None and instance.component.run is None and self._launcher.is_another(event):
+                self._ended(Exited(event.instance, None))
+        elif event.instance in self._launcher.handles:
+            self._ended(event)
+
+    def _ended(self, event: Exited) -> None:
+        self._gone[event.instance] = event
+        status_words = "" if event.status is None else f" (status {event.status})"
+        self.events.add("exited", f"{event.instance} has ended by itself{status_words}", log=event.log_tail)
+        if self._running is None or self._measuring:
+            self._settle_soon()
 
     def _settle_soon(self) -> None:
         task = asyncio.get_running_loop().create_task(self._settle_alone())
