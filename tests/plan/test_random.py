@@ -14,7 +14,7 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from midstride.errors import PlanRefused
@@ -118,6 +118,8 @@ def test_the_makespan_is_the_longest_chain_of_dependencies(seed: int, strategy: 
 
 @settings(max_examples=200)
 @given(SEEDS)
+@example(108447)  # a hand-over on one topic that had better wait for a place on another
+@example(109656)  # a place given up by one whose replacement is not there yet
 def test_minimal_is_as_good_as_every_order_tried(seed: int) -> None:
     change = drawn(seed, nodes=4, topics=3)
     try:

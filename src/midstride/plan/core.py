@@ -169,24 +169,32 @@ class Core:
     def _hand_over(self, turn: Turn) -> bool:
         progress = False
         for new, swaps in list(self.swaps.items()):
-            if self.fits(new, swaps, turn) and not self.costs(swaps) and not self.is_wanted(swaps):
+            if self.fits(new, swaps, turn) and not self.costs(swaps) and not self._may_wait(new, swaps):
                 del self.swaps[new]
                 self.draft.hand_over(swaps)
                 self.draft.rise()
                 progress = True
         return progress
 
+    def _may_wait(self, new: str, swaps: Iterable[Swap]) -> bool:
+        """Whether it may be better to hand over later, or not at all, because of a topic that is full."""
+        own = any(port.component == new and self._is_capped(connector) for port, connector in self.attaches)
+        return not self.eager and (own or self.is_wanted(swaps))
+
     def is_wanted(self, swaps: Iterable[Swap]) -> bool:
         """Whether another output could do with a place that these would hand on, if it were given up instead."""
         return not self.eager and any(self._is_wanted(swap) for swap in swaps)
 
     def _is_wanted(self, swap: Swap) -> bool:
-        if self.draft.s.world.connectors[swap.connector].cap is None:
+        if not self._is_capped(swap.connector):
             return False
-        waiting = [port for port, connector in self.attaches if connector == swap.connector]
-        others = (other for swaps in self.swaps.values() for other in swaps if other.connector == swap.connector)
-        waiting += [other.new for other in others if other != swap and not self.good(other)]
-        return any(not self._is_input(port) for port in waiting)
+        others = [other for swaps in self.swaps.values() for other in swaps if other.connector == swap.connector]
+        if any(other != swap and not self.good(other) for other in others):
+            return True
+        return any(connector == swap.connector and not self._is_input(port) for port, connector in self.attaches)
+
+    def _is_capped(self, connector: str) -> bool:
+        return self.draft.s.world.connectors[connector].cap is not None
 
     def fits(self, new: str, swaps: Sequence[Swap], turn: Turn) -> bool:
         return self.draft.change.role_of(new) in turn and all(self.good(swap) for swap in swaps)

@@ -142,8 +142,10 @@ def _parts(core: Core, turn: Turn) -> Iterator[Move]:
     """A replacement that is not good enough for all its topics, whose place others want, or whose role would fall by
     the hand-over: it is not handed over there, but attached beside the old one where there is room."""
     for new, swaps in core.swaps.items():
-        live = new in core.draft.s.instances and core.draft.change.role_of(new) in turn
-        if live and (not core.fits(new, swaps, turn) or core.is_wanted(swaps) or core.costs(swaps)):
+        if core.draft.change.role_of(new) not in turn:
+            continue
+        live = new in core.draft.s.instances
+        if core.is_wanted(swaps) or (live and (not core.fits(new, swaps, turn) or core.costs(swaps))):
             yield Move("part", (new,))
 
 
