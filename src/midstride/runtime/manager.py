@@ -293,7 +293,7 @@ class Manager:
         await recording.begin(self.configuration, actions)
         falls = FallClock(plan.change, clock.steady)
         begun = clock.steady()
-        before, crashed = self.configuration, set(self._crashed)
+        before, crashed = self.configuration, dict(self._crashed)
         self.configuration = plan.change.start
         executor = self._executor(falls)
         executor.performer.before_handover = recording.witness
@@ -332,7 +332,7 @@ class Manager:
             "fallen": fallen,
             "swaps": documents_of_swaps,
             "because": because,
-            "ended": sorted(set(self._crashed) - crashed),
+            "ended": sorted(name for name, event in self._crashed.items() if crashed.get(name) is not event),
         }
 
     def _executor(self, falls: FallClock | None = None) -> Executor:
