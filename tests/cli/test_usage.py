@@ -75,6 +75,19 @@ def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
 # -- wrong usage: status 2, one clear line -----------------------------------------------------------------
 
 
+def test_who_falls_is_not_taken_for_a_node_whose_name_goes_on() -> None:
+    """`cam_left` is no instance of `cam`, as `cam_2` is: a group falls together, each to a mode of its own."""
+    modes = {name: {"from": "on", "to": to} for name, to in (("cam_left.see", "slow"), ("cam_2.see", "off"))}
+    fall = {"functionality": "cam.see", "from_step": 1, "to_step": None, "seconds": 1.0, "because": "…"}
+    document = {"steps": [{"action": "degrade", "modes": modes}], "falls": [fall], "afterwards": []}
+    assert "cam.see to off for" in render.falls(document)
+
+
+def test_a_plan_without_steps_says_that_there_is_nothing_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "plan", TALKER, "--to", TALKER)
+    assert (status, out.splitlines()[1:]) == (0, ["There is nothing to do: what is wanted is there."])
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [

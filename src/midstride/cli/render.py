@@ -53,6 +53,8 @@ def step_words(step: Document) -> str:
 
 def plan(document: Document, title: str) -> RenderableType:
     """The steps, who falls, how far and for how long, and what it costs."""
+    if not document["steps"]:
+        return Group(Text(title, style="bold"), Text("There is nothing to do: what is wanted is there."))
     table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("#", justify="right", style="dim")
     table.add_column("step")
@@ -87,7 +89,7 @@ def _mode_entered(step: Document, functionality: str) -> str | None:
     role, _, name = functionality.rpartition(".")
     for ref, modes in step.get("modes", {}).items():
         instance, _, own = ref.rpartition(".")
-        if own == name and (instance == role or instance.startswith(f"{role}_")):
+        if own == name and (instance == role or instance.removeprefix(f"{role}_").isdecimal()):
             return str(modes["to"])
     return None
 
