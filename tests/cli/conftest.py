@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ import pytest
 
 from midstride.cli import main
 from midstride.runtime.guardian import look
+from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -88,6 +90,18 @@ class Midstride:
         for state in self.runtime.glob("midstride/*/state.json"):
             done = self("down", "--system", state.parent.name)
             assert done.status == 0, done.err
+
+
+@contextmanager
+def unwritten(midstride: Midstride) -> Iterator[subprocess.Popen[bytes]]:
+    """A component of the talker's system that a manager started right before it was killed."""
+    token = json.loads((midstride.runtime / "midstride" / "talker" / "state.json").read_text())["token"]
+    environment = {**os.environ, ENV_TOKEN: token, ENV_INSTANCE: "late"}
+    with subprocess.Popen(["sleep", "600"], env=environment, start_new_session=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from tests.cli.conftest import EXAMPLES, Midstride, alive, nothing_lost
+from tests.cli.conftest import EXAMPLES, Midstride, alive, nothing_lost, unwritten
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
 
@@ -54,8 +54,11 @@ def test_components_outlive_their_manager_and_are_found_again(midstride: Midstri
     done = midstride("status")
     assert done.status == 1
     assert "its components may still run: `midstride up` with its file finds them again" in done.err
-    up = midstride("up", TALKER, "-d")
-    assert up.status == 0, up.err
+    with unwritten(midstride) as late:
+        up = midstride("up", TALKER, "-d")
+        assert up.status == 0, up.err
+        assert late.wait(20) == -signal.SIGTERM
+    assert "late had just been started by an earlier manager, and is ended" in up.out
     assert "talker_2 was found again" in up.out
     assert "was running, and is not as" in up.err  # the file says Talker, a NewTalker runs
     assert midstride.components("talker") == components

@@ -16,7 +16,7 @@ from typing import Any
 import httpx
 import pytest
 
-from tests.cli.conftest import EXAMPLES, Midstride, alive, running
+from tests.cli.conftest import EXAMPLES, Midstride, alive, running, unwritten
 from tests.cli.terminal import Terminal
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
@@ -330,9 +330,13 @@ def test_a_killed_manager_is_no_riddle(midstride: Midstride) -> None:
     done = midstride("status")
     assert done.status == 1
     assert "the manager of talker has ended" in done.err
-    assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
+    with unwritten(midstride) as late:
+        assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
+        assert late.wait(20) == -signal.SIGTERM
     os.kill(midstride.manager("talker"), signal.SIGKILL)
-    assert midstride("down").out == "talker is down.\n"
+    with unwritten(midstride) as late:
+        assert midstride("down").out == "talker is down.\n"
+        assert late.wait(20) == -signal.SIGTERM
     assert midstride("down").status == 1
 
 

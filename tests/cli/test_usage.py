@@ -140,9 +140,10 @@ def test_without_a_manager_it_is_said_how_to_start_one(words: list[str], capsys:
 def test_of_several_whose_managers_have_ended_one_must_be_named(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    state = '{"version": 1, "backend": "sim", "token": "nobody-bears-it", "instances": []}'
     for name in ("talker", "filter"):
         (tmp_path / "midstride" / name).mkdir(parents=True)
-        (tmp_path / "midstride" / name / "state.json").write_text('{"version": 1, "backend": "sim", "instances": []}')
+        (tmp_path / "midstride" / name / "state.json").write_text(state)
     status, out, err = run(capsys, command)
     assert (status, out) == (1, "")
     assert "may still run: filter, talker. Say which is meant with --system NAME" in err

@@ -21,6 +21,8 @@ from midstride.runtime import guardian
 from midstride.runtime.guardian import Guardian, look, members
 from midstride.runtime.logs import shorten, tail
 from midstride.runtime.process import Process, find, spawn
+from midstride.runtime.strays import end_strays
+from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
 
 VARIABLE = "MIDSTRIDE_TOKEN"
 
@@ -293,6 +295,36 @@ def test_another_process_of_the_same_number_is_not_taken_for_it(tmp_path: Path, 
         await process.end(grace=5.0)
         process.close()
         assert find(pid, started, VARIABLE, token) is None
+
+    asyncio.run(run())
+
+
+def test_what_was_started_and_not_written_down_is_ended_and_nothing_else(tmp_path: Path, token: str) -> None:
+    def component(name: str, token: str) -> Process:
+        code = "import subprocess; subprocess.run(['sleep', '600'], start_new_session=True)"
+        environment = {**os.environ, ENV_TOKEN: token, ENV_INSTANCE: name}
+        return spawn((sys.executable, "-S", "-c", code), tmp_path, environment, tmp_path / "log")
+
+    async def run() -> None:
+        stray, known, other = component("new", token), component("old", token), component("new", f"{token}-other")
+        for process in (stray, known, other):  # each with what it has started itself, in a group of its own
+            while len(carriers(process.pid)) < 2:
+                await asyncio.sleep(0.005)
+        all_of_the_stray = carriers(stray.pid)
+        assert await end_strays(token, {"old"}, grace=5.0) == ["new"]
+        assert not any(alive(pid) for pid in all_of_the_stray)
+        assert len(carriers(known.pid)) == len(carriers(other.pid)) == 2
+        assert await end_strays(token, {"old"}, grace=5.0) == []
+        assert await end_strays(token, (), grace=5.0) == ["old"]
+        assert await end_strays(f"{token}-other", (), grace=5.0) == ["new"]
+        for process in (stray, known, other):
+            process.close()
+
+    def carriers(pid: int) -> list[int]:
+        """The process and its child, which have one environment."""
+        mine = [guardian.value_of(pid, variable) for variable in (ENV_TOKEN, ENV_INSTANCE)]
+        found = (seen.pid for seen in guardian.processes() if seen.alive)
+        return [one for one in found if [guardian.value_of(one, name) for name in (ENV_TOKEN, ENV_INSTANCE)] == mine]
 
     asyncio.run(run())
 

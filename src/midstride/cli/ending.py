@@ -10,9 +10,10 @@ import click
 
 from midstride import backends
 from midstride.cli.systems import find
-from midstride.errors import ManagerBusy, ManagerError, MidstrideError, NoManager
+from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
 from midstride.runtime.backend import Backend, Handle
 from midstride.runtime.launcher import STOP_GRACE
+from midstride.runtime.strays import end_strays
 from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to end once its system is down (s).
@@ -59,12 +60,12 @@ def _end_what_is_left(workspace: Workspace) -> None:
         return
     handles = [Handle(**entry["handle"]) for entry in state["instances"] if entry["handle"]]
     backend = backends.make(str(state["backend"]))
-    if faults := asyncio.run(_end(backend, handles)):
+    if faults := asyncio.run(_end(backend, handles, str(state["token"]))):
         raise ManagerError("; ".join(faults))
     workspace.forget()
 
 
-async def _end(backend: Backend, handles: list[Handle]) -> list[str]:
+async def _end(backend: Backend, handles: list[Handle], token: str) -> list[str]:
     def ignore(_: Any) -> None: ...
 
     await backend.open(ignore)
@@ -76,6 +77,10 @@ async def _end(backend: Backend, handles: list[Handle]) -> list[str]:
                     await backend.end(handle.instance, STOP_GRACE)
             except MidstrideError as error:
                 faults.append(f"{handle.instance}: {error}")
+        try:
+            await end_strays(token, {handle.instance for handle in handles}, STOP_GRACE)
+        except BackendError as error:
+            faults.append(str(error))
     finally:
         await backend.close()
     return faults

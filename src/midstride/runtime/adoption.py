@@ -79,6 +79,8 @@ async def adopt(
             continue
         found[instance.name] = (instance, observed)
         tell("adopted", f"{instance.name} was found again")
+    for name in await launcher.end_strays(found):
+        tell("ended", f"{name} had just been started by an earlier manager, and is ended")
     for name in _half_done(found):
         tell("ended", f"{name} had been left half done by an earlier manager, and is ended")
         await _end(found.pop(name)[0].name, launcher, link)

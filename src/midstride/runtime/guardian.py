@@ -64,13 +64,20 @@ def members(group: int) -> list[int]:
     return [seen.pid for seen in processes() if seen.group == group and seen.alive]
 
 
-def carries(pid: int, variable: str, value: str) -> bool:
-    """Whether the process was started with this variable in its environment."""
+def value_of(pid: int, variable: str) -> str | None:
+    """The variable in the environment that the process was started with; None without, or where nobody may know."""
+    name = f"{variable}=".encode()
     try:
         with open(f"/proc/{pid}/environ", "rb") as file:
-            return f"{variable}={value}".encode() in file.read().split(b"\0")
+            entries = file.read().split(b"\0")
     except OSError:
-        return False
+        return None
+    return next((os.fsdecode(entry[len(name) :]) for entry in entries if entry.startswith(name)), None)
+
+
+def carries(pid: int, variable: str, value: str) -> bool:
+    """Whether the process was started with this variable in its environment."""
+    return value_of(pid, variable) == value
 
 
 def send(group: int, number: signal.Signals) -> None:

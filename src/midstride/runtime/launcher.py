@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import os
 import shlex
+from collections.abc import Container
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +23,7 @@ from midstride.model.document import component_from_document
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
 from midstride.runtime.link import Link
 from midstride.runtime.registration import mismatches, unexpected_endpoints
+from midstride.runtime.strays import end_strays
 from midstride.wire.messages import Announcement
 
 # How long a process may take from its start to its registration (s): imports of large libraries and models included.
@@ -205,6 +207,10 @@ class Launcher:
             return None
         self._learn(handle.instance, state)
         return state
+
+    async def end_strays(self, known: Container[str]) -> list[str]:
+        """End what an earlier manager started and could not write down: all but the ``known``. Raises BackendError."""
+        return await end_strays(self._token, known, STOP_GRACE)
 
     def _learn(self, name: str, state: dict[str, Any]) -> None:
         """Which process it is, and how long its author wants it to have for its end (``on_stop``)."""

@@ -31,7 +31,7 @@ def manager_command(file: Path, backend: str, http: int | None, http_host: str |
     tcp = None if http is None else Tcp(http, http_host or LOOPBACK)
 
     async def run() -> int:
-        specification = _still_running(workspace) or wanted
+        specification = await _still_running(workspace) or wanted
         platform = backends.make(backend, logs=workspace.logs)
         manager = Manager(specification, platform, workspace, file.resolve().parent)
         return await serve(manager, workspace, backend=backend, tcp=tcp)
@@ -40,17 +40,21 @@ def manager_command(file: Path, backend: str, http: int | None, http_host: str |
         return asyncio.run(run())
 
 
-def _still_running(workspace: Workspace) -> Specification | None:
+async def _still_running(workspace: Workspace) -> Specification | None:
     """What an earlier manager left running: it is taken up as it stands, whatever FILE says by now.
 
-    What is left written of a system of which nothing runs any more is forgotten.
+    What is left written of a system of which nothing runs any more is forgotten, once what is not even written has
+    ended.
     """
     from midstride.runtime.adoption import specification_of
+    from midstride.runtime.launcher import STOP_GRACE
+    from midstride.runtime.strays import end_strays
 
     state = workspace.load()
     if state is None:
         return None
     if not any(_runs(entry["handle"]) for entry in state["instances"]):
+        await end_strays(str(state["token"]), (), STOP_GRACE)
         workspace.forget()
         return None
     return specification_of(state)
