@@ -142,9 +142,7 @@ class Agent:
         if self._standalone is not None:
             return f"{self._host.instance} was started with {FLAG} and is managed by nobody"
         if not self._token and command.token and command.op in ("observe", "welcome"):
-            return (
-                None  # started by hand: it belongs to whoever welcomes it first, and who is to must know its revision
-            )
+            return None  # started by hand: it belongs to whoever welcomes it first, and who is to asks it before
         return None if self._is_ours(command) else _NOT_OURS
 
     def _is_ours(self, command: Command) -> bool:

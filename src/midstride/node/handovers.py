@@ -31,7 +31,8 @@ class Handovers:
         self._host = host
         self._data = data
         self._changed = changed
-        self._sides: dict[str, OldSide | NewSide] = {}
+        # Both sides of a cut may be here: one output of the component can hand over to another.
+        self._sides: dict[str, list[OldSide | NewSide]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     def close(self) -> None:
@@ -73,14 +74,14 @@ class Handovers:
     # -- the cut -----------------------------------------------------------------------------------
 
     async def cut_out(self, arguments: Arguments) -> dict[str, Any]:
-        cut, at, links = self._agreed(arguments, gate="open")
+        cut, at, links = self._agreed(arguments, OldSide, gate="open")
         side = Leaving(links, at, self._host)
         await self._arm(at, side.arm)
         self._begin(cut, OldSide(self._host, self._changed, side, arguments.seconds("resume_after")))
         return {}
 
     async def cut_in(self, arguments: Arguments) -> dict[str, Any]:
-        cut, at, links = self._agreed(arguments, gate="closed")
+        cut, at, links = self._agreed(arguments, NewSide, gate="closed")
         peer, epoch = arguments.text("peer"), arguments.maybe_whole("epoch")
         latches = [
             link for link, swap in zip(links, arguments.tables("swaps"), strict=True) if swap.get("latch") is True
@@ -92,29 +93,36 @@ class Handovers:
         return {}
 
     async def cancel_cut(self, arguments: Arguments) -> dict[str, Any]:
-        side = self._sides.get(arguments.text("cut"))
-        if side is not None:
+        for side in self._of(arguments.text("cut")):
             await side.cancel()
         return {}
 
     async def await_cut(self, arguments: Arguments) -> dict[str, Any]:
-        side = self._sides.get(arguments.text("cut"))
-        if side is None:
+        sides = self._of(arguments.text("cut"))
+        if not sides:
             raise CommandRefused(f"there is no cut {arguments.text('cut')}")
-        await within(self._host, side.finished.wait(), arguments.seconds("timeout", 5.0))
-        return side.told()
+        over = asyncio.gather(*(side.finished.wait() for side in sides))
+        await within(self._host, over, arguments.seconds("timeout", 5.0))
+        told: dict[str, Any] = {}
+        for side in sorted(sides, key=lambda side: side.outcome != "done", reverse=True):
+            told = {**side.told(), **told}  # of two sides here, what keeps the cut from being done
+        return told
 
     async def taken(self, arguments: Arguments) -> dict[str, Any]:
         """From the new side. Of a cut that is not known here nothing was given up, so this side writes."""
-        side = self._sides.get(arguments.text("cut"))
-        return {"resumed": side.taken() if isinstance(side, OldSide) else True}
+        old = [side for side in self._of(arguments.text("cut")) if isinstance(side, OldSide)]
+        return {"resumed": any(side.taken() for side in old) if old else True}
 
     # -- parts -------------------------------------------------------------------------------------
 
-    def _agreed(self, arguments: Arguments, gate: str) -> tuple[str, int, list[OutputLink]]:
+    def _of(self, cut: str) -> list[OldSide | NewSide]:
+        """The sides of a cut that are here."""
+        return self._sides.get(cut, [])
+
+    def _agreed(self, arguments: Arguments, kind: type, gate: str) -> tuple[str, int, list[OutputLink]]:
         """The cut's id, its moment and its attachments. Raises CommandRefused where one is not fit for it."""
         cut, at = arguments.text("cut"), arguments.whole("at")
-        if cut in self._sides:
+        if any(isinstance(side, kind) for side in self._of(cut)):
             raise CommandRefused(f"cut {cut} has been agreed before")
         links = []
         for swap in arguments.tables("swaps"):
@@ -143,8 +151,9 @@ class Handovers:
         await self._data.run(in_time, left)
 
     def _begin(self, cut: str, side: OldSide | NewSide) -> None:
-        self._sides[cut] = side
-        for old in [cut for cut, earlier in self._sides.items() if earlier.finished.is_set()][:-REMEMBERED]:
+        self._sides.setdefault(cut, []).append(side)
+        over = [cut for cut, sides in self._sides.items() if all(earlier.finished.is_set() for earlier in sides)]
+        for old in over[:-REMEMBERED]:
             del self._sides[old]
         task = asyncio.get_running_loop().create_task(side.run())
         self._tasks.add(task)

@@ -49,7 +49,8 @@ Between components (by the token of the system, no revision):
 CutEnd, old side: {"outcome": "done"|"resumed"|"cancelled"|"waiting", "last": {port topic: [number, source ns | None]
 | None}}; "done" once it has passed ``at`` and heard ``taken``; the source is None where it has not written since it was
 told of the cut. New side: {"outcome": "done"|"cancelled"|"waiting", "first": {port topic: [number, source ns] | None}}.
-"waiting": not over within the time-out. Keys are "port topic" with a space between.
+"waiting": not over within the time-out. Where one component is both sides, both are told in one. Keys are "port topic"
+with a space between.
 
 State: {"instance", "uuid", "pid", "revision", "functionalities": {name: {"mode", "since": s ago, "because",
 "busy": s | None}}, "ports": {port: {topic: {"gate": "open"|"closed"|None, "count": n, "gated": n}}},

@@ -85,6 +85,38 @@ async def hands_over_on_the_grid(backend: Backend, workspace: Path) -> None:
             await _check_slots(rows, at, period)
 
 
+async def hands_over_to_another_output_of_its_own(backend: Backend, workspace: Path) -> None:
+    """One component as both sides, for a topic that has room for one publisher."""
+    description = puppets.talker(rate=50)
+    description["component"]["outputs"].append("other")
+    talk = description["component"]["functionalities"]["talk"]
+    talk["produces"].append("other")
+    talk["modes"]["normal"]["guarantees"]["other"] = {"type": puppets.STRING, "rate": 50}
+    async with Lab(backend, workspace) as lab:
+        await lab.start("sink", puppets.sink())
+        await lab.start("old", description)
+        await lab.attach("sink", "in", "/chatter")
+        await lab.mode("sink", "hear", "normal")
+        await lab.attach("old", "out", "/chatter", peers=1)
+        await lab.attach("old", "other", "/chatter", peers=1, gate="closed")
+        await lab.mode("old", "talk", "normal")
+        await lab.read("old", "await_write", port="other", topic="/chatter", timeout=5.0)
+        await lab.change("old", "meet", peer="old")
+        at, epoch, _ = await _slot(lab, "old")
+        await lab.change("old", "cut_out", cut="cut", swaps=_swap(), at=at, resume_after=1.0)
+        swaps = [{"port": "other", "topic": "/chatter"}]
+        await lab.change("old", "cut_in", cut="cut", swaps=swaps, at=at, epoch=epoch, peer="old")
+        told = await lab.read("old", "await_cut", cut="cut", timeout=5.0)
+        assert told["outcome"] == "done", told
+        assert told["last"]["out /chatter"] and told["first"]["other /chatter"][0] == 1, told
+        assert (await lab.port("old", "out", "/chatter"))["gate"] == "closed"
+        assert (await lab.port("old", "other", "/chatter"))["gate"] == "open"
+        await lab.change("old", "detach", port="out", topic="/chatter", timeout=2.0)
+        await lab.sleep(0.5)
+        spoken = [int(word.rsplit(" ", 1)[1]) for word in await lab.received("sink")]
+        assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), spoken
+
+
 async def _check_slots(rows: list[list[Any]], at: int, period: float) -> None:
     """By source time: one message in each slot, and the first of the new one in the slot agreed on."""
     slots = [(row[1] - at) / 1e9 / period for row in rows]
@@ -281,6 +313,7 @@ async def _called(lab: Lab, least: int) -> bool:
 
 CHECKS: Final = (
     hands_over_on_the_grid,
+    hands_over_to_another_output_of_its_own,
     hands_over_what_messages_drive,
     hands_over_a_latched_topic,
     takes_up_again_unless_relieved,
