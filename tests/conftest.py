@@ -26,10 +26,12 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "midstride-ros-log"))
 
 # A deadline per example would fail on a busy machine; pytest's time-out bounds each test instead.
-settings.register_profile("default", deadline=None, print_blob=True)
+# The same examples in each run; the long one looks for new ones.
+settings.register_profile("default", deadline=None, print_blob=True, derandomize=True)
 settings.register_profile(
     "long",
     settings.get_profile("default"),
+    derandomize=False,
     max_examples=2000,
     suppress_health_check=[HealthCheck.too_slow],
 )
