@@ -27,6 +27,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from midstride.testing.systems import chain
+
 RESULTS = Path(__file__).parent / "results" / "check.json"
 
 STRIDE = """system robot
@@ -258,30 +260,6 @@ def judge(answer: Answer, fault: Fault | None) -> str:
     )
 
 
-def large(nodes: int) -> str:
-    """A chain of so many nodes, each fed by the one before, of ten kinds."""
-    parts = ["system large\n", "contract Data = std_msgs/msg/String @ 10 Hz\n"]
-    parts.append("environment { guarantee source on /t0 : std_msgs/msg/String @ 50 Hz }\n")
-    for kind in range(10):
-        parts.append(
-            f"""component Filter{kind} {{
-  input  in : Data
-  output out
-  functionality filter weight {kind + 1} {{
-    uses in
-    produces out
-    mode normal {{ assume in   guarantee out : std_msgs/msg/String @ 20 Hz }}
-    mode slow   {{ assume in   guarantee out : std_msgs/msg/String @ 10 Hz }}
-    mode off {{ }}
-  }}
-}}
-"""
-        )
-    parts += [f"topic /t{n} : Data\n" for n in range(nodes + 1)]
-    parts += [f"node n{n} : Filter{n % 10} {{ in <- /t{n}   out -> /t{n + 1} }}\n" for n in range(nodes)]
-    return "".join(parts)
-
-
 def processor_seconds(command: list[str]) -> float:
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
@@ -295,7 +273,7 @@ def by_size(sizes: list[int], runs: int) -> list[dict[str, float]]:
     with tempfile.TemporaryDirectory() as folder:
         for nodes in sizes:
             file = Path(folder) / f"{nodes}.stride"
-            file.write_text(large(nodes))
+            file.write_text(chain(nodes))
             checks, empties = [], []
             for _ in range(runs):
                 checks.append(processor_seconds([sys.executable, "-m", "midstride", "check", str(file)]))

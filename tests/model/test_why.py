@@ -11,7 +11,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
 from midstride.model.why import Reasons, reasons_against
 from midstride.testing.strategies import specifications
-from tests.lang.systems import chain
+from midstride.testing.systems import chain
 
 
 @given(specifications())

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 from collections.abc import Awaitable, Callable
+from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any, TypeVar
 
 from midstride.backends.simulator import Simulator
+from midstride.model.contract import DEFAULT_QOS
 from midstride.model.document import specification_from_document
 from midstride.model.specification import Specification
 from midstride.plan.request import Request
@@ -23,6 +26,52 @@ T = TypeVar("T")
 
 def example(name: str) -> Specification:
     return specification_from_document(json.loads((EXAMPLES / name / f"{name}.json").read_text()))
+
+
+# A talker that says the state it has, and hands it on.
+_STATEFUL = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("talker")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+state = {own!r}
+talk.set_normal_mode(lambda: out.write(String(data=state)), rate=10, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+
+@comp.on_export_state
+def export():
+    return state.encode()
+
+@comp.on_import_state
+def take_up(given):
+    global state
+    state = given.decode() + "+"
+
+comp.start()
+"""
+
+
+def stateful_talkers(folder: Path) -> Specification:
+    """The talker's example with other programs, written to ``folder``: each says whose state it has taken up."""
+    specification = example("talker")
+    components = specification.components
+    for component, own in (("Talker", "the old one's"), ("NewTalker", "the new one's")):
+        script = folder / f"{component}.py"
+        script.write_text(_STATEFUL.format(own=own))
+        components = components.set(component, changed(components[component], run=f"python3 {script}"))
+    return changed(specification, components=components)
+
+
+async def last_said(simulator: Simulator) -> str:
+    """What is said on the talker's topic a second later."""
+    reader = simulator.network.create_reader(
+        simulator.processes["listener"], "/chatter", "std_msgs/msg/String", DEFAULT_QOS, lambda: None
+    )
+    await asyncio.sleep(1)
+    said: str = reader.queue[-1][0].data
+    return said
 
 
 def replace(role: str, component: str, strategy: str = "minimal") -> Request:

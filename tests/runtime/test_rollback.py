@@ -8,20 +8,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterator
-from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from midstride.backends.simulator import Simulator
-from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Command, Reply
-from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, snapshot
+from tests.runtime.systems import EXAMPLES, example, kept, last_said, managed, replace, snapshot, stateful_talkers
 
 # Reads that only watch: a change may go on without them.
 WATCHING = {"observe", "grid", "record", "records", "export_state"}
@@ -254,51 +252,18 @@ def test_a_failure_that_nobody_foresaw_is_taken_back_as_well(tmp_path: Path, cap
     assert "Traceback" in caplog.text
 
 
-STATEFUL = """
-from midstride import Component
-from std_msgs.msg import String
-
-comp = Component("talker")
-out = comp.create_output("out", String)
-talk = comp.create_functionality("talk", outputs=[out])
-state = {own!r}
-talk.set_normal_mode(lambda: out.write(String(data=state)), rate=10, outputs=[out])
-talk.set_degraded_mode(lambda: None)
-
-@comp.on_export_state
-def export():
-    return state.encode()
-
-@comp.on_import_state
-def take_up(given):
-    global state
-    state = given.decode() + "+"
-
-comp.start()
-"""
-
-
 def test_a_component_that_comes_back_has_its_own_state_again(tmp_path: Path) -> None:
     """Under ``paper`` the old one is removed before the new one comes, which has taken up its state and then fails."""
-    specification, components = example("talker"), example("talker").components
-    for component, own in (("Talker", "the old one's"), ("NewTalker", "the new one's")):
-        script = tmp_path / f"{component}.py"
-        script.write_text(STATEFUL.format(own=own))
-        components = components.set(component, changed(components[component], run=f"python3 {script}"))
     simulator = Simulator()
 
     async def body(manager: Manager, _: Simulator) -> tuple[dict[str, Any], str]:
         simulator.faults.fail_next("talker_2", "attach", "refused")
         outcome = await manager.change(replace("talker", "NewTalker", "paper"))
-        reader = simulator.network.create_reader(
-            simulator.processes["listener"], "/chatter", "std_msgs/msg/String", DEFAULT_QOS, lambda: None
-        )
-        await asyncio.sleep(1)
-        return outcome, reader.queue[-1][0].data
+        return outcome, await last_said(simulator)
 
     folder = tmp_path / "workspace"
     folder.mkdir()
-    outcome, heard = managed("talker", folder, body, simulator, changed(specification, components=components))
+    outcome, heard = managed("talker", folder, body, simulator, stateful_talkers(tmp_path))
     assert outcome["outcome"] == "rolled_back", outcome["because"]
     assert heard == "the old one's+"
 

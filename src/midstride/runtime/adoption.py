@@ -87,7 +87,8 @@ async def adopt(
     for name, (instance, _) in found.items():
         # A cut that was under way may have been settled since it was looked at.
         found[name] = (instance, await link.observe(name))
-        if inputs := list(instance.component.input_order):  # what the earlier manager measured nobody asks for now
+        # What was being recorded for the earlier manager is of no use to this one.
+        if inputs := list(instance.component.input_order):
             await link.take_back(name, "record", inputs=inputs, on=False)
     return await _configuration(specification, found, link)
 

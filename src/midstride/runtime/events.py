@@ -30,15 +30,18 @@ class EventLog:
 
     def since(self, n: int = 0) -> list[Event]:
         """The events after number ``n`` that are still kept; all, where ``n`` is an earlier manager's count."""
-        if n > self._count:
-            n = 0
+        n = self._known(n)
         return [event for event in self._events if event["n"] > n]
+
+    def _known(self, n: int) -> int:
+        """``n``, or 0 where it is an earlier manager's count."""
+        return n if n <= self._count else 0
 
     async def follow(self, n: int = 0) -> AsyncIterator[Event]:
         """The events after number ``n`` as in ``since``, then each new one; a slow reader loses only the oldest."""
         waker = asyncio.Event()
         self._wakers.add(waker)
-        n = n if n <= self._count else 0
+        n = self._known(n)
         try:
             while True:
                 waker.clear()

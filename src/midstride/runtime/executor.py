@@ -58,14 +58,14 @@ class Executor:
                 if self.after_step is not None:
                     await self.after_step(self.configuration)
             except (Exception, asyncio.CancelledError) as error:
-                words = f"{self.describe(action)}: {_told(error)}"
-                self._tell("step_failed", f"{self.describe(action)} failed: {_told(error)}", position)
+                what, why = self.describe(action), _told(error)
+                self._tell("step_failed", f"{what} failed: {why}", position)
                 await self._abandon_started(actions[index:])
                 problem = await self._roll_back(done)
                 if isinstance(error, asyncio.CancelledError):
                     raise
                 outcome = "rolled_back" if problem is None else "failed"
-                because = words if problem is None else f"{words}; and the roll-back failed: {problem}"
+                because = f"{what}: {why}" + ("" if problem is None else f"; and the roll-back failed: {problem}")
                 raise StepFailed(because, outcome) from error
             self._tell("step_done", f"{index + 1}/{len(actions)} done", position)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Container
 
-from midstride.runtime.guardian import Seen, processes, value_of
+from midstride.runtime.guardian import Seen, carries, processes, value_of
 from midstride.runtime.process import Process
 from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
 
@@ -21,7 +21,7 @@ async def end_strays(token: str, known: Container[str], grace: float) -> list[st
     """
     strays: dict[str, list[Seen]] = {}
     for seen in processes():
-        if seen.alive and value_of(seen.pid, ENV_TOKEN) == token:
+        if seen.alive and carries(seen.pid, ENV_TOKEN, token):
             name = value_of(seen.pid, ENV_INSTANCE)
             if name is not None and name not in known:
                 strays.setdefault(name, []).append(seen)
