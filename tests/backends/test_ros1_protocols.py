@@ -19,6 +19,7 @@ from midstride.backends import common
 from midstride.backends.ros1 import asking, launching, names, rpc, tcpros
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.model.contract import QoS
+from tests.backends.ros1_support import free_port
 from tests.backends.ros2_support import run
 
 
@@ -62,6 +63,27 @@ def test_nobody_there_is_unreachable_at_once() -> None:
             await rpc.call(f"http://127.0.0.1:{port}/", "getPid", "/node")
 
     run(scenario())
+
+
+def test_a_call_that_is_cancelled_is_cancelled_whenever_that_is() -> None:
+    """At each turn of the loop, the one in which the refusal arrives included: or a manager told to end would go on."""
+
+    async def ended_before(turns: int) -> bool:
+        calling = asyncio.ensure_future(rpc.call(f"http://127.0.0.1:{free_port()}/", "getPid", "/test"))
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        late = not calling.cancel()
+        await asyncio.wait({calling})
+        assert calling.cancelled() or isinstance(late and calling.exception(), Unreachable)
+        return late
+
+    async def scenario() -> int:
+        turns = 0
+        while not await ended_before(turns):
+            turns += 1
+        return turns
+
+    assert run(scenario()) > 0
 
 
 @pytest.mark.parametrize("said", [b"", b"SSH-2.0-OpenSSH\r\n\r\n", b"HTTP/1.0 404 Not Found\r\n\r\n", b"\0" * 200_000])

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Final
 
 from midstride.errors import BackendError, StartFailed
+from midstride.runtime.deadline import within
 from midstride.runtime.guardian import carries, look, members, send
 from midstride.runtime.logs import shorten, tail
 
@@ -113,7 +114,8 @@ class Process:
 
     async def _gone(self, deadline: float) -> None:
         try:
-            await asyncio.wait_for(self._exited.wait(), max(0.0, deadline - self._loop.time()))
+            async with within(max(0.0, deadline - self._loop.time())):
+                await self._exited.wait()
         except asyncio.TimeoutError:
             return
         while self._left() and self._loop.time() < deadline:

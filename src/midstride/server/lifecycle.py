@@ -13,6 +13,7 @@ import time
 from typing import Any, Final, Literal
 
 from midstride.errors import ManagerError, MidstrideError
+from midstride.runtime.deadline import within
 from midstride.runtime.manager import Manager
 
 log = logging.getLogger(__name__)
@@ -111,7 +112,8 @@ class Lifecycle:
         settled.cancel()
         if self.phase == "failed":
             with contextlib.suppress(asyncio.TimeoutError):
-                await asyncio.wait_for(self._told.wait(), LINGER)
+                async with within(LINGER):
+                    await self._told.wait()
             ended.cancel()
         else:
             await ended

@@ -23,6 +23,7 @@ from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
+from midstride.runtime.deadline import within
 from midstride.runtime.guardian import Guardian
 from midstride.runtime.process import Process, find, spawn
 from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
@@ -147,7 +148,8 @@ class Ros1Backend:
         """Take back what a component that has ended may have left with the master; that must not take long."""
         self._caller.forget(names.command_service(names.full(instance)))
         with contextlib.suppress(BackendError, asyncio.TimeoutError):
-            await asyncio.wait_for(self._joined().forget(names.full(instance)), _TIDY)
+            async with within(_TIDY):
+                await self._joined().forget(names.full(instance))
 
     def _folder(self, token: str = "") -> Path:
         """Where logs go."""

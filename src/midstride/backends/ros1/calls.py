@@ -12,6 +12,7 @@ from uuid import uuid4
 from midstride.backends.ros1 import tcpros
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, CallTimeout, Unreachable
+from midstride.runtime.deadline import within
 from midstride.wire.messages import Command, Reply
 
 _POLL: Final = 0.02
@@ -42,7 +43,8 @@ class Caller:
 
     async def _where(self, service: str, timeout: float) -> str:
         try:
-            return await asyncio.wait_for(self._master.service_at(service), timeout)
+            async with within(timeout):
+                return await self._master.service_at(service)
         except asyncio.TimeoutError:
             raise CallTimeout(f"the ROS master did not say within {timeout:g} s where {service} is") from None
 

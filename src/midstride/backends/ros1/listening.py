@@ -12,6 +12,7 @@ from midstride.backends.ros1 import rpc, tcpros
 from midstride.backends.ros1.master import Master
 from midstride.backends.ros1.names import STRING
 from midstride.errors import BackendError, Unreachable
+from midstride.runtime.deadline import within
 
 # A publisher that cannot be connected to is tried again after this (s), this often.
 _AGAIN: Final = 0.2
@@ -87,8 +88,8 @@ class Listener:
         code, words, protocol = answer
         if code != 1 or protocol[0] != "TCPROS":
             raise Unreachable(f"{uri} does not publish {self._topic}: {words}")
-        connecting = asyncio.open_connection(protocol[1], protocol[2])
-        reader, writer = await asyncio.wait_for(connecting, rpc.PATIENCE)
+        async with within(rpc.PATIENCE):
+            reader, writer = await asyncio.open_connection(protocol[1], protocol[2])
         try:
             fields = {
                 "callerid": self._master.caller,
@@ -98,7 +99,8 @@ class Listener:
                 "message_definition": "string data\n",
                 "tcp_nodelay": "1",
             }
-            await asyncio.wait_for(tcpros.handshake(reader, writer, fields), rpc.PATIENCE)
+            async with within(rpc.PATIENCE):
+                await tcpros.handshake(reader, writer, fields)
             with suppress(OSError, EOFError):
                 while True:
                     self._heard(tcpros.unpack_string(await tcpros.read_block(reader)))

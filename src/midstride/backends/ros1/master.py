@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from midstride.backends.ros1 import rpc
 from midstride.errors import BackendError, CallTimeout, Unreachable
+from midstride.runtime.deadline import within
 
 # How long a node that may be dead is given to say that it is not (s).
 PROBE: Final = 0.5
@@ -110,7 +111,8 @@ class Master:
         """
         host, port, _ = rpc.address(where)
         try:
-            _, writer = await asyncio.wait_for(asyncio.open_connection(host, port), PROBE)
+            async with within(PROBE):
+                _, writer = await asyncio.open_connection(host, port)
         except ConnectionRefusedError:
             service, nowhere = f"{node}/gone", "http://127.0.0.1:1/"
             await self.ask("registerService", node, service, "rosrpc://127.0.0.1:1", nowhere)

@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 from xml.parsers.expat import ExpatError
 
 from midstride.errors import BackendError, CallTimeout, Unreachable
+from midstride.runtime.deadline import within
 
 # How long a master or a node may take to answer what it knows by heart (s).
 PATIENCE: Final = 3.0
@@ -30,7 +31,8 @@ async def call(uri: str, method: str, *arguments: Any, timeout: float = PATIENCE
     BackendError where the method is refused.
     """
     try:
-        return await asyncio.wait_for(_call(uri, method, arguments), timeout)
+        async with within(timeout):
+            return await _call(uri, method, arguments)
     except asyncio.TimeoutError:
         raise CallTimeout(f"{uri} did not answer {method} within {timeout:g} s") from None
     except xmlrpc.client.Fault as error:

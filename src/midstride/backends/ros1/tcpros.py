@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 from midstride.backends.ros1.rpc import told
 from midstride.errors import BackendError, CallTimeout, Unreachable
+from midstride.runtime.deadline import within
 
 # The checksum that stands for any type: the name of the service or topic says enough.
 ANY: Final = "*"
@@ -88,7 +89,8 @@ async def call_service(uri: str, service: str, request: str, caller: str, timeou
     Raises CallTimeout, Unreachable where it is not there, BackendError with the words of a service that failed.
     """
     try:
-        return await asyncio.wait_for(_call(uri, service, request, caller), timeout)
+        async with within(timeout):
+            return await _call(uri, service, request, caller)
     except asyncio.TimeoutError:
         raise CallTimeout(f"{service} did not answer within {timeout:g} s") from None
     except (OSError, EOFError, ValueError) as error:

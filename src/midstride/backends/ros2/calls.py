@@ -20,6 +20,7 @@ from rclpy.parameter import Parameter
 
 from midstride.backends.ros2.names import COMMAND
 from midstride.errors import BackendError, CallTimeout, Unreachable
+from midstride.runtime.deadline import within
 from midstride.wire.messages import Command, Reply
 
 # How long to wait for a reply before sending again (s): at first, where the other side has answered before, at most.
@@ -63,7 +64,8 @@ class Caller:
                     raise CallTimeout(f"{name} did not answer `{command.op}` within {timeout:g} s")
                 sent.append(self._send(client, request, replies))
                 try:
-                    response = await asyncio.wait_for(replies.get(), min(patience, remaining))
+                    async with within(min(patience, remaining)):
+                        response = await replies.get()
                 except asyncio.TimeoutError:
                     patience = min(2 * patience, _LONGEST)
                     continue
