@@ -178,6 +178,10 @@ class Change:
         known = self.start.instances.get(instance)
         return (known or self.final.instances[instance]).component
 
+    def is_output(self, port: PortRef) -> bool:
+        """Of an instance that runs at the start or comes. Raises KeyError for another."""
+        return self.component_of(port.component).has_output(port.port)
+
     def seconds(self, kind: str, component: Component | None = None) -> float:
         """How long a step takes (s): declared in the target, else measured earlier, else the stated default."""
         if kind == "create" and component is not None and component.takes is not None:
@@ -202,11 +206,11 @@ class Change:
         """
         going: dict[str, list[Attachment]] = {}
         for port, connector in self.detached:
-            if port.component in self.replaced and port.port not in self.component_of(port.component).inputs:
+            if port.component in self.replaced and self.is_output(port):
                 going.setdefault(port.component, []).append((port, connector))
         coming: dict[str, list[Attachment]] = {}
         for port, connector in self.attached:
-            if port.port not in self.component_of(port.component).inputs:
+            if self.is_output(port):
                 coming.setdefault(port.component, []).append((port, connector))
         found: dict[str, list[Swap]] = {}
         for old, olds in going.items():

@@ -108,7 +108,7 @@ def _shares_a_full_topic(change: Change) -> bool:
     coming = Counter(
         connector
         for port, connector in change.attached
-        if connectors[connector].cap is not None and port.port not in change.component_of(port.component).inputs
+        if connectors[connector].cap is not None and change.is_output(port)
     )
     return any(count > 1 for count in coming.values())
 

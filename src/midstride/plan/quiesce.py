@@ -29,7 +29,7 @@ def reachable(change: Change) -> list[FunctionalityRef]:
         if port.component in s.instances:
             owners = component.users(port.port) if port.port in component.inputs else [component.owner(port.port)]
             found.update(dict.fromkeys(FunctionalityRef(port.component, owner.name) for owner in owners))
-        if port.port not in component.inputs:
+        if component.has_output(port.port):
             found.update(dict.fromkeys(s.consumers(connector)))
     pending = list(found)
     while pending:

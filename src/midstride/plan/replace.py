@@ -142,7 +142,7 @@ def _bring(draft: Draft, instance: Instance, attachments: list[Attachment]) -> N
     _possible(draft, Create(instance))
     draft.create(instance)
     inputs = [pair for pair in attachments if pair[0].port in instance.component.inputs]
-    outputs = [pair for pair in attachments if pair[0].port not in instance.component.inputs]
+    outputs = [pair for pair in attachments if instance.component.has_output(pair[0].port)]
     for port, connector in inputs:
         draft.attach(port, connector)
     for ref in instance.functionality_refs():

@@ -74,6 +74,15 @@ class Request:
             _well_formed(problem for problem in check_node(target, role) if problem.code != "E020")
         return target
 
+    def describe(self) -> str:
+        """What is to change, in the words of the commands that would do it."""
+        words = [f"remove {role}" for role in self.remove]
+        words += [f"replace {role} by {component}" for role, component in self.replace]
+        words += [f"add {node.role} ({node.component})" for node in self.add]
+        if self.to is not None:
+            words.append(f"apply {self.to.name}")
+        return ", ".join(words) or "nothing"
+
     def to_document(self) -> dict[str, Any]:
         return {
             "replace": [list(pair) for pair in self.replace],

@@ -129,7 +129,7 @@ class _Marks:
         connectors = self.change.start.world.connectors
         topic = connectors[connector].topic
         capped = any(connectors[name].cap is not None for name in (connector, self.change.identities.get(topic, topic)))
-        if capped and port.port in self.change.component_of(port.component).outputs:
+        if capped and self.change.is_output(port):
             yield ("topic", topic), claim
 
     def _mode(self, ref: FunctionalityRef, better: bool) -> Iterator[Mark]:

@@ -19,7 +19,7 @@ from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Action, Create, Degrade, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.runtime.performing import Performer
+from midstride.runtime.performing import Performer, by_component
 
 log = logging.getLogger(__name__)
 
@@ -101,11 +101,9 @@ class Executor:
         There is no order to keep and no precondition to check: what they assume is gone already.
         """
         s = self.configuration
-        by_component: dict[str, dict[FunctionalityRef, int]] = {}
-        for ref, index in sorted(modes.items()):
-            by_component.setdefault(ref.component, {})[ref] = index
-        results = await asyncio.gather(*(self._lower(s, own, because) for own in by_component.values()))
-        left = {ref for own, lowered in zip(by_component.values(), results, strict=True) if not lowered for ref in own}
+        each = list(by_component(modes).values())
+        results = await asyncio.gather(*(self._lower(s, own, because) for own in each))
+        left = {ref for own, lowered in zip(each, results, strict=True) if not lowered for ref in own}
         if len(left) < len(modes):
             self.configuration = s.with_modes({ref: index for ref, index in modes.items() if ref not in left})
             await self.moved(self.configuration)

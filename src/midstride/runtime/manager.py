@@ -28,6 +28,7 @@ from midstride.plan.registry import planner
 from midstride.plan.request import Request
 from midstride.runtime import adoption, status
 from midstride.runtime.backend import Backend, Exited
+from midstride.runtime.crashes import Crashes
 from midstride.runtime.events import Event, EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.falling import FallClock
@@ -77,9 +78,7 @@ class Manager:
         self._running: Running | None = None
         self._measuring = False  # all steps are done, and the command only watches
         self._seeing = asyncio.Lock()  # held while what has happened by itself is seen to
-        self._gone: dict[str, Exited] = {}  # ended by themselves, and still in the model
-        self._crashed: dict[str, Exited] = {}  # settled, and not come back
-        self._roles: dict[str, str] = {}  # of these
+        self._crashes = Crashes()
         self._owing: set[FunctionalityRef] = set()  # to be lowered, and not to be reached
         self._tasks: set[asyncio.Task[None]] = set()
         self._equip(secrets.token_hex(16))
@@ -183,9 +182,7 @@ class Manager:
         if self._running is not None:
             seconds = self._backend.clock.steady() - self._running.since
             running = {"command": self._running.words, "since": round(seconds, 3)}
-        document = await status.status(
-            self.configuration, self._link, self._backend.clock, {**self._crashed, **self._gone}
-        )
+        document = await status.status(self.configuration, self._link, self._backend.clock, self._crashes.all())
         for row in document["components"]:
             if row["pid"] is None and row["name"] in self._launcher.handles:  # it does not answer: who it is, is known
                 row["pid"] = self._launcher.handles[row["name"]].pid
@@ -198,7 +195,7 @@ class Manager:
 
     async def live(self) -> dict[str, Any]:
         """The configuration as its components themselves tell it; ``silent`` are those that did not answer in time."""
-        found = await live(self.configuration, self._link, self._backend.clock, self._gone)
+        found = await live(self.configuration, self._link, self._backend.clock, self._crashes.unsettled)
         document = configuration_to_document(found.configuration)
         return {"revision": self.revision, "silent": list(found.silent), "configuration": document}
 
@@ -244,7 +241,7 @@ class Manager:
         since, the change is refused, since its user has seen another plan. The events by which it waits and begins
         bear ``id``, so that who asked can tell its own events from those of others.
         """
-        async with self._command(_told(request), id):
+        async with self._command(request.describe(), id):
             if expected is not None and expected != self.revision:
                 return _refused("the configuration has changed since the plan was shown; look at the new plan")
             try:
@@ -264,7 +261,7 @@ class Manager:
 
     def _watch(self, plan: Plan) -> Watch:
         def told(s: Configuration) -> Awaitable[Live]:
-            return live(s, self._link, self._backend.clock, self._gone)
+            return live(s, self._link, self._backend.clock, self._crashes.unsettled)
 
         return Watch(self._verifier, tuple(plan.configurations()), told, self._verified)
 
@@ -293,7 +290,7 @@ class Manager:
         await recording.begin(self.configuration, actions)
         falls = FallClock(plan.change, clock.steady)
         begun = clock.steady()
-        before, crashed = self.configuration, dict(self._crashed)
+        before, missing = self.configuration, dict(self._crashes.missing)
         self.configuration = plan.change.start
         executor = self._executor(falls)
         executor.performer.before_handover = recording.witness
@@ -303,7 +300,7 @@ class Manager:
             await executor.run(actions, plan.step_documents())
             self.specification = target
             self.configuration = plan.change.settled(self.configuration)
-            self._forget_crashes()
+            self._crashes.forget(self.configuration, self.specification.nodes)
         except StepFailed as error:
             outcome, because = error.outcome, str(error)
             if outcome == "rolled_back":
@@ -332,7 +329,7 @@ class Manager:
             "fallen": fallen,
             "swaps": documents_of_swaps,
             "because": because,
-            "ended": sorted(name for name, event in self._crashed.items() if crashed.get(name) is not event),
+            "ended": sorted(name for name, event in self._crashes.missing.items() if missing.get(name) is not event),
         }
 
     def _executor(self, falls: FallClock | None = None) -> Executor:
@@ -347,24 +344,14 @@ class Manager:
             link=self._link,
             launcher=self._launcher,
             tell=lambda kind, words, details: self._note(kind, words, **details),
-            is_gone=lambda name: name in self._gone,
+            is_gone=lambda name: name in self._crashes.unsettled,
         )
         return Executor(performer, self.configuration, moved, self._started)
 
     def _started(self, instance: Instance) -> None:
-        self._gone.pop(instance.name, None)
-        self._crashed.pop(instance.name, None)
+        self._crashes.returned(instance.name)
         self._keeper.started(instance)
         self._save()
-
-    def _forget_crashes(self) -> None:
-        """Whose role is played again, by whatever instance, or is no role any more, is not missing."""
-        s, roles = self.configuration, self.specification.nodes
-        self._crashed = {
-            name: event
-            for name, event in self._crashed.items()
-            if (role := self._roles[name]) in roles and not s.players.get(role)
-        }
 
     def _save(self) -> None:
         self._keeper.save(self.specification, self.configuration)
@@ -386,7 +373,7 @@ class Manager:
                 await self._settle()  # what has ended by itself meanwhile
             finally:
                 self._running = None
-                if self._gone:  # while that was being seen to, or where the command has failed
+                if self._crashes.unsettled:  # while that was being seen to, or where the command has failed
                     self._settle_soon()
 
     # -- what happens by itself ------------------------------------------------------------------------
@@ -401,7 +388,7 @@ class Manager:
             self._ended(event)
 
     def _ended(self, event: Exited) -> None:
-        self._gone[event.instance] = event
+        self._crashes.ended(event)
         status_words = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{event.instance} has ended by itself{status_words}", log=event.log_tail)
         if self._running is None or self._measuring:
@@ -427,14 +414,11 @@ class Manager:
 
     async def _settle_crashes(self) -> None:
         """The same where somebody has ended and nobody has seen to it to the end."""
-        if self._gone or self._seeing.locked():
+        if self._crashes.unsettled or self._seeing.locked():
             await self._settle()
 
     async def _see_to_it(self) -> None:
-        told, self._gone = self._gone, {}
-        gone = {name: event for name, event in told.items() if name in self.configuration.instances}
-        self._crashed.update(gone)
-        self._roles.update({name: self.configuration.instances[name].role for name in gone})
+        gone = self._crashes.settle(self.configuration)
         for name in gone:
             self._launcher.handles.pop(name, None)
             self._link.forget(name)
@@ -468,12 +452,3 @@ def _refused(because: str) -> dict[str, Any]:
         "because": because,
         "ended": [],
     }
-
-
-def _told(request: Request) -> str:
-    parts = [f"replace {role} by {name}" for role, name in request.replace]
-    parts += [f"add {node.role}" for node in request.add]
-    parts += [f"remove {role}" for role in request.remove]
-    if request.to is not None:
-        parts.append(f"apply {request.to.name}")
-    return ", ".join(parts) or "nothing"

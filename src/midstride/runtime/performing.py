@@ -6,13 +6,13 @@ as the components can be reached.
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.errors import CallTimeout, MidstrideError, Unreachable
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
-from midstride.model.component import PortRef
+from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, hand_over
 from midstride.runtime.launcher import Launcher
@@ -143,22 +143,15 @@ class Performer:
 
     async def _set_modes(self, action: Degrade | Upgrade, s: Configuration, because: str) -> None:
         """The functionalities of each component at once, the components one after the other."""
-        wanted: dict[str, dict[str, str]] = {}
-        before: dict[str, dict[str, str]] = {}
-        for ref, index in action.modes.items():
-            functionality = s.functionality(ref)
-            wanted.setdefault(ref.component, {})[ref.functionality] = functionality.modes[index].name
-            before.setdefault(ref.component, {})[ref.functionality] = s.mode(ref).name
-        changed: list[str] = []
+        changed: list[tuple[str, dict[str, str]]] = []
         try:
-            for component, modes in sorted(wanted.items()):
-                changed.append(component)
-                await self.link.change(component, "modes", self.drain_timeout, modes=modes, because=because)
+            for component, modes in by_component(action.modes).items():
+                changed.append((component, {ref.functionality: s.mode(ref).name for ref in modes}))
+                wanted = {ref.functionality: s.functionality(ref).modes[index].name for ref, index in modes.items()}
+                await self.link.change(component, "modes", self.drain_timeout, modes=wanted, because=because)
         except Exception:
-            for component in reversed(changed):
-                await self.link.take_back(
-                    component, "modes", self.drain_timeout, modes=before[component], because="roll-back"
-                )
+            for component, before in reversed(changed):
+                await self.link.take_back(component, "modes", self.drain_timeout, modes=before, because="roll-back")
             raise
 
     async def _hand_over(self, action: Handover, s: Configuration) -> None:
@@ -192,6 +185,14 @@ class Performer:
         except Exception:
             await self.link.take_back(component, op, DETACH_TIMEOUT, **arguments)
             raise
+
+
+def by_component(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:
+    """The modes of each component, the components in order of their names."""
+    found: dict[str, dict[FunctionalityRef, int]] = {}
+    for ref, index in sorted(modes.items()):
+        found.setdefault(ref.component, {})[ref] = index
+    return found
 
 
 def _has_endpoint(s: Configuration, port: PortRef, connector: str) -> bool:

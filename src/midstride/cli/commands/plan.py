@@ -4,15 +4,11 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from midstride.cli import asking
 from midstride.cli.app import json_option
-
-if TYPE_CHECKING:
-    from midstride.plan.request import Request
 
 
 @click.command("plan")
@@ -67,14 +63,6 @@ def plan_command(
     else:
         from midstride.cli import render
 
-        title = f"from {file.name} to {to.name}" if to else f"{file.name}: {_asked(request)}"
+        title = f"from {file.name} to {to.name}" if to else f"{file.name}: {request.describe()}"
         console().print(render.plan(document, title))
     return 0
-
-
-def _asked(request: Request) -> str:
-    """What is to change, in the words of the commands that would do it."""
-    words = [f"remove {role}" for role in request.remove]
-    words += [f"replace {role} by {component}" for role, component in request.replace]
-    words += [f"add {node.role} ({node.component})" for node in request.add]
-    return ", ".join(words)
