@@ -10,18 +10,32 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import socket
 import tempfile
 
 import pytest
 from hypothesis import HealthCheck, settings
 
+
+def _claimed_domain() -> int:
+    """A ROS domain that no other test process on this machine has, until this one ends.
+
+    Domains above 101 would take ports that the system hands out to others.
+    """
+    claim = socket.socket(socket.AF_UNIX)
+    for domain in range(101, 0, -1):
+        try:
+            claim.bind(f"\0midstride-test-domain-{domain}")  # in no folder: it goes with its process, however that ends
+        except OSError:
+            continue
+        claim.detach()  # stays open
+        return domain
+    raise RuntimeError("every ROS domain is taken by another test process")
+
+
 # Before any test imports ROS, and for the processes that tests start: a network of our own, on this machine alone, and
-# no files in the home folder. Domains above 101 would take ports that the system hands out to others.
-os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
-if (worker := os.environ.get("PYTEST_XDIST_WORKER")) and "MIDSTRIDE_TEST_DOMAIN" not in os.environ:
-    # Tests that run side by side do not see each other. A worker inherits what its controller has set.
-    os.environ["MIDSTRIDE_TEST_DOMAIN"] = worker
-    os.environ["ROS_DOMAIN_ID"] = str(1 + (int(os.environ["ROS_DOMAIN_ID"]) + 13 * (1 + int(worker[2:]))) % 100)
+# no files in the home folder. Tests that run side by side, in one run or in two, do not see each other.
+os.environ["ROS_DOMAIN_ID"] = str(_claimed_domain())
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 os.environ.setdefault("ROS_LOG_DIR", os.path.join(tempfile.gettempdir(), "midstride-ros-log"))
 

@@ -11,8 +11,8 @@ from sensor_msgs.msg import Range
 from midstride import Component
 
 comp = Component("filter")
-raw = comp.create_input("in", Range, rate=200)
-out = comp.create_output("out", Range)
+raw = comp.create_input("in", Range, rate=200, qos=200)
+out = comp.create_output("out", Range, qos=200)
 smooth = comp.create_functionality("smooth", inputs=[raw], outputs=[out])
 window: deque[float] = deque(maxlen=5)
 

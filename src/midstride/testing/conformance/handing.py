@@ -13,6 +13,8 @@ from midstride.testing.conformance.lab import Lab
 
 # How far ahead a cut is agreed (s): many round trips on a busy machine.
 LEAD: Final = 0.5
+# How often the machine may be asked whether it leaves the writers their slots.
+_ATTEMPTS: Final = 3
 
 
 async def _two_talkers(lab: Lab, rate: float) -> None:
@@ -57,7 +59,18 @@ async def _outcomes(lab: Lab, cut: str = "cut", timeout: float = 5.0) -> tuple[d
 
 
 async def hands_over_on_the_grid(backend: Backend, workspace: Path) -> None:
-    """At 50 Hz: every slot written by exactly one side, the cut where it was agreed, both publishers in the graph."""
+    """At 50 Hz: every slot written by exactly one side, the cut where it was agreed, both publishers in the graph.
+
+    A busy machine may hold a writer up for longer than a slot; it does not do so every time.
+    """
+    faults: list[str] = []
+    while (fault := await _hand_over_on_the_grid(backend, workspace)) is not None:
+        faults.append(fault)
+        assert len(faults) < _ATTEMPTS, faults
+
+
+async def _hand_over_on_the_grid(backend: Backend, workspace: Path) -> str | None:
+    """What was wrong with the slots, as the messages' source times tell them."""
     async with Lab(backend, workspace) as lab:
         await _two_talkers(lab, rate=50)
         at, epoch, period = await _slot(lab, "old")
@@ -81,8 +94,7 @@ async def hands_over_on_the_grid(backend: Backend, workspace: Path) -> None:
         assert old["last"]["out /chatter"][0] == turn, (old, turn)
         assert new["first"]["out /chatter"][0] == 1, new
         rows = await lab.rows("sink")
-        if all(row[1] is not None for row in rows):
-            await _check_slots(rows, at, period)
+        return _fault_of_slots(rows, at, period) if all(row[1] is not None for row in rows) else None
 
 
 async def hands_over_to_another_output_of_its_own(backend: Backend, workspace: Path) -> None:
@@ -117,13 +129,16 @@ async def hands_over_to_another_output_of_its_own(backend: Backend, workspace: P
         assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), spoken
 
 
-async def _check_slots(rows: list[list[Any]], at: int, period: float) -> None:
-    """By source time: one message in each slot, and the first of the new one in the slot agreed on."""
+def _fault_of_slots(rows: list[list[Any]], at: int, period: float) -> str | None:
+    """By source time: one message in each slot."""
     slots = [(row[1] - at) / 1e9 / period for row in rows]
     # A write comes after its slot's time, never before it, late by what the machine makes of it.
     begun = [math.floor(slot + 0.05) for slot in slots]
-    assert len(set(begun)) == len(begun), f"two messages in one slot: {slots}"
-    assert begun == list(range(begun[0], begun[0] + len(begun))), f"a slot without a message: {slots}"
+    if len(set(begun)) < len(begun):
+        return f"two messages in one slot: {slots}"
+    if begun != list(range(begun[0], begun[0] + len(begun))):
+        return f"a slot without a message: {slots}"
+    return None
 
 
 async def hands_over_what_messages_drive(backend: Backend, workspace: Path) -> None:
