@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import json
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -99,3 +101,22 @@ def test_a_session(tmp_path: Path) -> None:
     assert {item.label for item in answers["completion"].items} >= {"MotorController", "Lidar"}
     (edit,) = answers["format"]
     assert "obstacles <- /obstacle   cmd -> /cmd_vel" in edit.new_text
+
+
+def test_a_session_ends_in_order() -> None:
+    """After `shutdown` and `exit` the status is 0, as the protocol says, and nothing is complained of."""
+
+    def message(method: str, **rest: object) -> bytes:
+        body = json.dumps({"jsonrpc": "2.0", "method": method, **rest}).encode()
+        return b"Content-Length: %d\r\n\r\n" % len(body) + body
+
+    said = [
+        message("initialize", id=1, params={"processId": None, "rootUri": None, "capabilities": {}}),
+        message("initialized", params={}),
+        message("shutdown", id=2),
+        message("exit"),
+    ]
+    command = [sys.executable, "-m", "midstride", "lsp"]
+    ended = subprocess.run(command, input=b"".join(said), capture_output=True, timeout=60, check=False)
+    assert b"Traceback" not in ended.stderr, ended.stderr.decode()
+    assert ended.returncode == 0

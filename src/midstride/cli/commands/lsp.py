@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 import click
 
 from midstride.cli.app import json_option
@@ -20,5 +23,6 @@ def lsp_command(stdio: bool) -> int:
         from midstride.cli.lsp import make_server
     except ImportError as error:
         raise MidstrideError(f"the language server needs pygls ({error}); install `midstride[lsp]`") from None
-    make_server().start_io()
+    with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as ours:  # it closes what it writes to at its end
+        make_server().start_io(stdout=ours)
     return 0
