@@ -227,7 +227,7 @@ def _functionality(row: Document, reachable: bool) -> tuple[Text, Text, Text]:
     if not reachable:
         return name, Text(UNKNOWN, style="red"), Text(f"it was in mode {row['mode']}")
     mode = Text(row["mode"], style="green" if row["normal"] else "yellow")
-    why = [] if row["normal"] or not row.get("because") else [str(row["because"]).strip().splitlines()[-1]]
+    why = [] if row["normal"] or not row.get("because") else [str(row["because"]).strip().splitlines()[0]]
     if row.get("busy") is not None:
         why.append(f"busy for {seconds(row['busy'])}")
     return name, mode, Text("; ".join(why))
