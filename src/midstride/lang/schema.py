@@ -173,7 +173,7 @@ def schema() -> Schema:
                 "nodes": _map(_ref("node"), "the nodes, by name, namespaces in front", f"/?{_TOKEN}(/{_TOKEN})*"),
                 "constraints": {"type": "array", "items": _ref("constraint")},
                 "timing_seconds": _object(
-                    dict.fromkeys(DEFAULT_SECONDS, _NOT_NEGATIVE), about="how long steps take, where known"
+                    dict.fromkeys(sorted(DEFAULT_SECONDS), _NOT_NEGATIVE), about="how long steps take, where known"
                 ),
             },
             ("system",),
