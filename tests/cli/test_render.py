@@ -67,10 +67,19 @@ def test_of_one_that_does_not_answer_no_mode_is_claimed() -> None:
 
 
 def test_why_a_mode_ended_is_said_by_the_error_and_not_by_the_end_of_its_traceback() -> None:
-    because = 'mode normal raised: ValueError: no map\n  File "slam.py", line 3, in normal\n    load(path)\n    ^^^^^^^^^^'
+    because = (
+        'mode normal raised: ValueError: no map\n  File "slam.py", line 3, in normal\n    load(path)\n    ^^^^^^^^^^'
+    )
     row = {"name": "slam.f", "mode": "off", "normal": False, "because": because, "busy": None}
     component = {"name": "slam", "component": "Slam", "pid": 5, "reachable": True, "functionalities": [row]}
-    document = {"system": "s", "backend": "sim", "valid": True, "components": [component], "topics": [], "violations": []}
+    document = {
+        "system": "s",
+        "backend": "sim",
+        "valid": True,
+        "components": [component],
+        "topics": [],
+        "violations": [],
+    }
     said = "\n".join(shown(render.status(document)))
     assert "mode normal raised: ValueError: no map" in said
     assert "^^^" not in said

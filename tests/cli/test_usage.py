@@ -395,3 +395,34 @@ def test_what_the_terminal_cannot_show_stops_nothing(midstride: Midstride) -> No
 def test_piped_tables_are_not_folded(midstride: Midstride) -> None:
     done = midstride("plan", TALKER, "--replace", "talker=NewTalker", "--strategy", "paper", COLUMNS="40")
     assert "nobody satisfies /chatter (it has no publisher), after step 2" in done.out
+
+
+def test_who_is_lowered_first_and_then_gone_is_not_said_to_stand_in_its_lowest_mode(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    path = tmp_path / "s.stride"
+    path.write_text(
+        """system s
+        topic /in : std_msgs/msg/String
+        topic /cmd : std_msgs/msg/String
+        resource motor
+        environment { guarantee world on /in : std_msgs/msg/String }
+        component Old {
+          run "old"
+          holds motor
+          input in : std_msgs/msg/String
+          output cmd
+          functionality drive {
+            uses in produces cmd
+            mode normal { assume in guarantee cmd : std_msgs/msg/String }
+            mode stop { guarantee cmd : std_msgs/msg/String }
+          }
+        }
+        component New like Old { run "new" }
+        node base : Old { in <- /in cmd -> /cmd }
+        """,
+        encoding="utf-8",
+    )
+    status, out, _ = run(capsys, "plan", str(path), "--replace", "base=New")
+    assert status == 0
+    assert "Falls: base.drive to stop, and from step 3 on to nobody serving it, for about" in out

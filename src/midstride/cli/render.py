@@ -81,6 +81,9 @@ def _fall(document: Document, fall: Document) -> str:
     where = f"steps {since} to {until}" if until is not None else f"from step {since} on"
     far = _mode_entered(steps[since - 1], fall["functionality"]) if since else None
     how_far = f" to {far}" if far else ""
+    gone = fall.get("unserved_from_step")
+    if far and gone is not None:
+        how_far += f", and from step {gone} on to nobody serving it,"
     return f"{fall['functionality']}{how_far} for about {seconds(fall['seconds'])} ({where})\n  {fall['because']}"
 
 

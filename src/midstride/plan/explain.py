@@ -23,7 +23,8 @@ class Fall:
     """A role's functionality below its baseline: the steps (from 1) that take it there and back, and why.
 
     ``seconds`` counts every step of the sequence during which it is below, by the steps'
-    estimates. ``until`` is None where the plan begins below and does not end above.
+    estimates. ``until`` is None where the plan begins below and does not end above. ``unserved`` is the step
+    from which on no instance serves it any more, None where one always does.
     """
 
     functionality: FunctionalityRef
@@ -31,6 +32,7 @@ class Fall:
     until: int | None
     seconds: float
     because: str
+    unserved: int | None = None
 
     def to_document(self) -> dict[str, Any]:
         return {
@@ -39,6 +41,7 @@ class Fall:
             "to_step": self.until,
             "seconds": self.seconds,
             "because": self.because,
+            "unserved_from_step": self.unserved,
         }
 
     def __str__(self) -> str:
@@ -97,15 +100,19 @@ def falls(plan: Plan) -> tuple[Fall, ...]:
     configurations = list(plan.configurations())
     begun: dict[FunctionalityRef, int] = dict.fromkeys(meter.below, 0)
     spent: dict[FunctionalityRef, float] = dict.fromkeys(meter.below, 0.0)
+    unserved: dict[FunctionalityRef, int] = {}
     found: list[Fall] = []
 
     def close(ref: FunctionalityRef, until: int | None) -> None:
         because = _because(plan.steps, configurations, ref, begun[ref])
         seconds = round(meter.seconds(ref) - spent[ref], DIGITS)
-        found.append(Fall(ref, begun.pop(ref), until, seconds, because))
+        found.append(Fall(ref, begun.pop(ref), until, seconds, because, unserved.pop(ref, None)))
 
     for index, step in enumerate(plan.steps):
         for moved in meter.step(step.action, step.seconds, configurations[index + 1]):
+            counted = levels.find(moved.ref)
+            if counted is not None and moved.after and counted.baseline + moved.after == counted.worst:
+                unserved.setdefault(moved.ref, index + 1)
             if not moved.before:
                 begun[moved.ref], spent[moved.ref] = index + 1, meter.seconds(moved.ref) - step.seconds
             elif not moved.after:
