@@ -84,6 +84,19 @@ def test_many_nodes_are_drawn_by_namespace() -> None:
     assert len(view(fleet(2, 3)).boxes) == 7
 
 
+def test_a_namespace_around_everything_is_no_group() -> None:
+    """A robot's own namespace: what is inside of it is grouped by the namespaces inside of it, or drawn."""
+    text = ["system fleet\ncontract D = std_msgs/msg/String\n"]
+    text += [
+        "component S { output out   functionality f { produces out   mode on { guarantee out : D }   mode off { } } }\n"
+    ]
+    nodes = [f"topic /t{n} : D\nnamespace g{n % 3} {{ node n{n} : S {{ out -> /t{n} }} }}\n" for n in range(90)]
+    drawn = view(load_text("".join([*text, "namespace robot1 {\n", *nodes, "}\n"])).require())
+    assert [box.title for box in drawn.boxes] == ["robot1/g0", "robot1/g1", "robot1/g2"]
+    flat = [f"topic /t{n} : D\nnode n{n} : S {{ out -> /t{n} }}\n" for n in range(90)]
+    assert len(view(load_text("".join([*text, "namespace robot1 {\n", *flat, "}\n"])).require()).boxes) == 90
+
+
 def loop(length: int) -> Specification:
     """A control loop of so many nodes, fed by a sensor outside of it at each of them."""
     text = ["system loop\ncontract D = std_msgs/msg/String\n"]

@@ -84,8 +84,11 @@ class _Builder:
 
     def build(self) -> View:
         groups: dict[str, list[str]] = {}
+        shared = _shared_namespace(self.specification.roles()) if self.collapse else ()
         for role in self.specification.roles():
-            group = role.strip("/").partition("/")[0] if self.collapse and "/" in role.strip("/") else ""
+            parts = role.strip("/").split("/")
+            inner = len(parts) - 1 > len(shared)
+            group = "/".join(parts[: len(shared) + 1]) if self.collapse and inner else ""
             if group:
                 groups.setdefault(group, []).append(role)
                 self.boxes[role] = f"group {group}"
@@ -168,6 +171,17 @@ class _Builder:
             for role in self.specification.roles():
                 if _relies(self.specification.component_of(role), offer.guarantee):
                     self.edges[Edge(box.id, self.boxes[role], relies=True)] = None
+
+
+def _shared_namespace(roles: Iterable[str]) -> tuple[str, ...]:
+    """The namespace that all are in, a robot's for instance: a box for it would hold everything and say nothing."""
+    namespaces = [role.strip("/").split("/")[:-1] for role in roles]
+    shared = []
+    for parts in zip(*namespaces, strict=False):
+        if len(set(parts)) > 1:
+            break
+        shared.append(parts[0])
+    return tuple(shared)
 
 
 def _relies(component: Component, guarantee: Predicate) -> bool:
