@@ -377,6 +377,30 @@ def test_a_component_that_does_not_come_is_named_and_the_rest_goes_on(
     assert "talker_2" in outcome["because"] and because in outcome["because"]
 
 
+def test_whoever_relies_on_one_that_has_degraded_by_itself_is_lowered_at_once(tmp_path: Path) -> None:
+    """The talker's code raises after a while; nobody gives a command."""
+    script = tmp_path / "breaking.py"
+    program = (EXAMPLES / "talker" / "talker.py").read_text(encoding="utf-8")
+    script.write_text(
+        program.replace("def normal() -> None:\n", "left = [1] * 30\n\n\ndef normal() -> None:\n    left.pop()\n")
+    )
+    specification = example("talker")
+    breaking = changed(specification.components["Talker"], run=f"python3 {script}")
+    specification = changed(specification, components=specification.components.set("Talker", breaking))
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        await asyncio.sleep(10)
+        view = (await manager.peek("listener"))["functionalities"]["listen"]
+        assert (view["mode"], view["because"]) == ("degraded", "talker.talk has gone to degraded by itself")
+        assert view["because"] in [event["words"] for event in manager.log() if event["kind"] == "degraded"]
+        state = await manager.status()
+        assert state["valid"] and not state["topics"][0]["satisfied"]
+
+    folder = tmp_path / "workspace"
+    folder.mkdir()
+    managed("talker", folder, body, specification=specification)
+
+
 def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -> None:
     script = tmp_path / "broken.py"
     script.write_text("raise RuntimeError('no camera')")

@@ -97,14 +97,7 @@ class Agent:
         await operations.end()
 
     async def _announce(self) -> None:
-        announcement = Announcement(
-            self._host.instance,
-            self._uuid,
-            self._pid,
-            self._start_token,
-            component_to_document(self._declaration),
-            tuple(dict(endpoint) for endpoint in self._host.extra_endpoints()),
-        )
+        announcement = self._announcement()
         if not self._start_token:
             self._host.logger.info(
                 f"{self._host.instance} waits for a manager, degraded and unattached; "
@@ -113,6 +106,17 @@ class Agent:
         while not self._welcomed and not self._stopping.is_set():
             self._host.announce(announcement)
             await self._host.sleep(ANNOUNCE_EVERY)
+
+    def _announcement(self, *, degraded: bool = False) -> Announcement:
+        return Announcement(
+            self._host.instance,
+            self._uuid,
+            self._pid,
+            self._start_token,
+            component_to_document(self._declaration),
+            tuple(dict(endpoint) for endpoint in self._host.extra_endpoints()),
+            degraded,
+        )
 
     async def _run_alone(self, attachments: Attachments) -> None:
         for port, topics in attachments.items():
@@ -245,3 +249,5 @@ class Agent:
     def _tell_degraded(self, runner: Runner) -> None:
         self._host.logger.error(f"{runner.name} is in mode {runner.mode.name}: {runner.because}")
         self._publish_state()
+        if self._welcomed and not self._stopping.is_set():  # whoever relies on it is the manager's to lower
+            self._host.announce(self._announcement(degraded=True))

@@ -379,6 +379,10 @@ class Manager:
     # -- what happens by itself ------------------------------------------------------------------------
 
     def _heard(self, event: Announcement | Exited) -> None:
+        if isinstance(event, Announcement) and event.degraded:
+            if event.instance in self.configuration.instances and (self._running is None or self._measuring):
+                self._settle_soon()  # else the command that runs looks at its end
+            return
         self._launcher.heard(event)
         if isinstance(event, Announcement):
             instance = self.configuration.instances.get(event.instance)

@@ -96,6 +96,7 @@ class Announcement:
     start_token: str
     declaration: Document
     endpoints: tuple[Document, ...] = ()
+    degraded: bool = False
 
     def to_json(self) -> str:
         return json.dumps(
@@ -106,6 +107,7 @@ class Announcement:
                 "start_token": self.start_token,
                 "declaration": self.declaration,
                 "endpoints": list(self.endpoints),
+                "degraded": self.degraded,
             }
         )
 
@@ -119,4 +121,5 @@ class Announcement:
             start_token=document["start_token"],
             declaration=document["declaration"],
             endpoints=tuple(document.get("endpoints") or ()),
+            degraded=bool(document.get("degraded")),
         )
