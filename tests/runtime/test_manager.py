@@ -382,7 +382,10 @@ def test_whoever_relies_on_one_that_has_degraded_by_itself_is_lowered_at_once(tm
     script = tmp_path / "breaking.py"
     program = (EXAMPLES / "talker" / "talker.py").read_text(encoding="utf-8")
     script.write_text(
-        program.replace("def normal() -> None:\n", "left = [1] * 30\n\n\ndef normal() -> None:\n    left.pop()\n")
+        program.replace(
+            "def normal() -> None:\n",
+            "calls = 0\n\n\ndef normal() -> None:\n    global calls\n    calls += 1\n    1 / (calls - 30)\n",
+        )
     )
     specification = example("talker")
     breaking = changed(specification.components["Talker"], run=f"python3 {script}")
@@ -395,6 +398,13 @@ def test_whoever_relies_on_one_that_has_degraded_by_itself_is_lowered_at_once(tm
         assert view["because"] in [event["words"] for event in manager.log() if event["kind"] == "degraded"]
         state = await manager.status()
         assert state["valid"] and not state["topics"][0]["satisfied"]
+        again = await manager.change(Request(to=specification))
+        assert (again["outcome"], again["because"]) == ("done", None), "it raises no more"
+        assert await modes(manager) == {"talker.talk": "normal", "listener.listen": "normal"}
+
+    async def modes(manager: Manager) -> dict[str, str]:
+        rows = [row for component in (await manager.status())["components"] for row in component["functionalities"]]
+        return {row["name"]: row["mode"] for row in rows}
 
     folder = tmp_path / "workspace"
     folder.mkdir()

@@ -48,6 +48,10 @@ class Link:
         """The component's own state, for showing: what is expected of its revision stays as it is."""
         return await self._send(instance, "observe", 0.0, None, {})
 
+    def accept(self, instance: str, state: dict[str, Any]) -> None:
+        """What a component has said of itself is known now: its revision is the one expected from now on."""
+        self._revisions[instance] = int(state["revision"])
+
     async def take_back(self, instance: str, op: str, timeout: float = 0.0, **arguments: Any) -> None:
         """Have a component put something back, wherever it stands by now; what it will not or cannot do is left.
 

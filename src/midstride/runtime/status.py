@@ -48,7 +48,10 @@ async def _peek(name: str, link: Link) -> State | None:
 async def own_degradations(
     s: Configuration, link: Link, clock: Clock, gone: Container[str]
 ) -> dict[FunctionalityRef, int]:
-    """The functionalities that stand in a worse mode than the model says, by their own word; ``gone`` are not asked."""
+    """The functionalities that stand in a worse mode than the model says, by their own word; ``gone`` are not asked.
+
+    The caller takes them into the model: the components that say so are expected at the revision they say it at.
+    """
     states = await observed(sorted(name for name in s.instances if name not in gone), link, clock, timeout=1.0)
     worse: dict[FunctionalityRef, int] = {}
     for name, state in states.items():
@@ -57,6 +60,7 @@ async def own_degradations(
             index = s.functionality(ref).mode_index(view["mode"])
             if index > s.modes[ref]:
                 worse[ref] = index
+                link.accept(name, state or {})
     return worse
 
 
