@@ -83,3 +83,9 @@ def test_why_a_mode_ended_is_said_by_the_error_and_not_by_the_end_of_its_traceba
     said = "\n".join(shown(render.status(document)))
     assert "mode normal raised: ValueError: no map" in said
     assert "^^^" not in said
+
+
+def test_what_has_fallen_by_itself_meanwhile_is_not_called_nothing() -> None:
+    assert shown(render.outcome(done(degraded=["talker_2.talk"])))[1:] == [
+        "By itself fell meanwhile: talker_2.talk; `midstride why talker_2.talk` says why."
+    ]

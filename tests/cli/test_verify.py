@@ -59,7 +59,7 @@ def test_a_plan_of_another_system_is_none_of_this_one(run: Any, spoilt: Path) ->
     [
         ('{"outcome": "refused", "because": "no"}', "there is no plan in PLAN, it was refused: no"),
         ("[]", "PLAN is not a plan: `midstride plan … --json` prints one"),
-        ("{}", "not a plan (KeyError: 'start')"),
+        ("{}", "not a plan: `start` is missing"),
         ("{", "not JSON: Expecting property name"),
     ],
 )

@@ -81,7 +81,9 @@ def swap(one: int, other: int) -> Callable[[Document], None]:
         (put_in(3, "role", "stranger"), "the target has no node stranger"),
         (put_in(3, "action", "conjure"), "there is no action conjure"),
         (put("steps", None), "not a plan"),
-        (lambda spoilt: spoilt.pop("target"), "not a plan (KeyError: 'target')"),
+        (lambda spoilt: spoilt.pop("target"), "not a plan: `target` is missing"),
+        (lambda spoilt: spoilt["steps"][1].pop("seconds"), "not a plan: step 2: `seconds` is missing"),
+        (lambda spoilt: spoilt["steps"].insert(0, "create"), "not a plan: step 1 is no object but 'create'"),
         (lambda spoilt: spoilt["start"].update(nodes={"talker": {"component": "None"}}), "there is no component"),
     ],
 )

@@ -11,6 +11,7 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.errors import BackendError, ManagerError, StepFailed
+from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
 from midstride.model.specification import Node
 from midstride.plan.request import Request
@@ -495,3 +496,90 @@ def test_a_component_has_the_time_to_stop_that_its_author_asked_for(tmp_path: Pa
     folder = tmp_path / "workspace"
     folder.mkdir()
     managed("talker", folder, body, specification=specification)
+
+
+def test_what_has_degraded_by_itself_is_raised_again_at_the_first_try(tmp_path: Path) -> None:
+    """It has moved on by that, which the manager has seen: no reason to refuse the change that mends it."""
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    for file in (EXAMPLES / "talker").glob("*.py"):
+        text = file.read_text()
+        if file.name == "talker.py":
+            text = text.replace("def normal() -> None:\n", "calls = []\n\n\ndef normal():\n    calls.append(0)\n")
+            glitch = "    if len(calls) == 20:\n        raise ValueError('a glitch')\n"
+            text = text.replace("    out.write(", glitch + "    out.write(")
+        (programs / file.name).write_text(text)
+    simulator = Simulator()
+
+    async def main() -> tuple[dict[str, Any], dict[str, Any]]:
+        manager = Manager(example("talker"), simulator, Workspace(tmp_path), programs)
+        await manager.up()
+        try:
+            await asyncio.sleep(5)
+            assert (await manager.why("talker.talk"))["mode"] == "degraded"
+            outcome = await manager.change(Request(to=example("talker")))
+            return outcome, await manager.why("listener.listen")
+        finally:
+            await manager.close()
+
+    outcome, listening = simulator.run(main())
+    assert (outcome["outcome"], outcome["because"]) == ("done", None)
+    assert listening["mode"] == "normal"
+
+
+@pytest.mark.parametrize(("after", "told"), [(2.0, 0), (60.0, 1)], ids=["late", "never"])
+def test_a_hand_over_waits_for_readers_that_are_not_of_the_system(
+    after: float, told: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`ros2 topic echo`, a recording: a process with the middleware's own defaults finds new publishers late."""
+    simulator = Simulator()
+    network = simulator.network
+    matched = network.readers_of
+
+    async def body(manager: Manager, _: Simulator) -> tuple[dict[str, Any], list[str]]:
+        foreign = network.create_reader(
+            simulator.processes["listener"], "/chatter", "std_msgs/msg/String", DEFAULT_QOS, lambda: None
+        )
+        await asyncio.sleep(1)
+        begun = simulator.clock.steady()
+
+        def slowly(writer: Any) -> Any:
+            found = matched(writer)
+            known = writer.created < begun or simulator.clock.steady() >= writer.created + after
+            return [reader for reader in found if reader is not foreign or known]
+
+        monkeypatch.setattr(network, "readers_of", slowly)
+        outcome = await manager.change(replace("talker", "NewTalker"))
+        foreign.destroy()
+        return outcome, [event["words"] for event in manager.log() if "not of this system" in event["words"]]
+
+    outcome, notes = managed("talker", tmp_path, body, simulator)
+    assert (outcome["outcome"], outcome["because"]) == ("done", None)
+    assert outcome["seconds"] > min(after, 4.0)
+    assert len(notes) == told
+    assert outcome["swaps"][0]["missed"] == 0
+
+
+def test_a_new_one_that_breaks_while_it_is_watched_is_in_the_outcome(tmp_path: Path) -> None:
+    programs = tmp_path / "programs"
+    programs.mkdir()
+    for file in (EXAMPLES / "talker").glob("*.py"):
+        text = file.read_text()
+        if file.name == "new_talker.py":
+            head = "calls = []\n" + "talk.set_normal_mode("
+            text = text.replace("    out.write(", "    calls.append(0)\n    1 / (len(calls) < 15)\n    out.write(", 1)
+            text = text.replace("talk.set_normal_mode(", head)
+        (programs / file.name).write_text(text)
+    simulator = Simulator()
+
+    async def main() -> dict[str, Any]:
+        manager = Manager(example("talker"), simulator, Workspace(tmp_path), programs)
+        await manager.up()
+        try:
+            return await manager.change(replace("talker", "NewTalker"))
+        finally:
+            await manager.close()
+
+    outcome = simulator.run(main())
+    assert (outcome["outcome"], outcome["because"], outcome["ended"]) == ("done", None, [])
+    assert outcome["degraded"] == ["talker_2.talk"]

@@ -240,3 +240,13 @@ def test_numberings_that_meet_are_told_apart_by_the_old_ones_last_number() -> No
     assert (known.missed, known.lost, known.duplicates) == (0, 0, 0)
     unknown = recorder.observe(35, 95, known=False)
     assert unknown.lost is None and unknown.duplicates is None
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["identity", "numbering"])
+def test_the_new_one_is_not_charged_with_what_an_old_one_wrote_that_was_silent_all_along(known: bool) -> None:
+    """An old one that broke long before: its last number says nothing of what was received in the window."""
+    recorder = Recorder()
+    for slot in range(20, 60):
+        recorder.write("new", slot)
+    assert recorder.observe(10, 60, last=70, known=known).lost is None
+    assert recorder.observe(10, 60, last=10, known=known).lost is None

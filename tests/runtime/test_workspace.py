@@ -135,3 +135,18 @@ def test_a_manager_is_known_whether_it_answers_or_not() -> None:
     with workspace.lock():
         (workspace.path / "lock").write_text(str(process.pid))
         assert workspace.manager() is None
+
+
+def test_a_system_whose_state_somebody_removed_is_known_as_long_as_its_manager_runs() -> None:
+    workspace = Workspace.of("patrol")
+    holding = "import fcntl, sys; f = open(sys.argv[1]); fcntl.flock(f, fcntl.LOCK_EX); print(1, flush=True); input()"
+    with workspace.lock():
+        pass
+    command = [sys.executable, "-c", holding, str(workspace.path / "lock"), "_manager"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as manager:
+        assert manager.stdout is not None
+        manager.stdout.readline()
+        (workspace.path / "lock").write_text(str(manager.pid))
+        assert Workspace.all() == [workspace]
+        manager.communicate(b"\n")
+    assert Workspace.all() == []

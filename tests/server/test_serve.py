@@ -210,6 +210,44 @@ def test_a_change_under_way_when_the_manager_is_told_to_end_is_taken_back_first(
     run(test)
 
 
+def test_a_change_that_takes_long_to_take_back_still_has_an_answer(
+    workspace: Workspace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The doors do not wait for ever; whoever asked is told why, and not of an internal error."""
+    import os
+    import signal
+
+    monkeypatch.setattr("midstride.server.serve.LAST_ANSWERS", 1)
+
+    class Changing(ScriptedManager):
+        async def change(
+            self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        ) -> Any:
+            self.asked.append(("change", None))
+            try:
+                await asyncio.Event().wait()
+            finally:
+                await asyncio.sleep(1.5)
+                self.asked.append(("taken back", None))
+
+    async def test() -> None:
+        manager = Changing()
+        async with serving(manager, workspace) as (client, server):
+            await client.get("/up")
+            changing = asyncio.ensure_future(client.post("/change", json={"request": {"remove": ["talker"]}}))
+            while ("change", None) not in manager.asked:
+                assert not changing.done()
+                await asyncio.sleep(0.01)
+            os.kill(os.getpid(), signal.SIGTERM)
+            response = await changing
+            assert response.status_code == 409, response.text
+            assert "still taking back" in response.json()["error"]["message"]
+            assert await server == 0
+        assert ("taken back", None) in manager.asked
+
+    run(test)
+
+
 def test_a_system_whose_manager_is_told_to_end_while_it_comes_is_not_said_to_be_up(workspace: Workspace) -> None:
     import os
     import signal

@@ -174,6 +174,8 @@ def fallen_words(document: Document) -> list[str]:
     lines += [f"Stays lower: {_shift(shift)}." for shift in _lowered(document)]
     if ended := document.get("ended"):
         lines.append(f"By itself ended meanwhile: {', '.join(ended)}; `midstride status` says what that lowers.")
+    if degraded := document.get("degraded"):
+        lines.append(f"By itself fell meanwhile: {', '.join(degraded)}; `midstride why {degraded[0]}` says why.")
     return lines or ["Nothing fell below its level."]
 
 

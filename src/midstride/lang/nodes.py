@@ -151,20 +151,27 @@ class Nodes:
                 continue
             declared = self.components[name].parameters
             added: dict[str, Parameter] = {}
+            partly: dict[tuple[str, str], list[tuple[str, Span]]] = {}
             for role in roles:
                 for parameter, (value, span) in from_files[role].items():
                     if parameter in declared or parameter in added:
                         continue
                     lacking = next((other for other in roles if parameter not in from_files[other]), None)
                     if lacking is not None:
-                        message = (
-                            f"parameter `{parameter}` is given for {role}, but not for {lacking},"
-                            f" and {name} declares no value for it"
-                        )
-                        self.reporter.report("E151", span, message, help=f"declare it in component {name}")
+                        partly.setdefault((role, lacking), []).append((parameter, span))
                     added[parameter] = Parameter(value)
+            for (role, lacking), given in partly.items():
+                self._given_to_some(name, role, lacking, given)
             if added:
                 self._extend(name, added)
+
+    def _given_to_some(self, name: str, role: str, lacking: str, given: list[tuple[str, Span]]) -> None:
+        """One mistake, one message: it is the other node's section that is missing, or the component's declarations."""
+        parameter, span = given[0]
+        more = f" (and {len(given) - 1} more)" if len(given) > 1 else ""
+        it = "them" if more else "it"
+        message = f"parameter `{parameter}`{more} is given for {role}, but not for {lacking}, and {name} declares no value for {it}"
+        self.reporter.report("E151", span, message, help=f"declare {it} in component {name}, or give {it} to {lacking}")
 
     def _extend(self, name: str, added: Mapping[str, Parameter]) -> None:
         """Components that are like ``name`` take the parameters over, as they take over declared ones."""

@@ -89,7 +89,7 @@ def component_names(component: Component, path: Path) -> list[Problem]:
     for functionality in component.functionalities.values() if len(set(order)) < len(order) else component:
         found += _functionality_names(component, functionality, (*path, "functionalities", functionality.name))
     for name in sorted(component.parameters):
-        if not all(is_name(part) for part in name.split(".")):
+        if not name.isprintable() or not name:  # ROS 2 takes any words, and parameter files have them
             found.append(Problem("E006", (*path, "parameters", name), f"`{name}` cannot name a parameter"))
     if component.run is not None:
         found += _command(component.run, (*path, "run"))

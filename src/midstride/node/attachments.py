@@ -59,6 +59,10 @@ class Attachments:
             raise CommandRefused(f"output {port} is not attached to {topic}")
         return found
 
+    def readers(self, port: str, topic: str) -> int:
+        """How many endpoints, whosesoever, an output is matched with on ``topic``. Raises CommandRefused."""
+        return self.link(port, topic).publisher.matched()
+
     # -- commands ----------------------------------------------------------------------------------
 
     async def attach(self, arguments: Arguments) -> dict[str, Any]:
@@ -80,13 +84,14 @@ class Attachments:
             endpoint = inlet.subscription
         try:
             await self._match(endpoint, peers, timeout, topic)
+            matched = await self._reach(endpoint, peers, arguments)
             if opened:
-                await self._data.run(lambda: link.set_gate(True), timeout)
+                await self._data.run(lambda: self._open(link), timeout)
         except CommandRefused:
             # As soon as user code returns, however long that takes: a refused command has changed nothing.
             await within(self._host, self._host.on_data(undo), timeout)
             raise
-        return {}
+        return {"matched": matched}
 
     async def detach(self, arguments: Arguments) -> dict[str, Any]:
         topic, timeout = arguments.text("topic"), arguments.seconds("timeout", 2.0)
@@ -136,9 +141,17 @@ class Attachments:
 
     def _publish(self, port: Output, topic: str) -> OutputLink:
         link = OutputLink(port, topic, self._host.create_publisher(topic, port.type, port.qos))
+        if port.last is not None and (port.latched or (port.owner is not None and port.owner.mode.driven == "none")):
+            link.behind(port.last)  # what is written once was written before, attached to nothing: it is not lost
         port.wrong_type = None
         port.links = (*port.links, link)
         return link
+
+    def _open(self, link: OutputLink) -> None:
+        link.set_gate(True)
+        if link.output.latched and link.held is not None:
+            link.publish(link.held)
+            link.count += 1
 
     def _unpublish(self, link: OutputLink) -> None:
         if link not in link.output.links:
@@ -183,3 +196,13 @@ class Attachments:
             await self._host.sleep(TICK)
         if peers:
             await self._host.sleep(SETTLE)
+
+    async def _reach(self, endpoint: Publisher | Subscription, peers: int, arguments: Arguments) -> int:
+        """Wait for ``everyone``: for those as well that are none of the system's, as far as ``patience`` (s) goes."""
+        everyone = arguments.whole("everyone", 0)
+        deadline = self._host.steady() + int(arguments.seconds("patience", 0.0) * 1e9)
+        while (matched := endpoint.matched()) < everyone and self._host.steady() < deadline:
+            await self._host.sleep(TICK)
+        if everyone > peers:
+            await self._host.sleep(SETTLE)
+        return matched

@@ -56,7 +56,8 @@ class Functionality:
         ``outputs``. Without, ``fn(message)`` is called for every message of its one input; with
         several, ``fn`` maps inputs to functions, or ``sync=approximate(…)`` calls it with one
         message of each. Without either, ``fn()`` is called once, on entry. An ``async`` function
-        counts as running until it returns.
+        counts as running until it returns; it may await what the platform awaits: rclpy's futures on ROS 2,
+        asyncio's on ROS 1.
 
         ``inputs`` names what the mode assumes; ``any_of(left, right)`` for alternatives. ``outputs`` are those it
         writes: an output that is not among them is guaranteed nothing. ``guarantees`` states rates (Hz) or fields of

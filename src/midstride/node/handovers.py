@@ -47,11 +47,13 @@ class Handovers:
         if owner is None:
             raise CommandRefused("the component has not begun yet")
         rate = owner.rate
+        topic = arguments.text_or("topic", "")
         return {
             "trigger": owner.mode.driven,
             "epoch": None if rate is None else rate.slot,
             "period": None if rate is None else rate.period,
             "now": self._host.now(),
+            "readers": self._attachments.readers(arguments.text("port"), topic) if topic else None,
         }
 
     async def meet(self, arguments: Arguments) -> dict[str, Any]:

@@ -94,6 +94,9 @@ class Output:
         self.type = type_
         self.qos = qos
         self.unattached = 0
+        # The last message of an output that late joiners get it from, else the last one that went nowhere.
+        self.latched = qos.effective().durability == "transient_local"
+        self.last: Any = None
         self.wrong_type: str | None = None
         self.links: tuple[OutputLink, ...] = ()
         self.owner: Runner | None = None
@@ -106,6 +109,8 @@ class Output:
         if message.__class__ is not self.type and not isinstance(message, self.type):
             self._refuse(message)
         links = self.links
+        if self.latched or not links:
+            self.last = message
         if not links:
             self.unattached += 1
         for link in links:

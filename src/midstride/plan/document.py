@@ -30,6 +30,9 @@ from midstride.plan.disruption import instances_touched
 from midstride.plan.plan import Plan
 from midstride.plan.step import ModeChange, Step
 
+# What reading a document raises that has another form than was expected.
+_MALFORMED = (KeyError, TypeError, ValueError, AttributeError)
+
 
 def plan_to_document(plan: Plan) -> dict[str, Any]:
     """The plan as interfaces.md writes it.
@@ -98,8 +101,8 @@ def plan_from_document(document: Mapping[str, Any]) -> Plan:
             seconds=float(document["seconds"]),
             fallen=tuple(FunctionalityRef.parse(text) for text in document["fallen"]),
         )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise SpecificationError(f"not a plan ({type(error).__name__}: {error})") from error
+    except _MALFORMED as error:
+        raise SpecificationError(f"not a plan: {_told(error)}") from error
 
 
 def _started(
@@ -123,11 +126,20 @@ def _refs(named: Mapping[str, str]) -> list[tuple[FunctionalityRef, str]]:
     return [(FunctionalityRef.parse(text), mode) for text, mode in named.items()]
 
 
-def _numbered(number: int, change: Change, known: dict[str, Instance], entry: Mapping[str, Any]) -> Step:
+def _numbered(number: int, change: Change, known: dict[str, Instance], entry: object) -> Step:
+    if not isinstance(entry, Mapping):
+        raise SpecificationError(f"not a plan: step {number} is no object but {entry!r}")
     try:
         return _step(change, known, entry)
     except PlanRefused as error:
         raise PlanRefused(f"step {number}: {error}") from None
+    except _MALFORMED as error:
+        raise SpecificationError(f"not a plan: step {number}: {_told(error)}") from error
+
+
+def _told(error: Exception) -> str:
+    """What Python says of a document that has another form than was expected, for people."""
+    return f"`{error.args[0]}` is missing" if isinstance(error, KeyError) else str(error)
 
 
 def _step(change: Change, known: dict[str, Instance], entry: Mapping[str, Any]) -> Step:

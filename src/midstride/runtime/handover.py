@@ -34,6 +34,9 @@ LEADS: Final = (0.1, 0.3, 1.0)
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
 PROBATION: Final = 5.0
 ATTACH_TIMEOUT: Final = 5.0
+# How long readers that the model does not know of (`ros2 topic echo`, a recording) are waited for (s): the defaults of
+# the middleware look around every 3 s. What was killed without a word is in nobody's way for longer.
+OTHERS_PATIENCE: Final = 4.0
 DETACH_TIMEOUT: Final = 2.0
 
 
@@ -74,12 +77,13 @@ async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
     new ones no endpoint there.
     """
     swaps = list(action.swaps)
+    warnings: list[str | None] = []
     begun: list[Swap] = []
     cuts: list[Cut] = []
     try:
         for swap in swaps:
             begun.append(swap)
-            await _stand_by(link, s, swap)
+            warnings.append(await _stand_by(link, s, swap))
         for swap in swaps:
             await _await_probation(link, s, swap)
         for old, new in sorted({(swap.old.component, swap.new.component) for swap in swaps}):
@@ -95,8 +99,8 @@ async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
         if isinstance(error, MidstrideError):
             raise StepFailed(fallen or str(error)) from error
         raise
-    warnings = [warning for swap in swaps if (warning := await _retire(link, s, swap))]
-    return Handed(last, tuple(warnings))
+    warnings += [await _retire(link, s, swap) for swap in swaps]
+    return Handed(last, tuple(warning for warning in warnings if warning))
 
 
 async def _fallen(link: Link, s: Configuration, swaps: Iterable[Swap]) -> str | None:
@@ -138,16 +142,27 @@ def _topic(s: Configuration, connector: str) -> str:
     return s.world.connectors[connector].topic
 
 
-async def _stand_by(link: Link, s: Configuration, swap: Swap) -> None:
-    """The new publisher on the topic, matched with every subscriber the model knows of, its gate closed."""
-    await link.change(
+async def _stand_by(link: Link, s: Configuration, swap: Swap) -> str | None:
+    """The new publisher on the topic, its gate closed, matched with every subscriber the model knows of, and with as
+    many as the old one is matched with; else what is to be told."""
+    topic = _topic(s, swap.connector)
+    readers = int((await link.read(swap.old.component, "grid", port=swap.old.port, topic=topic))["readers"])
+    reply = await link.change(
         swap.new.component,
         "attach",
-        timeout=ATTACH_TIMEOUT,
+        timeout=ATTACH_TIMEOUT + OTHERS_PATIENCE,
         port=swap.new.port,
-        topic=_topic(s, swap.connector),
+        topic=topic,
         gate="closed",
         peers=len(s.subscribers_on(swap.connector)),
+        everyone=readers,
+        patience=OTHERS_PATIENCE,
+    )
+    if int(reply["matched"]) >= readers:
+        return None
+    return (
+        f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {reply['matched']} of them: "
+        "who is not of this system may miss messages"
     )
 
 

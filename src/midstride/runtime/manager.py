@@ -79,6 +79,7 @@ class Manager:
         self._measuring = False  # all steps are done, and the command only watches
         self._seeing = asyncio.Lock()  # held while what has happened by itself is seen to
         self._crashes = Crashes()
+        self._fell: set[FunctionalityRef] = set()  # by themselves, during the change
         self._owing: set[FunctionalityRef] = set()  # to be lowered, and not to be reached
         self._tasks: set[asyncio.Task[None]] = set()
         self._equip(secrets.token_hex(16))
@@ -291,6 +292,7 @@ class Manager:
         falls = FallClock(plan.change, clock.steady)
         begun = clock.steady()
         before, missing = self.configuration, dict(self._crashes.missing)
+        self._fell.clear()
         self.configuration = plan.change.start
         executor = self._executor(falls)
         executor.performer.before_handover = recording.witness
@@ -316,7 +318,7 @@ class Manager:
             swaps = await recording.finish(executor.performer.last_numbers)
         finally:
             self._measuring = False
-        await self._settle_crashes()
+        await self._settle()  # who asked is to hear of what has fallen by itself, too
         documents_of_swaps = to_documents(swaps)
         if documents_of_swaps:
             self.events.add("measured", f"measured at {_so_many(len(swaps), 'subscriber')}", swaps=documents_of_swaps)
@@ -330,6 +332,7 @@ class Manager:
             "swaps": documents_of_swaps,
             "because": because,
             "ended": sorted(name for name, event in self._crashes.missing.items() if missing.get(name) is not event),
+            "degraded": sorted(map(str, self._fell)),
         }
 
     def _executor(self, falls: FallClock | None = None) -> Executor:
@@ -435,6 +438,7 @@ class Manager:
             words = f"{ref} has gone to {s.functionality(ref).modes[index].name} by itself"
             self.events.add("degraded", words, functionality=str(ref))
             because.append(words)
+            self._fell.add(ref)
         self.configuration, fallen = settled(s, gone, worse, self._owing)
         self.revision += 1
         reason = "; ".join(because) or "what it assumes was gone before it could be reached"
@@ -455,4 +459,5 @@ def _refused(because: str) -> dict[str, Any]:
         "swaps": [],
         "because": because,
         "ended": [],
+        "degraded": [],
     }

@@ -263,5 +263,7 @@ def _lost(
     if last_number is not None:
         moved = _swapped(rows, sides, begun, tail)
         old = min(moved, key=lambda name: moved[name][0].received)
+        if moved[old][0].received > begun and min(numbers[old]) == 1:
+            return None  # nothing of the old one is in the window: what it wrote last was before, received or not
         lost += max(0, last_number - max(numbers[old]))
     return lost

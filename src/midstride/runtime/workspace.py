@@ -70,11 +70,15 @@ class Workspace:
 
     @classmethod
     def all(cls) -> list[Workspace]:
-        """The workspaces of every system of this user that has been brought up and not down."""
+        """The workspaces of every system of this user that has been brought up and not down.
+
+        One whose manager runs is among them even where somebody has cleaned up, and its state is gone.
+        """
         root = _root()
         if not root.is_dir():
             return []
-        return [cls(folder) for folder in sorted(root.iterdir()) if (folder / "state.json").exists()]
+        found = [cls(folder) for folder in sorted(root.iterdir())]
+        return [space for space in found if space.state.exists() or space.manager() is not None]
 
     @property
     def name(self) -> str:

@@ -114,6 +114,9 @@ class Outcome(Outgoing):
     swaps: list[dict[str, Any]] = Field(default_factory=list)
     because: str | None = None
     ended: list[str] = Field(default_factory=list, description="instances that ended by themselves meanwhile")
+    degraded: list[str] = Field(
+        default_factory=list, description="functionalities that went to a lower mode by themselves meanwhile"
+    )
     verdict: dict[str, Any] | None = Field(default=None, description="what Alloy found, where it was asked")
 
 

@@ -23,6 +23,10 @@ Phase = Literal["starting", "up", "failed", "down"]
 # How long a manager that has failed waits for somebody to ask why (s).
 LINGER: Final = 5.0
 _TOLD_TO_END: Final = "the manager was told to end meanwhile, so what had been begun was broken off and taken back"
+_STILL_AT_IT: Final = (
+    "the manager was told to end meanwhile, and is still taking back what had been begun; "
+    "`midstride up` with the system's file finds what runs"
+)
 
 
 class Lifecycle:
@@ -77,6 +81,8 @@ class Lifecycle:
         except asyncio.CancelledError:
             if task.cancelled():
                 raise ManagerError(_TOLD_TO_END) from None
+            if self.ended.is_set():  # the doors have closed before all is taken back: who asked is told so
+                raise ManagerError(_STILL_AT_IT) from None
             raise
 
     async def break_off(self) -> None:
