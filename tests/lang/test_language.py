@@ -289,6 +289,28 @@ def test_parameter_files_are_matched_by_role() -> None:
     assert specification_from_document(specification_to_document(found)) == found
 
 
+def test_parameters_may_be_named_in_any_words_as_ros_allows() -> None:
+    """Autoware's diagnostics are named so."""
+    text = (
+        "system s\n"
+        + BODY
+        + 'topic /t : std_msgs/msg/String\nparameters "p.yaml"\nnode talker : Talker { out -> /t }\n'
+    )
+    found = meant(text, {"p.yaml": 'talker: {ros__parameters: {required: {"localization: ekf": 1, "": 2}}}\n'})
+    assert found.parameters_of("talker") == Map({"required.localization: ekf": 1, "required.": 2})
+    assert specification_from_document(specification_to_document(found)) == found
+
+
+def test_what_only_some_nodes_are_given_is_told_once_for_all_parameters() -> None:
+    text = "system s\n" + BODY + 'topic /t : std_msgs/msg/String\nparameters "p.yaml"\n'
+    text += "".join(f"node {name} : Talker {{ out -> /t }}\n" for name in "abc")
+    found = loading(text, {"p.yaml": "a: {ros__parameters: {x: 1, y: 2, z: 3}}\nb: {ros__parameters: {y: 1}}\n"})
+    assert [diagnostic.message for diagnostic in found.diagnostics] == [
+        "parameter `x` (and 1 more) is given for a, but not for b, and Talker declares no value for them",
+        "parameter `y` is given for a, but not for c, and Talker declares no value for it",
+    ]
+
+
 def test_json_is_taken_where_the_name_says_so(tmp_path: Path) -> None:
     import json
 

@@ -23,8 +23,8 @@ from tests.runtime.systems import EXAMPLES, example, kept, last_said, managed, r
 
 # Reads that only watch: a change may go on without them.
 WATCHING = {"observe", "grid", "record", "records", "export_state"}
-# What is tried again with another moment for the cut.
-TRIED_AGAIN = {"cut_out", "cut_in"}
+# What is tried again: a cut with another moment, a meeting in short turns.
+TRIED_AGAIN = {"cut_out", "cut_in", "meet"}
 BETWEEN_PEERS = {"ping", "taken"}
 
 
@@ -268,6 +268,31 @@ def test_a_component_that_comes_back_has_its_own_state_again(tmp_path: Path) -> 
     assert heard == "the old one's+"
 
 
+def test_an_old_side_that_dies_while_the_new_one_looks_for_it_is_known_at_once(tmp_path: Path) -> None:
+    """Its topic is silent from then on, and whoever relies on it is to be lowered."""
+
+    class Meeting(Simulator):
+        died: float | None = None
+
+        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+            if command.op == "meet" and self.died is None:
+                self.died = self.clock.steady()
+                self.faults.kill("talker")
+            return await super().call(instance, command, timeout)
+
+    simulator = Meeting()
+
+    async def body(manager: Manager, _: Simulator) -> tuple[dict[str, Any], str, float]:
+        outcome = await manager.change(replace("talker", "NewTalker"))
+        listening = (await manager.peek("listener"))["functionalities"]["listen"]["mode"]
+        assert simulator.died is not None
+        return outcome, listening, simulator.clock.steady() - simulator.died
+
+    outcome, listening, seconds = managed("talker", tmp_path, body, simulator)
+    assert (outcome["outcome"], outcome["ended"], listening) == ("rolled_back", ["talker"], "degraded")
+    assert seconds < 3  # of the simulator's own time: one turn, and taking back
+
+
 def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) -> None:
     """Not what it then refused: its revision is another one by that, which explains nothing to anybody."""
     programs = tmp_path / "programs"
@@ -288,5 +313,6 @@ def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) ->
 
     outcome = simulator.run(main())
     assert outcome["outcome"] == "rolled_back"
+    assert outcome["seconds"] < 4  # of the simulator's own time: its first write is not waited for any more
     told = "talker_2.talk has gone to degraded by itself: mode normal raised: ValueError: unplugged"
     assert told in outcome["because"]

@@ -170,7 +170,8 @@ class Nodes:
         parameter, span = given[0]
         more = f" (and {len(given) - 1} more)" if len(given) > 1 else ""
         it = "them" if more else "it"
-        message = f"parameter `{parameter}`{more} is given for {role}, but not for {lacking}, and {name} declares no value for {it}"
+        some = f"parameter `{parameter}`{more} is given for {role}, but not for {lacking}"
+        message = f"{some}, and {name} declares no value for {it}"
         self.reporter.report("E151", span, message, help=f"declare {it} in component {name}, or give {it} to {lacking}")
 
     def _extend(self, name: str, added: Mapping[str, Parameter]) -> None:

@@ -124,7 +124,10 @@ class Attachments:
     async def await_write(self, arguments: Arguments) -> dict[str, Any]:
         link = self.link(arguments.text("port"), arguments.text("topic"))
         deadline = self._host.steady() + int(arguments.seconds("timeout", 5.0) * 1e9)
+        owner = link.output.owner
         while not link.gated and link.output.wrong_type is None and self._host.steady() < deadline:
+            if owner is not None and owner.failed:
+                break  # it will not write any more
             await self._host.sleep(TICK)
         return {"gated": link.gated, "wrong_type": link.output.wrong_type}
 

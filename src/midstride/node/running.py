@@ -38,6 +38,8 @@ class Runner:
         self.because = "started: nothing has been attached yet"
         self.since = host.steady()
         self.busy: int | None = None
+        # Whether it is in its mode because user code raised.
+        self.failed = False
         # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
         self.ready = True
         # When in time the current call belongs: the first and the last of the slots that it stands for, or the info of
@@ -90,6 +92,7 @@ class Runner:
         self.index = index
         self.because = because
         self.since = self._steady()
+        self.failed = False
 
     def begin(self) -> None:
         """Start the current mode's calls; the first may come at once. A platform that refuses is a failure like any."""
@@ -175,10 +178,12 @@ class Runner:
         self.leave()
         if self.index < self.last:
             self.stand(self.last, f"mode {failed} raised: {told}")
+            self.failed = True
             self._report(self)
             self.begin()
         else:
             self.stand(self.index, f"its last mode, {failed}, raised, so it is no longer called: {told}")
+            self.failed = True
             self._report(self)
 
 

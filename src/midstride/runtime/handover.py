@@ -38,6 +38,9 @@ ATTACH_TIMEOUT: Final = 5.0
 # the middleware look around every 3 s. What was killed without a word is in nobody's way for longer.
 OTHERS_PATIENCE: Final = 4.0
 DETACH_TIMEOUT: Final = 2.0
+# How long the two sides may take to find each other: so many turns of so many seconds.
+MEET_TURNS: Final = 10
+MEET_TURN: Final = 0.5
 
 
 @dataclass(slots=True)
@@ -87,7 +90,7 @@ async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
         for swap in swaps:
             await _await_probation(link, s, swap)
         for old, new in sorted({(swap.old.component, swap.new.component) for swap in swaps}):
-            await link.change(new, "meet", peer=old)
+            await _meet(link, new, old)
         for lead in LEADS:
             cuts = await _agree(link, s, swaps, lead)
             if await _told(link, s, cuts, last_try=lead == LEADS[-1]):
@@ -164,6 +167,19 @@ async def _stand_by(link: Link, s: Configuration, swap: Swap) -> str | None:
         f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {reply['matched']} of them: "
         "who is not of this system may miss messages"
     )
+
+
+async def _meet(link: Link, new: str, old: str) -> None:
+    """Have the new side find the old one, in short turns: that the old one has ended is known between them, at once,
+    and its topic is silent meanwhile."""
+    for _ in range(MEET_TURNS):
+        await link.peek(old)
+        try:
+            await link.change(new, "meet", timeout=MEET_TURN, peer=old)
+            return
+        except CommandRefused as error:
+            refused = error
+    raise refused
 
 
 async def _await_probation(link: Link, s: Configuration, swap: Swap) -> None:
