@@ -24,8 +24,17 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 T = TypeVar("T")
 
 
-def example(name: str) -> Specification:
-    return specification_from_document(json.loads((EXAMPLES / name / f"{name}.json").read_text()))
+def example(name: str, directory: Path | None = None) -> Specification:
+    return specification_from_document(json.loads(((directory or EXAMPLES / name) / f"{name}.json").read_text()))
+
+
+def slow_filter(folder: Path) -> Path:
+    """The filter's example at 20 Hz, written to ``folder``: for tests that bring it up a hundred times."""
+    folder.mkdir()
+    for file in (EXAMPLES / "filter").iterdir():
+        if file.suffix in {".py", ".json"}:
+            (folder / file.name).write_text(file.read_text().replace("200", "20"))
+    return folder
 
 
 # A talker that says the state it has, and hands it on.
@@ -85,13 +94,15 @@ def managed(
     simulator: Simulator | None = None,
     specification: Specification | None = None,
     verifier: Verifier | None = None,
+    directory: Path | None = None,
 ) -> T:
     """Bring the example up in virtual time, run ``body``, and shut everything down."""
     simulator = simulator or Simulator()
 
     async def main() -> T:
         workspace = Workspace(folder)
-        manager = Manager(specification or example(name), simulator, workspace, EXAMPLES / name, verifier)
+        programs = directory or EXAMPLES / name
+        manager = Manager(specification or example(name, programs), simulator, workspace, programs, verifier)
         await manager.up()
         try:
             return await body(manager, simulator)

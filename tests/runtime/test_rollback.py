@@ -19,7 +19,17 @@ from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Command, Reply
-from tests.runtime.systems import EXAMPLES, example, kept, last_said, managed, replace, snapshot, stateful_talkers
+from tests.runtime.systems import (
+    EXAMPLES,
+    example,
+    kept,
+    last_said,
+    managed,
+    replace,
+    slow_filter,
+    snapshot,
+    stateful_talkers,
+)
 
 # Reads that only watch: a change may go on without them.
 WATCHING = {"observe", "grid", "record", "records", "export_state"}
@@ -63,7 +73,11 @@ def change(simulator: Failing, name: str, request: Request, folder: Path) -> dic
         return outcome
 
     folder.mkdir()
-    return managed(name, folder, body, simulator)
+    return managed(name, folder, body, simulator, directory=programs(name, folder))
+
+
+def programs(name: str, folder: Path) -> Path | None:
+    return slow_filter(folder / "programs") if name == "filter" else None
 
 
 async def differing(manager: Manager) -> list[str]:
@@ -143,7 +157,7 @@ def test_a_component_that_dies_at_any_call_leaves_no_half_done_change(
 
         folder = tmp_path / str(at)
         folder.mkdir()
-        outcome = managed(name, folder, body, simulator)
+        outcome = managed(name, folder, body, simulator, directory=programs(name, folder))
         assert outcome["outcome"] in ("done", "rolled_back", "failed"), (instance, op)
         if outcome["outcome"] != "done":
             assert outcome["because"]
