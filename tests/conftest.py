@@ -23,7 +23,8 @@ def _claimed_domain() -> int:
     Domains above 101 would take ports that the system hands out to others.
     """
     claim = socket.socket(socket.AF_UNIX)
-    for domain in range(101, 0, -1):
+    for number in range(os.getpid(), os.getpid() + 100):  # another one each time: what was killed lingers for a while
+        domain = 1 + number % 100
         try:
             claim.bind(f"\0midstride-test-domain-{domain}")  # in no folder: it goes with its process, however that ends
         except OSError:

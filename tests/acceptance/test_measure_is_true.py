@@ -21,7 +21,7 @@ from tests.backends.ros2_support import Rig, rig, run, until_async
 
 pytestmark = pytest.mark.ros2
 SWAPS = 5
-MOST = 3 * SWAPS
+ATTEMPTS = 3
 
 
 def other(manager: Manager, strategy: str = "minimal") -> Request:
@@ -47,9 +47,11 @@ def test_a_bare_recorder_agrees_with_the_report(strategy: str, within: float, tm
     # The two processes are told of a message at moments of their own, and on a busy machine those lie apart by more
     # than either's error. An error of the measure would show in every swap, the least disturbed one too.
     apart: list[float] = []
-    while min(apart, default=math.inf) > within:
-        assert len(apart) < MOST, apart
-        apart += apart_in_swaps(strategy, tmp_path / str(len(apart)))
+    for attempt in range(ATTEMPTS):
+        apart += apart_in_swaps(strategy, tmp_path / str(attempt))
+        if min(apart, default=math.inf) <= within:
+            return
+    raise AssertionError(apart)
 
 
 def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
@@ -77,6 +79,8 @@ def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
     assert len(swaps) == SWAPS
     apart = []
     for (begun, over), swap in zip(windows, swaps, strict=True):
+        if swap["gap"] is None:  # the subscriber did not answer when asked: not known is not untrue
+            continue
         apart.append(abs(longest_gap(rows, begun, over) - swap["gap"]))
         inside = [row for row in rows if begun <= row.received <= over]
         publishers = {row.publisher for row in inside}
