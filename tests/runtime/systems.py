@@ -28,13 +28,18 @@ def example(name: str, directory: Path | None = None) -> Specification:
     return specification_from_document(json.loads(((directory or EXAMPLES / name) / f"{name}.json").read_text()))
 
 
-def slow_filter(folder: Path) -> Path:
-    """The filter's example at 20 Hz, written to ``folder``: for tests that bring it up a hundred times."""
+def rewritten(name: str, folder: Path, rewrite: Callable[[str, str], str]) -> Path:
+    """The example's programs and specification in ``folder``, each as ``rewrite(its name, its text)`` has it."""
     folder.mkdir()
-    for file in (EXAMPLES / "filter").iterdir():
+    for file in (EXAMPLES / name).iterdir():
         if file.suffix in {".py", ".json"}:
-            (folder / file.name).write_text(file.read_text().replace("200", "20"))
+            (folder / file.name).write_text(rewrite(file.name, file.read_text()))
     return folder
+
+
+def slow_filter(folder: Path) -> Path:
+    """The filter's example at 20 Hz: for tests that bring it up a hundred times."""
+    return rewritten("filter", folder, lambda _, text: text.replace("200", "20"))
 
 
 # A talker that says the state it has, and hands it on.

@@ -19,7 +19,7 @@ from midstride.runtime.backend import Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Command, Reply
-from tests.runtime.systems import EXAMPLES, example, kept, managed, replace
+from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, rewritten
 
 CHANGES = [("talker", "talker", "NewTalker"), ("obstacle", "detector", "StereoDetector")]
 CHANGES += [("filter", "filter", "MedianFilter")]
@@ -500,29 +500,22 @@ def test_a_component_has_the_time_to_stop_that_its_author_asked_for(tmp_path: Pa
 
 def test_what_has_degraded_by_itself_is_raised_again_at_the_first_try(tmp_path: Path) -> None:
     """It has moved on by that, which the manager has seen: no reason to refuse the change that mends it."""
-    programs = tmp_path / "programs"
-    programs.mkdir()
-    for file in (EXAMPLES / "talker").glob("*.py"):
-        text = file.read_text()
-        if file.name == "talker.py":
-            text = text.replace("def normal() -> None:\n", "calls = []\n\n\ndef normal():\n    calls.append(0)\n")
-            glitch = "    if len(calls) == 20:\n        raise ValueError('a glitch')\n"
-            text = text.replace("    out.write(", glitch + "    out.write(")
-        (programs / file.name).write_text(text)
-    simulator = Simulator()
 
-    async def main() -> tuple[dict[str, Any], dict[str, Any]]:
-        manager = Manager(example("talker"), simulator, Workspace(tmp_path), programs)
-        await manager.up()
-        try:
-            await asyncio.sleep(5)
-            assert (await manager.why("talker.talk"))["mode"] == "degraded"
-            outcome = await manager.change(Request(to=example("talker")))
-            return outcome, await manager.why("listener.listen")
-        finally:
-            await manager.close()
+    def glitching(file: str, text: str) -> str:
+        if file != "talker.py":
+            return text
+        text = text.replace("def normal() -> None:\n", "calls = []\n\n\ndef normal():\n    calls.append(0)\n")
+        glitch = "    if len(calls) == 20:\n        raise ValueError('a glitch')\n"
+        return text.replace("    out.write(", glitch + "    out.write(")
 
-    outcome, listening = simulator.run(main())
+    async def body(manager: Manager, _: Simulator) -> tuple[dict[str, Any], dict[str, Any]]:
+        await asyncio.sleep(5)
+        assert (await manager.why("talker.talk"))["mode"] == "degraded"
+        outcome = await manager.change(Request(to=example("talker")))
+        return outcome, await manager.why("listener.listen")
+
+    programs = rewritten("talker", tmp_path / "programs", glitching)
+    outcome, listening = managed("talker", tmp_path, body, directory=programs)
     assert (outcome["outcome"], outcome["because"]) == ("done", None)
     assert listening["mode"] == "normal"
 
@@ -561,25 +554,15 @@ def test_a_hand_over_waits_for_readers_that_are_not_of_the_system(
 
 
 def test_a_new_one_that_breaks_while_it_is_watched_is_in_the_outcome(tmp_path: Path) -> None:
-    programs = tmp_path / "programs"
-    programs.mkdir()
-    for file in (EXAMPLES / "talker").glob("*.py"):
-        text = file.read_text()
-        if file.name == "new_talker.py":
-            head = "calls = []\n" + "talk.set_normal_mode("
-            text = text.replace("    out.write(", "    calls.append(0)\n    1 / (len(calls) < 15)\n    out.write(", 1)
-            text = text.replace("talk.set_normal_mode(", head)
-        (programs / file.name).write_text(text)
-    simulator = Simulator()
+    def breaking(file: str, text: str) -> str:
+        if file != "new_talker.py":
+            return text
+        text = text.replace("    out.write(", "    calls.append(0)\n    1 / (len(calls) < 15)\n    out.write(", 1)
+        return text.replace("talk.set_normal_mode(", "calls = []\ntalk.set_normal_mode(")
 
-    async def main() -> dict[str, Any]:
-        manager = Manager(example("talker"), simulator, Workspace(tmp_path), programs)
-        await manager.up()
-        try:
-            return await manager.change(replace("talker", "NewTalker"))
-        finally:
-            await manager.close()
+    async def body(manager: Manager, _: Simulator) -> dict[str, Any]:
+        return await manager.change(replace("talker", "NewTalker"))
 
-    outcome = simulator.run(main())
+    outcome = managed("talker", tmp_path, body, directory=rewritten("talker", tmp_path / "programs", breaking))
     assert (outcome["outcome"], outcome["because"], outcome["ended"]) == ("done", None, [])
     assert outcome["degraded"] == ["talker_2.talk"]

@@ -20,12 +20,11 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Command, Reply
 from tests.runtime.systems import (
-    EXAMPLES,
-    example,
     kept,
     last_said,
     managed,
     replace,
+    rewritten,
     slow_filter,
     snapshot,
     stateful_talkers,
@@ -309,23 +308,15 @@ def test_an_old_side_that_dies_while_the_new_one_looks_for_it_is_known_at_once(t
 
 def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) -> None:
     """Not what it then refused: its revision is another one by that, which explains nothing to anybody."""
-    programs = tmp_path / "programs"
-    programs.mkdir()
-    for file in (EXAMPLES / "talker").glob("*.py"):
-        text = file.read_text()
-        broken = text.replace("    out.write(", "    raise ValueError('unplugged')\n    out.write(")
-        (programs / file.name).write_text(broken if file.name == "new_talker.py" else text)
-    simulator = Simulator()
 
-    async def main() -> dict[str, Any]:
-        manager = Manager(example("talker"), simulator, Workspace(tmp_path), programs)
-        await manager.up()
-        try:
-            return await manager.change(replace("talker", "NewTalker"))
-        finally:
-            await manager.close()
+    def broken(file: str, text: str) -> str:
+        raising = "    raise ValueError('unplugged')\n    out.write("
+        return text.replace("    out.write(", raising) if file == "new_talker.py" else text
 
-    outcome = simulator.run(main())
+    async def body(manager: Manager, _: Simulator) -> dict[str, Any]:
+        return await manager.change(replace("talker", "NewTalker"))
+
+    outcome = managed("talker", tmp_path, body, directory=rewritten("talker", tmp_path / "programs", broken))
     assert outcome["outcome"] == "rolled_back"
     assert outcome["seconds"] < 4  # of the simulator's own time: its first write is not waited for any more
     told = "talker_2.talk has gone to degraded by itself: mode normal raised: ValueError: unplugged"

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
+import signal
 import socket
 import stat
 import tempfile
@@ -159,9 +161,6 @@ def test_a_system_that_cannot_come_up_says_why_and_ends(workspace: Workspace) ->
 
 
 def test_leaving_ends_the_manager_and_not_the_system(workspace: Workspace) -> None:
-    import os
-    import signal
-
     async def test() -> None:
         manager = ScriptedManager()
         async with serving(manager, workspace) as (client, server):
@@ -177,34 +176,44 @@ def test_leaving_ends_the_manager_and_not_the_system(workspace: Workspace) -> No
     run(test)
 
 
+class Changing(ScriptedManager):
+    """Has a change under way until it is broken off, and takes ``seconds`` to take it back."""
+
+    def __init__(self, seconds: float) -> None:
+        super().__init__()
+        self.seconds = seconds
+
+    async def change(
+        self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
+    ) -> Any:
+        self.asked.append(("change", None))
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await asyncio.sleep(self.seconds)
+            self.asked.append(("taken back", None))
+
+
+async def told_to_end_in_a_change(manager: Changing, workspace: Workspace) -> httpx.Response:
+    """SIGTERM while a change is under way; what whoever asked for the change is answered."""
+    async with serving(manager, workspace) as (client, server):
+        await client.get("/up")
+        changing = asyncio.ensure_future(client.post("/change", json={"request": {"remove": ["talker"]}}))
+        while ("change", None) not in manager.asked:
+            assert not changing.done()
+            await asyncio.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGTERM)
+        response = await changing
+        assert await asyncio.wait_for(server, 20) == 0
+        return response
+
+
 def test_a_change_under_way_when_the_manager_is_told_to_end_is_taken_back_first(workspace: Workspace) -> None:
-    import os
-    import signal
-
-    class Changing(ScriptedManager):
-        async def change(
-            self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
-        ) -> Any:
-            self.asked.append(("change", None))
-            try:
-                await asyncio.Event().wait()
-            finally:
-                await asyncio.sleep(0.05)
-                self.asked.append(("taken back", None))
-
     async def test() -> None:
-        manager = Changing()
-        async with serving(manager, workspace) as (client, server):
-            await client.get("/up")
-            changing = asyncio.ensure_future(client.post("/change", json={"request": {"remove": ["talker"]}}))
-            while ("change", None) not in manager.asked:
-                assert not changing.done()
-                await asyncio.sleep(0.01)
-            os.kill(os.getpid(), signal.SIGTERM)
-            response = await changing
-            assert response.status_code == 409
-            assert "told to end" in response.json()["error"]["message"]
-            assert await asyncio.wait_for(server, 20) == 0
+        manager = Changing(0.05)
+        response = await told_to_end_in_a_change(manager, workspace)
+        assert response.status_code == 409
+        assert "told to end" in response.json()["error"]["message"]
         assert [operation for operation, _ in manager.asked] == ["up", "change", "taken back", "close"]
 
     run(test)
@@ -214,44 +223,19 @@ def test_a_change_that_takes_long_to_take_back_still_has_an_answer(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The doors do not wait for ever; whoever asked is told why, and not of an internal error."""
-    import os
-    import signal
-
     monkeypatch.setattr("midstride.server.serve.LAST_ANSWERS", 1)
 
-    class Changing(ScriptedManager):
-        async def change(
-            self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
-        ) -> Any:
-            self.asked.append(("change", None))
-            try:
-                await asyncio.Event().wait()
-            finally:
-                await asyncio.sleep(1.5)
-                self.asked.append(("taken back", None))
-
     async def test() -> None:
-        manager = Changing()
-        async with serving(manager, workspace) as (client, server):
-            await client.get("/up")
-            changing = asyncio.ensure_future(client.post("/change", json={"request": {"remove": ["talker"]}}))
-            while ("change", None) not in manager.asked:
-                assert not changing.done()
-                await asyncio.sleep(0.01)
-            os.kill(os.getpid(), signal.SIGTERM)
-            response = await changing
-            assert response.status_code == 409, response.text
-            assert "still taking back" in response.json()["error"]["message"]
-            assert await server == 0
+        manager = Changing(1.5)
+        response = await told_to_end_in_a_change(manager, workspace)
+        assert response.status_code == 409, response.text
+        assert "still taking back" in response.json()["error"]["message"]
         assert ("taken back", None) in manager.asked
 
     run(test)
 
 
 def test_a_system_whose_manager_is_told_to_end_while_it_comes_is_not_said_to_be_up(workspace: Workspace) -> None:
-    import os
-    import signal
-
     async def test() -> None:
         manager = ScriptedManager()
         manager.holds["up"] = asyncio.Event()

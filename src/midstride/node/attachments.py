@@ -59,10 +59,6 @@ class Attachments:
             raise CommandRefused(f"output {port} is not attached to {topic}")
         return found
 
-    def readers(self, port: str, topic: str) -> int:
-        """How many endpoints, whosesoever, an output is matched with on ``topic``. Raises CommandRefused."""
-        return self.link(port, topic).publisher.matched()
-
     # -- commands ----------------------------------------------------------------------------------
 
     async def attach(self, arguments: Arguments) -> dict[str, Any]:
@@ -152,9 +148,8 @@ class Attachments:
 
     def _open(self, link: OutputLink) -> None:
         link.set_gate(True)
-        if link.output.latched and link.held is not None:
-            link.publish(link.held)
-            link.count += 1
+        if link.output.latched:
+            link.write_held()
 
     def _unpublish(self, link: OutputLink) -> None:
         if link not in link.output.links:

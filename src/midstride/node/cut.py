@@ -177,9 +177,7 @@ class Arriving(_Side):
     def latch(self) -> None:
         """Write the last gated message again where nothing has been written since T, so that late joiners get it."""
         for link in self._latches:
-            if link.cut is self and link not in self.written and link.held is not None:
-                link.publish(link.held)
-                link.count += 1
+            if link.cut is self and link not in self.written and link.write_held():
                 self.wrote(link)
 
     def conclude(self) -> None:

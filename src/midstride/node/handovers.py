@@ -43,17 +43,17 @@ class Handovers:
     # -- before ------------------------------------------------------------------------------------
 
     async def grid(self, arguments: Arguments) -> dict[str, Any]:
-        owner = self._attachments.output(arguments.text("port")).owner
+        port, topic = arguments.text("port"), arguments.text_or("topic", "")
+        owner = self._attachments.output(port).owner
         if owner is None:
             raise CommandRefused("the component has not begun yet")
         rate = owner.rate
-        topic = arguments.text_or("topic", "")
         return {
             "trigger": owner.mode.driven,
             "epoch": None if rate is None else rate.slot,
             "period": None if rate is None else rate.period,
             "now": self._host.now(),
-            "readers": self._attachments.readers(arguments.text("port"), topic) if topic else None,
+            "readers": self._attachments.link(port, topic).publisher.matched() if topic else None,
         }
 
     async def meet(self, arguments: Arguments) -> dict[str, Any]:

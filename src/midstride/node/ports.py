@@ -67,6 +67,14 @@ class OutputLink:
             self.gated += 1
             self.held = message
 
+    def write_held(self) -> bool:
+        """Write what was last kept behind the gate, so that late joiners get it; whether there was anything."""
+        if self.held is None:
+            return False
+        self.publish(self.held)
+        self.count += 1
+        return True
+
     def set_gate(self, open_: bool) -> None:
         """Open or closed from now on, whatever a cut said."""
         self.cut = None

@@ -87,12 +87,12 @@ class Runner:
             self._trigger = None
         self._postponed.clear()
 
-    def stand(self, index: int, because: str) -> None:
+    def stand(self, index: int, because: str, failed: bool = False) -> None:
         """In mode ``index`` from now on; :meth:`begin` starts its calls."""
         self.index = index
         self.because = because
         self.since = self._steady()
-        self.failed = False
+        self.failed = failed
 
     def begin(self) -> None:
         """Start the current mode's calls; the first may come at once. A platform that refuses is a failure like any."""
@@ -177,13 +177,11 @@ class Runner:
         told = told_by(error)
         self.leave()
         if self.index < self.last:
-            self.stand(self.last, f"mode {failed} raised: {told}")
-            self.failed = True
+            self.stand(self.last, f"mode {failed} raised: {told}", failed=True)
             self._report(self)
             self.begin()
         else:
-            self.stand(self.index, f"its last mode, {failed}, raised, so it is no longer called: {told}")
-            self.failed = True
+            self.stand(self.index, f"its last mode, {failed}, raised, so it is no longer called: {told}", failed=True)
             self._report(self)
 
 
