@@ -1,0 +1,120 @@
+"""The envelope of the control plane and its one codec: each frame is a JSON object on a line.
+
+The component greets first, with the version of the protocol; the client answers with its own and with the token of
+the system it acts for. Then the client sends requests, and the component replies and reports its state.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, TypeAlias
+
+import msgspec
+
+from midstride.errors import CommandRefused, ProtocolError
+from midstride.wire.commands import COMMANDS, AnyCommand, Command
+from midstride.wire.state import ComponentState, Endpoint, Value
+
+# Raised by every change of a frame, command, reply or event that an older side could misread.
+PROTOCOL: Final = 1
+# The longest frame (bytes): recorded receipts and exported state included.
+LONGEST_FRAME: Final = 256 * 1024 * 1024
+
+
+class Frame(Value, frozen=True, kw_only=True, tag_field="frame"):
+    """One line."""
+
+
+class Greeting(Frame, frozen=True, kw_only=True, tag="greeting"):
+    """The component's first words. ``start_token`` is the token it was started with, empty where started by hand."""
+
+    protocol: int
+    instance: str
+    uuid: str
+    pid: int
+    start_token: str
+
+
+class Hello(Frame, frozen=True, kw_only=True, tag="hello"):
+    """The client's first words."""
+
+    protocol: int
+    token: str
+
+
+class Request(Frame, frozen=True, kw_only=True, tag="request"):
+    """A command. A request repeated with the same ``id`` gets the first reply again and changes nothing.
+
+    ``revision``: the one its sender expects the component to be at; None for what changes nothing.
+    """
+
+    id: str
+    command: msgspec.Raw
+    revision: int | None = None
+
+
+class Reply(Frame, frozen=True, kw_only=True, tag="reply"):
+    """What came of a request. ``refused`` is None where it was carried out; ``revision`` is the component's now."""
+
+    id: str
+    revision: int
+    result: msgspec.Raw = msgspec.Raw()
+    refused: str | None = None
+
+    @property
+    def ok(self) -> bool:
+        return self.refused is None
+
+
+class Registration(Frame, frozen=True, kw_only=True, tag="registration"):
+    """The component is set up: its declaration in JSON form, and the endpoints of its node that are not ports."""
+
+    declaration: dict[str, Any]
+    endpoints: list[Endpoint]
+
+
+class StateChanged(Frame, frozen=True, kw_only=True, tag="state"):
+    """The component's state, after every change and now and then."""
+
+    state: ComponentState
+
+
+FromComponent: TypeAlias = Greeting | Reply | Registration | StateChanged
+FromClient: TypeAlias = Hello | Request
+
+_encoder: Final = msgspec.json.Encoder()
+_from_component: Final[msgspec.json.Decoder[FromComponent]] = msgspec.json.Decoder(FromComponent)
+_from_client: Final[msgspec.json.Decoder[FromClient]] = msgspec.json.Decoder(FromClient)
+_command: Final[msgspec.json.Decoder[AnyCommand]] = msgspec.json.Decoder(AnyCommand)
+
+
+def encode(frame: Frame) -> bytes:
+    """One line, without its end."""
+    return _encoder.encode(frame)
+
+
+def encode_value(value: Value) -> msgspec.Raw:
+    return msgspec.Raw(_encoder.encode(value))
+
+
+def decode_from_component(line: bytes) -> FromComponent:
+    """Raises ProtocolError."""
+    try:
+        return _from_component.decode(line)
+    except msgspec.DecodeError as error:
+        raise ProtocolError(f"not a frame of a component: {error}") from None
+
+
+def decode_from_client(line: bytes) -> FromClient:
+    """Raises ProtocolError."""
+    try:
+        return _from_client.decode(line)
+    except msgspec.DecodeError as error:
+        raise ProtocolError(f"not a frame of a client: {error}") from None
+
+
+def decode_command(request: Request) -> Command[Any]:
+    """Raises CommandRefused, naming the field that is unknown, missing or of another type."""
+    try:
+        return _command.decode(request.command)
+    except msgspec.DecodeError as error:
+        raise CommandRefused(f"not a command: {error}; the commands are {', '.join(COMMANDS)}") from None
