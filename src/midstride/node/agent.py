@@ -14,9 +14,9 @@ import uuid
 from collections import OrderedDict
 from typing import TYPE_CHECKING, Any, Final
 
+from midstride.codec.component import encode_component
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.model import component as model
-from midstride.model.document import component_to_document
 from midstride.node.arguments import Arguments
 from midstride.node.command_handlers import CommandHandlers
 from midstride.node.functionality_runner import FunctionalityRunner
@@ -113,7 +113,7 @@ class Agent:
             self._uuid,
             self._pid,
             self._start_token,
-            component_to_document(self._declaration),
+            encode_component(self._declaration),
             tuple(dict(endpoint) for endpoint in self._host.extra_endpoints()),
             degraded,
         )
