@@ -289,8 +289,8 @@ class NamedComponentForm(ComponentForm, frozen=True, kw_only=True):
 def _body(component: ComponentSpec) -> dict[str, Any]:
     return {
         "run": component.run or UNSET,
-        "takes_seconds": stated(component.takes),
-        "holds": {name: plain(amount) for name, amount in sorted(component.holds.items())},
+        "takes_seconds": stated(component.startup_seconds),
+        "holds": {name: plain(amount) for name, amount in sorted(component.resource_usage.items())},
         "parameters": {
             name: ParameterForm(value=cast("PlainValue", parameter.value), changeable=parameter.changeable)
             for name, parameter in sorted(component.parameters.items())

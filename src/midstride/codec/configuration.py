@@ -62,7 +62,7 @@ class ConfigurationForm(Form, frozen=True):
 
     @classmethod
     def of(cls, configuration: Configuration) -> ConfigurationForm:
-        world = configuration.world
+        world = configuration.context
         around = Specification(
             "world", connectors=world.connectors, environment=world.environment, resources=world.resources
         )
@@ -87,7 +87,7 @@ class ConfigurationForm(Form, frozen=True):
                 raise SpecificationError([Problem("E008", ("modes", text), message)]) from None
         attachments = [(PortRef.parse(port), connector) for port, connector in self.attachments]
         try:
-            return configure(self.world.specification().world, live.values(), attachments, modes)
+            return configure(self.world.specification().context, live.values(), attachments, modes)
         except (KeyError, ValueError) as error:
             raise SpecificationError(f"not a configuration: {error}") from None
 

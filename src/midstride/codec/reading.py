@@ -251,7 +251,10 @@ class FaultFinder:
             others = [member for member in type_.types if not isinstance(member, inspect.NoneType)]
             if len(others) == 1:
                 return self.read(value, others[0], path, what, help)
-            return self._expected(value, type_, path, what, help)
+            structs = (
+                getattr(bare.cls, "what", "") for bare in map(_bare, others) if isinstance(bare, inspect.StructType)
+            )
+            return self._expected(value, type_, path, what or next(structs, "another value"), help)
         return self.read(value, matching[0], path, what, help)
 
     def _tagged(self, value: dict[Any, Any], members: Sequence[inspect.Type], path: Path) -> Any:

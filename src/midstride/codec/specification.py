@@ -67,12 +67,14 @@ class TopicForm(PredicateForm, frozen=True):
             rate=contract.rate,
             qos=contract.qos,
             where=contract.where,
-            max_publishers=UNSET if connector.cap is None else connector.cap,
+            max_publishers=UNSET if connector.max_publishers is None else connector.max_publishers,
             topic=UNSET if connector.topic == connector.name else connector.topic,
         )
 
     def connector(self, name: str) -> Connector:
-        return Connector(name, self.predicate(), cap=given(finite(self.max_publishers)), topic=given(self.topic) or "")
+        return Connector(
+            name, self.predicate(), max_publishers=given(finite(self.max_publishers)), topic=given(self.topic) or ""
+        )
 
 
 class ResourceForm(Form, frozen=True):

@@ -22,7 +22,7 @@ from midstride.testing.strategies import specifications
 PUBLISHED = Path(__file__).parents[2] / "docs" / "reference" / "specification.schema.json"
 ROOT = Path(__file__).parents[2] / "examples"
 EXAMPLES = [ROOT / name / f"{name}.stride" for name in ("talker", "filter", "obstacle", "autoware_control")]
-SAMPLE = Path(__file__).parent / "seeds" / "patrol.stride"
+SAMPLE = Path(__file__).parents[1] / "lang" / "seeds" / "patrol.stride"
 VALIDATOR = jsonschema.Draft202012Validator(specification_schema())
 
 # Faults of form, which a schema can tell; the others are of names and meaning.
