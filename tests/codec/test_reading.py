@@ -47,7 +47,7 @@ def test_both_refuse_or_neither_does(specification: Specification, data: st.Data
     holder = document
     for key in path[:-1]:
         holder = holder[key]
-    if isinstance(holder, dict) and data.draw(st.booleans()):
+    if data.draw(st.booleans()) and isinstance(holder, dict):
         holder["a key"] = holder.pop(path[-1])
     else:
         holder[path[-1]] = data.draw(st.sampled_from(STRANGE))
