@@ -50,12 +50,12 @@ def recorder(path: str) -> None:
 
 async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
     from midstride import backends
-    from midstride.model.document import specification_from_document
+    from midstride.codec.specification import decode_specification
     from midstride.plan.request import Request
     from midstride.runtime.manager import Manager
     from midstride.runtime.workspace import Workspace
 
-    specification = specification_from_document(json.loads((EXAMPLE / "filter.json").read_text()))
+    specification = decode_specification(json.loads((EXAMPLE / "filter.json").read_text()))
     manager = Manager(specification, backends.make("ros2", logs=folder / "logs"), Workspace(folder), EXAMPLE)
     path = folder / "counts.json"
     reported: Counter[str] = Counter()

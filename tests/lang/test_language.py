@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from immutables import Map
 
+from midstride.codec.specification import decode_specification, encode_specification
 from midstride.lang import Loaded, load, load_text, render
 from midstride.model.component import Endpoint, InputAlternatives, ParameterSpec
 from midstride.model.contract import Interval, OneOf, Predicate, QoS
-from midstride.model.document import specification_from_document, specification_to_document
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 
 from .known import Known
@@ -83,7 +83,7 @@ def test_the_sample_means_what_it_says() -> None:
 
 def test_the_sample_in_json_is_the_same_system() -> None:
     patrol = load(SEEDS / "patrol.stride").require()
-    again = specification_from_document(specification_to_document(patrol))
+    again = decode_specification(encode_specification(patrol))
     assert again == patrol
 
 
@@ -286,7 +286,7 @@ def test_parameter_files_are_matched_by_role() -> None:
     assert found.parameters_of("robot1/talker")["volume"] == 4
     # What the file alone gives is declared with the component, and with those that are like it.
     assert found.components["Singer"].parameters["plugin.name"] == ParameterSpec("x")
-    assert specification_from_document(specification_to_document(found)) == found
+    assert decode_specification(encode_specification(found)) == found
 
 
 def test_parameters_may_be_named_in_any_words_as_ros_allows() -> None:
@@ -298,7 +298,7 @@ def test_parameters_may_be_named_in_any_words_as_ros_allows() -> None:
     )
     found = meant(text, {"p.yaml": 'talker: {ros__parameters: {required: {"localization: ekf": 1, "": 2}}}\n'})
     assert found.parameters_of("talker") == Map({"required.localization: ekf": 1, "required.": 2})
-    assert specification_from_document(specification_to_document(found)) == found
+    assert decode_specification(encode_specification(found)) == found
 
 
 def test_what_only_some_nodes_are_given_is_told_once_for_all_parameters() -> None:
@@ -314,7 +314,7 @@ def test_what_only_some_nodes_are_given_is_told_once_for_all_parameters() -> Non
 def test_json_is_taken_where_the_name_says_so(tmp_path: Path) -> None:
     import json
 
-    document = specification_to_document(load(SEEDS / "patrol.stride").require())
+    document = encode_specification(load(SEEDS / "patrol.stride").require())
     path = tmp_path / "patrol.json"
     path.write_text(json.dumps(document, indent=2))
     assert load(path).require() == load(SEEDS / "patrol.stride").require()

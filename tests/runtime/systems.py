@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from midstride.backends.simulator import Simulator
+from midstride.codec.specification import decode_specification
 from midstride.model.contract import DEFAULT_QOS
-from midstride.model.document import specification_from_document
 from midstride.model.specification import Specification
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 
 def example(name: str, directory: Path | None = None) -> Specification:
-    return specification_from_document(json.loads(((directory or EXAMPLES / name) / f"{name}.json").read_text()))
+    return decode_specification(json.loads(((directory or EXAMPLES / name) / f"{name}.json").read_text()))
 
 
 def rewritten(name: str, folder: Path, rewrite: Callable[[str, str], str]) -> Path:

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.codec.specification import decode_specification
 from midstride.model.contract import QoS
-from midstride.model.document import specification_from_document
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
@@ -59,7 +59,7 @@ def test_a_replacement_goes_on_with_what_it_wrote_on_entry(strategy: str, tmp_pa
     simulator = Simulator()
 
     async def main() -> tuple[list[str], dict[str, Any], list[str]]:
-        manager = Manager(specification_from_document(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
+        manager = Manager(decode_specification(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
         await manager.up()
         try:
             before = await late_joiner(simulator)
@@ -80,7 +80,7 @@ def test_one_that_is_attached_again_has_its_message_on_the_topic_again(tmp_path:
     simulator = Simulator()
 
     async def main() -> tuple[dict[str, Any], list[str]]:
-        manager = Manager(specification_from_document(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
+        manager = Manager(decode_specification(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
         await manager.up()
         try:
             simulator.faults.fail_next("mapper", "export_state", "refused")

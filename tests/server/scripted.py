@@ -9,7 +9,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
-from midstride.model.document import specification_from_document
+from midstride.codec.specification import decode_specification
 from midstride.plan.request import Request
 from midstride.runtime.events import EventLog
 from midstride.runtime.manager import Manager
@@ -22,7 +22,7 @@ class ScriptedManager:
 
     def __init__(self) -> None:
         text = (EXAMPLES / "talker" / "talker.json").read_text(encoding="utf-8")
-        self.specification = specification_from_document(json.loads(text))
+        self.specification = decode_specification(json.loads(text))
         self.revision = 7
         self.events = EventLog()
         self.answers: dict[str, Any] = {"up": {"outcome": "done"}, "down": None, "why": {}, "status": {"valid": True}}

@@ -10,9 +10,9 @@ import click
 
 import midstride
 from midstride.cli.files import load
+from midstride.codec.reading import parse_json
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
-from midstride.model.reading import parse_json
 from midstride.model.specification import Specification
 from midstride.plan.request import Request
 

@@ -14,9 +14,9 @@ import uuid
 from collections import OrderedDict
 from typing import Any, Final
 
+from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.model.component import ComponentSpec
-from midstride.model.document import component_to_document
 from midstride.node.command_handlers import CommandHandlers
 from midstride.node.declared_parts import DeclaredParts
 from midstride.node.functionality_runner import FunctionalityRunner
@@ -122,7 +122,7 @@ class Agent:
         """Say what the component is, to whichever manager connects."""
         self._ready.set()
         self.report_state()
-        declaration = component_to_document(self._declaration)
+        declaration = NamedComponentForm.of(self._declaration)
         self._server.register(Registration(declaration=declaration, endpoints=self._host.extra_endpoints()))
         if not self._start_token and self._standalone is None:
             remappings = " ".join(f"{port}:=/{port}" for port in self._declaration.ports())

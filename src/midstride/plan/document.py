@@ -7,6 +7,7 @@ from typing import Any
 
 from immutables import Map
 
+from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import PlanRefused, SpecificationError
 from midstride.model.action import (
     Action,
@@ -23,7 +24,6 @@ from midstride.model.action import (
 from midstride.model.best import best
 from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
-from midstride.model.document import specification_from_document, specification_to_document
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 from midstride.plan.disruption import instances_touched
@@ -52,8 +52,8 @@ def plan_to_document(plan: Plan) -> dict[str, Any]:
         "fallen": [str(ref) for ref in plan.fallen],
         "falls": [fall.to_document() for fall in plan.falls],
         "afterwards": [shift.to_document() for shift in plan.shifts],
-        "start": specification_to_document(change.specification),
-        "target": specification_to_document(change.target),
+        "start": encode_specification(change.specification),
+        "target": encode_specification(change.target),
         "steps": plan.step_documents(),
     }
     if running := _running(change):
@@ -88,8 +88,8 @@ def plan_from_document(document: Mapping[str, Any]) -> Plan:
     plan, PlanRefused where its start and target do not meet, or a step speaks of what there is not.
     """
     try:
-        start = specification_from_document(document["start"])
-        target = specification_from_document(document["target"])
+        start = decode_specification(document["start"])
+        target = decode_specification(document["target"])
         running = _started(start, document.get("running") or {}, document.get("standing") or {})
         change = Change.between(running, start, target)
         known = dict(change.start.instances)

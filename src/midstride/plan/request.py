@@ -9,15 +9,11 @@ from typing import Any, Final
 
 from immutables import Map
 
+from midstride.codec.component import decode_component, encode_component
+from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import PlanRefused, SpecificationError
 from midstride.model.component import ComponentSpec
 from midstride.model.diagnostics import Problem
-from midstride.model.document import (
-    component_from_document,
-    component_to_document,
-    specification_from_document,
-    specification_to_document,
-)
 from midstride.model.specification import Node, Specification
 from midstride.model.specification_checks import check, check_component, check_node, errors
 
@@ -96,8 +92,8 @@ class Request:
                 for node in self.add
             ],
             "remove": list(self.remove),
-            "to": None if self.to is None else specification_to_document(self.to),
-            "components": [component_to_document(component) for component in self.components],
+            "to": None if self.to is None else encode_specification(self.to),
+            "components": [encode_component(component) for component in self.components],
             "strategy": self.strategy,
         }
 
@@ -113,8 +109,8 @@ class Request:
                 replace=tuple((str(role), str(name)) for role, name in document.get("replace") or ()),
                 add=tuple(_node(entry) for entry in document.get("add") or ()),
                 remove=tuple(str(role) for role in document.get("remove") or ()),
-                to=None if to is None else specification_from_document(to),
-                components=tuple(component_from_document(entry) for entry in document.get("components") or ()),
+                to=None if to is None else decode_specification(to),
+                components=tuple(decode_component(entry) for entry in document.get("components") or ()),
                 strategy=str(document.get("strategy") or "minimal"),
             )
         except (KeyError, TypeError, ValueError) as error:

@@ -10,6 +10,7 @@ from collections.abc import Container
 from pathlib import Path
 from typing import Any, Final
 
+from midstride.codec.component import decode_component
 from midstride.errors import (
     BackendError,
     CommandRefused,
@@ -19,7 +20,6 @@ from midstride.errors import (
     Unreachable,
 )
 from midstride.model.configuration import Instance
-from midstride.model.document import component_from_document
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.orphans import end_strays
@@ -141,7 +141,7 @@ class Launcher:
         if component.run is not None and announcement.start_token != self._token:
             raise StartFailed(f"another node called {name} is running already; end it, or give the node another name")
         try:
-            registered = component_from_document(announcement.declaration)
+            registered = decode_component(announcement.declaration)
         except SpecificationError as error:
             raise StartFailed(f"{name} registered something that is no component: {error}") from None
         faults = mismatches(component, registered)

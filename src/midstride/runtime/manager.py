@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from midstride.codec.configuration import encode_configuration
 from midstride.errors import ManagerError, MidstrideError, PlanRefused, StepFailed
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.snapshot import configuration_to_document
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 from midstride.plan.plan import Plan
@@ -197,7 +197,7 @@ class Manager:
     async def live(self) -> dict[str, Any]:
         """The configuration as its components themselves tell it; ``silent`` are those that did not answer in time."""
         found = await live(self.configuration, self._link, self._backend.clock, self._crashes.unsettled)
-        document = configuration_to_document(found.configuration)
+        document = encode_configuration(found.configuration)
         return {"revision": self.revision, "silent": list(found.silent), "configuration": document}
 
     async def peek(self, instance: str) -> dict[str, Any]:

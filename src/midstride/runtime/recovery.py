@@ -13,15 +13,11 @@ from typing import Any
 
 from immutables import Map
 
+from midstride.codec.component import decode_component, encode_component
+from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import MidstrideError
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
-from midstride.model.document import (
-    component_from_document,
-    component_to_document,
-    specification_from_document,
-    specification_to_document,
-)
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.component_client import ComponentClient
@@ -43,12 +39,12 @@ def state_document(
         "version": 1,
         "backend": backend,
         "token": token,
-        "specification": specification_to_document(specification),
+        "specification": encode_specification(specification),
         "instances": [
             {
                 "name": instance.name,
                 "role": instance.role,
-                "component": component_to_document(instance.component),
+                "component": encode_component(instance.component),
                 "parameters": dict(instance.parameters),
                 "handle": asdict(handles[instance.name]) if instance.name in handles else None,
             }
@@ -59,7 +55,7 @@ def state_document(
 
 
 def specification_of(state: dict[str, Any]) -> Specification:
-    return specification_from_document(state["specification"])
+    return decode_specification(state["specification"])
 
 
 async def adopt(
@@ -69,7 +65,7 @@ async def adopt(
     found: dict[str, tuple[Instance, dict[str, Any]]] = {}
     for entry in state["instances"]:
         instance = Instance(
-            entry["name"], entry["role"], component_from_document(entry["component"]), Map(entry["parameters"])
+            entry["name"], entry["role"], decode_component(entry["component"]), Map(entry["parameters"])
         )
         handle = Handle(**entry["handle"]) if entry["handle"] else Handle(instance.name)
         observed = await launcher.adopt(handle, own=entry["handle"] is not None)

@@ -15,8 +15,8 @@ from fastapi.responses import JSONResponse, StreamingResponse
 from starlette.exceptions import HTTPException
 
 from midstride import __version__
+from midstride.codec.specification import encode_specification
 from midstride.errors import MidstrideError
-from midstride.model.document import specification_to_document
 from midstride.server import documents, errors, stream
 from midstride.server.lifecycle import Lifecycle
 
@@ -98,7 +98,7 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     @router.get("/specification", responses=_REFUSED)
     async def specification() -> Response:
         """The specification that the system runs, in its JSON form."""
-        return JSONResponse(specification_to_document(manager.specification))
+        return JSONResponse(encode_specification(manager.specification))
 
     @router.get("/why", responses=_answers(documents.Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:

@@ -6,10 +6,11 @@ the system it acts for. Then the client sends requests, and the component replie
 
 from __future__ import annotations
 
-from typing import Any, Final, TypeAlias
+from typing import Final, TypeAlias
 
 import msgspec
 
+from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, ProtocolError
 from midstride.wire.commands import COMMANDS, AnyCommand, Command
 from midstride.wire.state import ComponentState, Endpoint, Value
@@ -66,9 +67,9 @@ class Reply(Frame, frozen=True, kw_only=True, tag="reply"):
 
 
 class Registration(Frame, frozen=True, kw_only=True, tag="registration"):
-    """The component is set up: its declaration in JSON form, and the endpoints of its node that are not ports."""
+    """The component is set up: what it declares, and the endpoints of its node that are not ports."""
 
-    declaration: dict[str, Any]
+    declaration: NamedComponentForm
     endpoints: list[Endpoint]
 
 

@@ -106,13 +106,13 @@ def _live(system: str | None, asking: Asking) -> Verdict:
     from dataclasses import replace
 
     from midstride.cli.systems import find
-    from midstride.model.snapshot import configuration_from_document
+    from midstride.codec.configuration import decode_configuration
     from midstride.verify.checking import verify_configuration
     from midstride.verify.verdict import Answer
 
     client, workspace = find(system)
     document = client.get("/configuration")
-    configuration = configuration_from_document(document["configuration"])
+    configuration = decode_configuration(document["configuration"])
     verdict = verify_configuration(configuration, workspace.name, f"{workspace.name} as it runs", asking=asking)
     if (silent := ", ".join(document["silent"])) and verdict.answer is Answer.HOLDS:
         because = f"it holds only if what the manager believes of {silent} is true: no answer came from there"

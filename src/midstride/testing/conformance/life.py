@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from midstride.codec.component import decode_component
 from midstride.errors import BackendError
-from midstride.model.document import component_from_document
 from midstride.runtime.backend import Backend
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import TOKEN, Lab
@@ -20,7 +20,7 @@ async def starts_announces_and_waits(backend: Backend, workspace: Path) -> None:
         await lab.launch("relay_2", description)
         announcement = await lab.announced("relay_2")
         assert announcement.start_token == TOKEN
-        assert component_from_document(announcement.declaration) == component_from_document(description["component"])
+        assert decode_component(announcement.declaration) == decode_component(description["component"])
         assert announcement.endpoints == ()
         count = len(lab.announcements)
         await lab.eventually("it announces itself again", lambda: len(lab.announcements) > count)

@@ -8,17 +8,13 @@ from typing import Any
 
 import pytest
 
+from midstride.codec.component import decode_component, encode_component
+from midstride.codec.reading import parse_json
+from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import SpecificationError
 from midstride.model.component import Connector, InputAlternatives
 from midstride.model.contract import Interval, OneOf
 from midstride.model.diagnostics import Problem
-from midstride.model.document import (
-    component_from_document,
-    component_to_document,
-    parse_json,
-    specification_from_document,
-    specification_to_document,
-)
 from midstride.model.specification import Order
 
 DOCUMENT: dict[str, Any] = {
@@ -100,7 +96,7 @@ DOCUMENT: dict[str, Any] = {
 
 
 def test_it_says_what_it_shows() -> None:
-    specification = specification_from_document(DOCUMENT)
+    specification = decode_specification(DOCUMENT)
     detector = specification.components["Detector"]
     assert detector.input_order == ("scan", "other")
     assert detector.functionality_order == ("watch", "detect")
@@ -122,20 +118,20 @@ def test_it_says_what_it_shows() -> None:
 
 
 def test_it_comes_back_word_for_word() -> None:
-    document = specification_to_document(specification_from_document(DOCUMENT))
+    document = encode_specification(decode_specification(DOCUMENT))
     assert document == DOCUMENT
     assert json.dumps(document["components"]["Detector"]) == json.dumps(DOCUMENT["components"]["Detector"])
 
 
 def test_a_component_by_itself_names_itself() -> None:
-    detector = specification_from_document(DOCUMENT).components["Detector"]
-    document = component_to_document(detector)
+    detector = decode_specification(DOCUMENT).components["Detector"]
+    document = encode_component(detector)
     assert document["name"] == "Detector"
-    assert component_from_document(json.loads(json.dumps(document))) == detector
+    assert decode_component(json.loads(json.dumps(document))) == detector
 
 
 def test_what_is_not_canonical_means_the_same() -> None:
-    specification = specification_from_document(
+    specification = decode_specification(
         {
             "system": "s",
             "topics": {"/t": {"type": "std_msgs/String", "rate": 10.0, "where": {"x": {">=": 1, "<=": 1}}}},
@@ -143,7 +139,7 @@ def test_what_is_not_canonical_means_the_same() -> None:
             "nodes": {},
         }
     )
-    assert specification_to_document(specification) == {
+    assert encode_specification(specification) == {
         "system": "s",
         "topics": {"/t": {"type": "std_msgs/msg/String", "rate": 10, "where": {"x": {"=": 1}}}},
     }
@@ -151,9 +147,9 @@ def test_what_is_not_canonical_means_the_same() -> None:
 
 def test_two_contracts_on_one_topic_while_it_changes() -> None:
     """A connector's name may differ from its topic; the form says both."""
-    specification = specification_from_document({"system": "s", "topics": {"/t#2": {"type": "a/B", "topic": "/t"}}})
+    specification = decode_specification({"system": "s", "topics": {"/t#2": {"type": "a/B", "topic": "/t"}}})
     assert specification.connectors["/t#2"] == Connector("/t#2", specification.connectors["/t#2"].guarantee, topic="/t")
-    assert specification_to_document(specification)["topics"] == {"/t#2": {"type": "a/msg/B", "topic": "/t"}}
+    assert encode_specification(specification)["topics"] == {"/t#2": {"type": "a/msg/B", "topic": "/t"}}
 
 
 # -- faults ----------------------------------------------------------------------------------------------------
@@ -161,7 +157,7 @@ def test_two_contracts_on_one_topic_while_it_changes() -> None:
 
 def problems_of(document: object) -> list[Problem]:
     with pytest.raises(SpecificationError) as error:
-        specification_from_document(document)
+        decode_specification(document)
     return [problem for problem in error.value.problems if isinstance(problem, Problem)]
 
 
@@ -315,5 +311,5 @@ def test_nan_in_text_is_a_fault() -> None:
 
 def test_a_component_from_a_node_is_checked_as_well() -> None:
     with pytest.raises(SpecificationError) as error:
-        component_from_document({"outputs": ["out", "out"], "imputs": {}})
+        decode_component({"outputs": ["out", "out"], "imputs": {}})
     assert sorted(problem.code for problem in error.value.problems) == ["E002", "E003", "E007"]
