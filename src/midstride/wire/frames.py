@@ -6,7 +6,7 @@ the system it acts for. Then the client sends requests, and the component replie
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import msgspec
 
