@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 
 from midstride.errors import NodeError, Unreachable
-from midstride.wire.transport import Serve
+from midstride.wire.transport import Connection, Serve
 
 _SCHEME = "memory:"
 
@@ -91,7 +91,7 @@ class PipeNetwork:
         self.serve(listener.serve, theirs)
         return ours
 
-    def serve(self, serve: Serve, end: PipeEnd) -> None:
+    def serve(self, serve: Serve, end: Connection) -> None:
         """Run the listener's side of a new connection."""
         task = asyncio.ensure_future(serve(end))
         self._serving.add(task)
