@@ -12,36 +12,45 @@ _SCHEME = "memory:"
 
 
 class PipeEnd:
-    """One end of a pipe; implements :class:`midstride.wire.transport.Connection`."""
+    """One end of a pipe; implements :class:`midstride.wire.transport.Connection`.
+
+    What was sent before an end was closed still arrives, as on a socket.
+    """
 
     def __init__(self) -> None:
         self.other: PipeEnd | None = None
         self.closed = False
-        self._frames: deque[bytes] = deque()
+        self._frames: deque[bytes | None] = deque()  # None: the other end has closed
         self._arrived = asyncio.Event()
 
     async def send(self, frame: bytes) -> None:
         if self.closed or self.other is None or self.other.closed:
             raise Unreachable("the control connection is closed")
-        self.other.arrive(frame)
+        self._transmit(frame)
 
     async def receive(self) -> bytes | None:
         while not self._frames and not self.closed:
             self._arrived.clear()
             await self._arrived.wait()
-        return self._frames.popleft() if self._frames else None
+        if self.closed or self._frames[0] is None:
+            return None
+        return self._frames.popleft()
 
-    def arrive(self, frame: bytes) -> None:
-        """A frame from the other end."""
+    def arrive(self, frame: bytes | None) -> None:
+        """A frame from the other end, or its end."""
         if not self.closed:
             self._frames.append(frame)
             self._arrived.set()
 
     def close(self) -> None:
-        for end in (self, self.other):
-            if end is not None and not end.closed:
-                end.closed = True
-                end._arrived.set()
+        if not self.closed:
+            self.closed = True
+            self._arrived.set()
+            self._transmit(None)
+
+    def _transmit(self, frame: bytes | None) -> None:
+        if self.other is not None:
+            self.other.arrive(frame)
 
 
 def pipe() -> tuple[PipeEnd, PipeEnd]:

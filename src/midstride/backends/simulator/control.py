@@ -7,16 +7,26 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
-from typing import Protocol
+from typing import Literal, Protocol, TypeAlias
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.faults import Faults
 from midstride.errors import NodeError, Unreachable
 from midstride.wire.frames import Reply, Request, decode_command, decode_from_client, decode_from_component, encode
 from midstride.wire.pipe import PipeEnd, PipeListener, PipeNetwork
 from midstride.wire.transport import Connection, Serve
 
 _SCHEME = "memory:"
+
+
+RequestFault: TypeAlias = Literal["lost_request", "lost_reply", "refused", "unreachable"]
+
+
+class RequestFaults(Protocol):
+    """The faults planted on requests."""
+
+    def of_call(self, instance: str, op: str) -> RequestFault | None:
+        """What is to happen to this request; counts it."""
+        ...
 
 
 class ControlParty(Protocol):
@@ -100,24 +110,21 @@ class DelayedEnd(PipeEnd):
         super().__init__()
         self._clock = clock
         self._latency = latency
-        self._on_the_way: deque[bytes] = deque()
+        self._on_the_way: deque[bytes | None] = deque()
 
-    async def send(self, frame: bytes) -> None:
-        if self.closed or self.other is None or self.other.closed:
-            raise Unreachable("the control connection is closed")
+    def _transmit(self, frame: bytes | None) -> None:
         self._on_the_way.append(frame)
         # Timers of one moment come in any order: each of them delivers what is first.
         self._clock.loop.call_later(self._latency, self._deliver)
 
     def _deliver(self) -> None:
-        assert self.other is not None
-        self.other.arrive(self._on_the_way.popleft())
+        super()._transmit(self._on_the_way.popleft())
 
 
 class SimulatedControl:
     """Implements :class:`midstride.wire.transport.Transport` for the manager; :meth:`of` is a process's own."""
 
-    def __init__(self, clock: SimulatedClock, latency: float, faults: Faults) -> None:
+    def __init__(self, clock: SimulatedClock, latency: float, faults: RequestFaults) -> None:
         self.faults = faults
         self._clock = clock
         self._latency = latency

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import logging
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine
-from typing import Any, Protocol, TextIO, TypeVar
+from typing import Any, Protocol, TypeVar
 
 from midstride.backends.simulator.clock import SimulatedClock
 from midstride.backends.simulator.network import Network, SimulatedReader, SimulatedWriter
@@ -29,7 +30,11 @@ class HostProcess(Protocol):
     clock: SimulatedClock
     network: Network
     transport: Transport
-    log: TextIO
+
+    @property
+    def log(self) -> io.TextIOBase:
+        """Its standard output and error."""
+        ...
 
     @property
     def dead(self) -> bool: ...
