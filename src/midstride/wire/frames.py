@@ -58,7 +58,7 @@ class Reply(Frame, frozen=True, kw_only=True, tag="reply"):
 
     id: str
     revision: int
-    result: msgspec.Raw = msgspec.Raw()
+    result: msgspec.Raw = msgspec.Raw(b"null")
     refused: str | None = None
 
     @property
@@ -82,6 +82,11 @@ class StateChanged(Frame, frozen=True, kw_only=True, tag="state"):
 FromComponent: TypeAlias = Greeting | Reply | Registration | StateChanged
 FromClient: TypeAlias = Hello | Request
 
+class _Named(msgspec.Struct):
+    command: str
+
+
+_named: Final[msgspec.json.Decoder[_Named]] = msgspec.json.Decoder(_Named)
 _encoder: Final = msgspec.json.Encoder()
 _from_component: Final[msgspec.json.Decoder[FromComponent]] = msgspec.json.Decoder(FromComponent)
 _from_client: Final[msgspec.json.Decoder[FromClient]] = msgspec.json.Decoder(FromClient)
@@ -118,4 +123,15 @@ def decode_command(request: Request) -> Command[Any]:
     try:
         return _command.decode(request.command)
     except msgspec.DecodeError as error:
-        raise CommandRefused(f"not a command: {error}; the commands are {', '.join(COMMANDS)}") from None
+        name = command_name(request)
+        if name in COMMANDS:
+            raise CommandRefused(f"`{name}`: {error}") from None
+        raise CommandRefused(f"{name!r} is not a command; the commands are {', '.join(COMMANDS)}") from None
+
+
+def command_name(request: Request) -> str:
+    """The name that a request gives its command, whether that is one or not."""
+    try:
+        return _named.decode(request.command).command
+    except msgspec.DecodeError:
+        return ""

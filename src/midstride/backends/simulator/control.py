@@ -11,7 +11,7 @@ from typing import Literal, Protocol, TypeAlias
 
 from midstride.backends.simulator.clock import SimulatedClock
 from midstride.errors import NodeError, Unreachable
-from midstride.wire.frames import Reply, Request, decode_command, decode_from_client, decode_from_component, encode
+from midstride.wire.frames import Reply, Request, command_name, decode_from_client, decode_from_component, encode
 from midstride.wire.pipe import PipeEnd, PipeListener, PipeNetwork
 from midstride.wire.transport import Connection, Serve
 
@@ -56,7 +56,7 @@ class ClientEnd:
         request = decode_from_client(frame)
         fault = None
         if isinstance(request, Request):
-            fault = self._control.faults.of_call(self._instance, decode_command(request).name)
+            fault = self._control.faults.of_call(self._instance, command_name(request))
         if fault == "unreachable":
             raise Unreachable("the simulator was told that it cannot be reached")
         if isinstance(request, Request) and fault == "refused":
