@@ -28,54 +28,19 @@ from midstride.wire.state import ComponentState
 Tell = Callable[[str, str], None]
 
 
-def state_document(
-    specification: Specification,
-    backend: str,
-    token: str,
-    instances: Iterable[Instance],
-    attachments: Iterable[tuple[PortRef, str]],
-    handles: Mapping[str, Handle],
-) -> dict[str, Any]:
-    """What the next manager needs to find this system again."""
-    return {
-        "version": 1,
-        "backend": backend,
-        "token": token,
-        "specification": encode_specification(specification),
-        "instances": [
-            {
-                "name": instance.name,
-                "role": instance.role,
-                "component": encode_component(instance.component),
-                "parameters": dict(instance.parameters),
-                "handle": asdict(handles[instance.name]) if instance.name in handles else None,
-            }
-            for instance in sorted(instances, key=lambda instance: instance.name)
-        ],
-        "attachments": [[str(port), connector] for port, connector in sorted(attachments)],
-    }
-
-
-def specification_of(state: dict[str, Any]) -> Specification:
-    return decode_specification(state["specification"])
-
-
-async def adopt(
-    state: dict[str, Any], specification: Specification, launcher: Launcher, client: ComponentClient, tell: Tell
+async def recover(
+    saved: Sequence[SavedInstance], specification: Specification, launcher: Launcher, client: ComponentClient, tell: Tell
 ) -> Configuration:
     """The configuration of what still runs. Ends half-started components; never touches what works."""
     found: dict[str, tuple[Instance, ComponentState]] = {}
-    for entry in state["instances"]:
-        instance = Instance(
-            entry["name"], entry["role"], decode_component(entry["component"]), Map(entry["parameters"])
-        )
-        handle = Handle(**entry["handle"]) if entry["handle"] else Handle(instance.name)
-        observed = await launcher.adopt(handle, own=entry["handle"] is not None)
-        if observed is None:
+    for entry in saved:
+        instance, handle = entry.instance, entry.handle
+        state = await launcher.adopt(handle or Handle(instance.name), own=handle is not None)
+        if state is None:
             tell("gone", f"{instance.name} no longer runs")
             await launcher.abandon(instance.name)
             continue
-        found[instance.name] = (instance, observed)
+        found[instance.name] = (instance, state)
         tell("adopted", f"{instance.name} was found again")
     for name in await launcher.end_strays(found):
         tell("ended", f"{name} had just been started by an earlier manager, and is ended")
