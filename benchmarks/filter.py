@@ -68,14 +68,15 @@ async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
             for index in range(swaps):
                 component = ("MedianFilter", "MeanFilter")[index % 2]
                 outcome = await manager.change(Request(replace=(("filter", component),)))
-                if outcome["outcome"] != "done":
-                    raise SystemExit(f"swap {index}: {outcome['because']}")
-                for swap in outcome["swaps"]:
+                if outcome.outcome != "done":
+                    raise SystemExit(f"swap {index}: {outcome.because}")
+                for swap in outcome.swaps:
                     for figure in ("missed", "lost", "duplicates"):
-                        if swap[figure] is None:
+                        found: int | None = getattr(swap, figure)
+                        if found is None:
                             unknown += 1
                         else:
-                            reported[figure] += swap[figure]
+                            reported[figure] += found
             process.send_signal(signal.SIGTERM)
             process.wait(timeout=30)
         finally:

@@ -52,15 +52,15 @@ async def main(folder: Path, component: str, point: str) -> int:
     await manager.up()
     try:
         status = await manager.status()
-        if not status["valid"]:
-            print(f"not valid: {status['violations']} {status['components']}")
+        if not status.valid:
+            print(f"not valid: {status.violations} {status.components}")
             return 1
         if component == "down":
             await manager.down()
         elif component != "nothing":
             killed_at(backend, point)
             outcome = await manager.change(Request(replace=(("source", component),)))
-            print(outcome["outcome"], outcome["because"])
+            print(outcome.outcome, outcome.because)
     finally:
         await manager.close()
     return 0

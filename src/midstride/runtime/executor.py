@@ -14,11 +14,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from immutables import Map
+from msgspec import UNSET
 
 from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Action, Create, Degrade, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.plan.forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_component
 
 log = logging.getLogger(__name__)
@@ -40,7 +42,7 @@ class Executor:
     starting: Callable[[Instance], None] = lambda _: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
 
-    async def run(self, actions: Sequence[Action], documents: Sequence[Mapping[str, Any]] = ()) -> None:
+    async def run(self, actions: Sequence[Action], forms: Sequence[AnyStep] = ()) -> None:
         """Carry out ``actions`` in order.
 
         Raises StepFailed once everything has been taken back, or could not be: its ``outcome`` says which. Where it
@@ -48,8 +50,8 @@ class Executor:
         """
         done: Done = []
         for index, action in enumerate(actions):
-            document = dict(documents[index]) if index < len(documents) else {}
-            position = {"index": index, "of": len(actions), "step": document}
+            step = forms[index] if index < len(forms) else UNSET
+            position = {"index": index, "of": len(actions), "step": step}
             self._tell("step", f"{index + 1}/{len(actions)} {self.describe(action)}", position)
             try:
                 if isinstance(action, Create):

@@ -15,14 +15,18 @@ import secrets
 from collections.abc import AsyncIterator, Awaitable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
-from midstride.codec.configuration import encode_configuration
+from msgspec import UNSET, UnsetType, structs
+
+from midstride.codec.configuration import ConfigurationForm
 from midstride.errors import ManagerError, MidstrideError, PlanRefused, StepFailed
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.model.rules import violations
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
+from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import Request
@@ -33,15 +37,25 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.crash_response import settled
 from midstride.runtime.crashes import Crashes
 from midstride.runtime.degradation_timer import DegradationTimer
-from midstride.runtime.events import Event, EventLog
+from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import ObservedConfiguration, live
-from midstride.runtime.recording import Recording, to_documents
+from midstride.runtime.recording import Recording
+from midstride.runtime.reports import (
+    Event,
+    LiveConfiguration,
+    Outcome,
+    OutcomeKind,
+    RunningCommand,
+    Status,
+    UpReport,
+    Why,
+)
 from midstride.runtime.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
-from midstride.verify.verdict import Verdict
+from midstride.verify.verdict import Verdict, VerdictForm
 from midstride.wire.messages import Announcement
 
 log = logging.getLogger(__name__)
@@ -93,7 +107,7 @@ class Manager:
 
     # -- coming and going ---------------------------------------------------------------------------
 
-    async def up(self) -> dict[str, Any]:
+    async def up(self) -> UpReport:
         """Find again what still runs, and bring the rest of the specification up.
 
         Raises ManagerError where the system that still runs is another one, StepFailed where a
@@ -114,7 +128,7 @@ class Manager:
                 raise
             many = _so_many(len(self.configuration.instances), "component")
             self.events.add("up", f"{self.specification.name} is up: {many}")
-            return {"outcome": "done", "components": sorted(self.configuration.instances)}
+            return UpReport(outcome="done", components=sorted(self.configuration.instances))
 
     async def _complete(self) -> None:
         """Bring up what the specification has and does not run. Raises StepFailed once that has been taken back."""
@@ -123,8 +137,8 @@ class Manager:
         self._save()  # the token at least, before anything bears it
         if plan.steps:
             outcome = await self._execute(plan, self.specification)
-            if outcome["outcome"] != "done":
-                raise StepFailed(str(outcome["because"]), outcome["outcome"])
+            if outcome.outcome != "done":
+                raise StepFailed(str(outcome.because), outcome.outcome)
 
     async def _adopt(self, state: dict[str, Any]) -> None:
         running = recovery.specification_of(state)
@@ -177,34 +191,39 @@ class Manager:
 
     # -- asking -------------------------------------------------------------------------------------
 
-    async def status(self) -> dict[str, Any]:
+    async def status(self) -> Status:
         """What is live, in which modes, and why; each component is asked and one that is silent is shown so."""
-        running = None
+        configuration, running = self.configuration, None
         if self._running is not None:
             seconds = self._backend.clock.steady() - self._running.since
-            running = {"command": self._running.words, "since": round(seconds, 3)}
-        document = await status.status(self.configuration, self._link, self._backend.clock, self._crashes.all())
-        for row in document["components"]:
-            if row["pid"] is None and row["name"] in self._launcher.handles:  # it does not answer: who it is, is known
-                row["pid"] = self._launcher.handles[row["name"]].pid
-        document["system"] = self.specification.name
-        document["backend"] = self._backend.name
-        document["revision"] = self.revision
-        document["running"] = running
-        document["unwritten"] = self._keeper.unwritten
-        return document
+            running = RunningCommand(command=self._running.words, since=round(seconds, 3))
+        pids = {name: handle.pid for name, handle in self._launcher.handles.items()}
+        components = await status.status_of_components(configuration, self._link, self._backend.clock, pids)
+        found = violations(configuration)
+        return Status(
+            valid=not found and all(row.as_modelled and row.reachable for row in components),
+            violations=[str(violation) for violation in found],
+            components=components,
+            crashed=status.crashed_instances(configuration, self._crashes.all()),
+            topics=status.status_of_topics(configuration),
+            system=self.specification.name,
+            backend=self._backend.name,
+            revision=self.revision,
+            running=running,
+            unwritten=self._keeper.unwritten,
+        )
 
-    async def live(self) -> dict[str, Any]:
+    async def live(self) -> LiveConfiguration:
         """The configuration as its components themselves tell it; ``silent`` are those that did not answer in time."""
         found = await live(self.configuration, self._link, self._backend.clock, self._crashes.unsettled)
-        document = encode_configuration(found.configuration)
-        return {"revision": self.revision, "silent": list(found.silent), "configuration": document}
+        form = ConfigurationForm.of(found.configuration)
+        return LiveConfiguration(revision=self.revision, silent=list(found.silent), configuration=form)
 
     async def peek(self, instance: str) -> dict[str, Any]:
         """The state of one component by its own word (wire/commands.py). Raises CallTimeout or Unreachable."""
         return await self._link.peek(instance)
 
-    async def why(self, functionality: str) -> dict[str, Any]:
+    async def why(self, functionality: str) -> Why:
         """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
         return await status.why(self.configuration, self._link, self._backend.clock, functionality)
 
@@ -232,8 +251,8 @@ class Manager:
 
     async def change(
         self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
-    ) -> dict[str, Any]:
-        """Carry out ``request``: the outcome document of interfaces.md.
+    ) -> Outcome:
+        """Carry out ``request``, and report what came of it.
 
         With ``verify``, Alloy judges the plan first, and nothing is begun unless it holds; after each step, what is
         live is judged as well, and a step after which it does not hold has failed.
@@ -244,7 +263,10 @@ class Manager:
         """
         async with self._command(request.describe(), id):
             if expected is not None and expected != self.revision:
-                return _refused("the configuration has changed since the plan was shown; look at the new plan")
+                return Outcome(
+                    outcome="refused",
+                    because="the configuration has changed since the plan was shown; look at the new plan",
+                )
             try:
                 plan, target = self._plan(request)
                 self._keeper.require(self.specification, self.configuration)
@@ -256,9 +278,9 @@ class Manager:
             verdict = await self._verifier.plan(plan)
             self._verified(verdict)
             if not verdict.holds:
-                return {**self._refuse(verdict.words), "verdict": verdict.to_document()}
+                return self._refuse(verdict.words, VerdictForm.of(verdict))
             outcome = await self._execute(plan, target, self._watch(plan))
-            return {**outcome, "verdict": verdict.to_document()}
+            return structs.replace(outcome, verdict=VerdictForm.of(verdict))
 
     def _watch(self, plan: Plan) -> StepVerifier:
         def told(configuration: Configuration) -> Awaitable[ObservedConfiguration]:
@@ -267,13 +289,13 @@ class Manager:
         return StepVerifier(self._verifier, tuple(plan.configurations()), told, self._verified)
 
     def _verified(self, verdict: Verdict) -> None:
-        self.events.add("verified", str(verdict), verdict=verdict.to_document())
+        self.events.add("verified", str(verdict), verdict=VerdictForm.of(verdict))
 
-    def _refuse(self, because: str) -> dict[str, Any]:
+    def _refuse(self, because: str, verdict: VerdictForm | UnsetType = UNSET) -> Outcome:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
-        return _refused(because)
+        return Outcome(outcome="refused", because=because, verdict=verdict)
 
-    async def _execute(self, plan: Plan, target: Specification, watch: StepVerifier | None = None) -> dict[str, Any]:
+    async def _execute(self, plan: Plan, target: Specification, watch: StepVerifier | None = None) -> Outcome:
         recording = Recording(self._link, self._backend.clock)
         try:
             return await self._recorded(plan, target, recording, watch)
@@ -282,11 +304,10 @@ class Manager:
 
     async def _recorded(
         self, plan: Plan, target: Specification, recording: Recording, watch: StepVerifier | None
-    ) -> dict[str, Any]:
+    ) -> Outcome:
         clock = self._backend.clock
         actions = [step.action for step in plan.steps]
-        document = plan.to_document()
-        preview = {name: value for name, value in document.items() if name not in ("start", "target")}
+        preview = PlanPreview.of(plan)
         self.events.add("plan", f"{_so_many(len(actions), 'step')}, disruption {plan.disruption:g}", plan=preview)
         await recording.begin(self.configuration, actions)
         falls = DegradationTimer(plan.change, clock.steady)
@@ -297,14 +318,15 @@ class Manager:
         executor = self._executor(falls)
         executor.performer.before_handover = recording.witness
         executor.after_step = None if watch is None else watch.look
-        outcome, because = "done", None
+        outcome: OutcomeKind = "done"
+        because = None
         try:
-            await executor.run(actions, plan.step_documents())
+            await executor.run(actions, preview.steps)
             self.specification = target
             self.configuration = plan.change.settled(self.configuration)
             self._crashes.forget(self.configuration, self.specification.nodes)
         except StepFailed as error:
-            outcome, because = error.outcome, str(error)
+            outcome, because = cast("OutcomeKind", error.outcome), str(error)
             if outcome == "rolled_back":
                 self.configuration = before
         seconds = clock.steady() - begun
@@ -319,21 +341,20 @@ class Manager:
         finally:
             self._measuring = False
         await self._settle()  # who asked is to hear of what has fallen by itself, too
-        documents_of_swaps = to_documents(swaps)
-        if documents_of_swaps:
-            self.events.add("measured", f"measured at {_so_many(len(swaps), 'subscriber')}", swaps=documents_of_swaps)
+        if swaps:
+            self.events.add("measured", f"measured at {_so_many(len(swaps), 'subscriber')}", swaps=swaps)
         told = f"{outcome}: {because}" if because else outcome
         self.events.add("outcome", told, outcome=outcome)
-        return {
-            "outcome": outcome,
-            "plan": document,
-            "seconds": round(seconds, 6),
-            "fallen": fallen,
-            "swaps": documents_of_swaps,
-            "because": because,
-            "ended": sorted(name for name, event in self._crashes.missing.items() if missing.get(name) is not event),
-            "degraded": sorted(map(str, self._fell)),
-        }
+        return Outcome(
+            outcome=outcome,
+            plan=PlanForm.of(plan),
+            seconds=round(seconds, 6),
+            fallen=fallen,
+            swaps=swaps,
+            because=because,
+            ended=sorted(name for name, event in self._crashes.missing.items() if missing.get(name) is not event),
+            degraded=sorted(map(str, self._fell)),
+        )
 
     def _executor(self, falls: DegradationTimer | None = None) -> Executor:
         async def moved(configuration: Configuration) -> None:
@@ -448,16 +469,3 @@ class Manager:
 
 def _so_many(count: int, what: str) -> str:
     return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
-def _refused(because: str) -> dict[str, Any]:
-    return {
-        "outcome": "refused",
-        "plan": None,
-        "seconds": 0.0,
-        "fallen": {},
-        "swaps": [],
-        "because": because,
-        "ended": [],
-        "degraded": [],
-    }

@@ -13,8 +13,10 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from midstride.codec.form import Form
 
 # The window reaches this many periods before the first step and after the last.
 WINDOW_PERIODS: Final = 20
@@ -33,8 +35,7 @@ class Row(NamedTuple):
     publisher: str | None
 
 
-@dataclass(frozen=True, slots=True)
-class SwapReport:
+class SwapReport(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
     """The figures of one subscriber of one swapped topic. ``period`` and ``gap`` in seconds; None: not known."""
 
     topic: str
@@ -45,9 +46,6 @@ class SwapReport:
     missed: int | None
     lost: int | None
     duplicates: int | None
-
-    def to_document(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)

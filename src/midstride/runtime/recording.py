@@ -190,7 +190,3 @@ def _normal(configuration: Configuration, output: PortRef) -> Predicate | None:
 
 def _unknown(topic: str, port: PortRef, period: float | None) -> SwapReport:
     return SwapReport(topic, str(port), period, None, None, None, None, None)
-
-
-def to_documents(reports: Iterable[SwapReport]) -> list[dict[str, Any]]:
-    return [entry.to_document() for entry in reports]

@@ -9,10 +9,18 @@ from typing import Any, Final
 from midstride.errors import MidstrideError, PlanRefused
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.rules import Evaluator, violations
+from midstride.model.rules import Evaluator
 from midstride.runtime.backend import Exited
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.reports import (
+    AttachmentStatus,
+    ComponentStatus,
+    CrashedInstance,
+    FunctionalityStatus,
+    TopicStatus,
+    Why,
+)
 
 # How long a component's own word is waited for (s): whoever asks for the status is to have it within 0.1 s.
 TIMEOUT: Final = 0.08
@@ -68,81 +76,83 @@ async def own_degradations(
     return worse
 
 
-async def status(
-    configuration: Configuration, link: ComponentClient, clock: Clock, gone: Mapping[str, Exited]
-) -> State:
-    """The document of ``midstride status``."""
+async def status_of_components(
+    configuration: Configuration, link: ComponentClient, clock: Clock, pids: Mapping[str, int | None]
+) -> list[ComponentStatus]:
+    """Each live component by its own report; ``pids`` are known of those that do not answer."""
     states = await observed(sorted(configuration.instances), link, clock)
-    found = violations(configuration)
-    components = [
-        _component(configuration, instance, states[name]) for name, instance in sorted(configuration.instances.items())
+    return [
+        _component(configuration, instance, states[name], pids.get(name))
+        for name, instance in sorted(configuration.instances.items())
     ]
-    differing = [row["name"] for row in components if not row["as_modelled"]]
-    crashed = [
-        {"name": name, "status": exited.status, "log": exited.log_tail}
+
+
+def status_of_topics(configuration: Configuration) -> list[TopicStatus]:
+    evaluator = Evaluator(configuration)
+    return [
+        TopicStatus(
+            name=name,
+            satisfied=evaluator.connector_satisfied(name),
+            publishers=[str(port) for port in sorted(configuration.publishers_on(name))],
+            subscribers=[str(port) for port in sorted(configuration.subscribers_on(name))],
+        )
+        for name in sorted(configuration.context.connectors)
+    ]
+
+
+def crashed_instances(configuration: Configuration, gone: Mapping[str, Exited]) -> list[CrashedInstance]:
+    """Those in ``gone`` that have not been replaced."""
+    return [
+        CrashedInstance(name=name, status=exited.status, log=exited.log_tail)
         for name, exited in sorted(gone.items())
         if name not in configuration.instances
     ]
-    return {
-        "valid": not found and not differing and all(row["reachable"] for row in components),
-        "violations": [str(violation) for violation in found],
-        "components": components,
-        "crashed": crashed,
-        "topics": [
-            {
-                "name": name,
-                "satisfied": Evaluator(configuration).connector_satisfied(name),
-                "publishers": [str(port) for port in sorted(configuration.publishers_on(name))],
-                "subscribers": [str(port) for port in sorted(configuration.subscribers_on(name))],
-            }
-            for name in sorted(configuration.context.connectors)
-        ],
-    }
 
 
-def _component(configuration: Configuration, instance: Instance, state: State | None) -> State:
-    own = (state or {}).get("functionalities", {})
-    functionalities = []
-    as_modelled = True
-    for ref in instance.functionality_refs():
-        functionality = configuration.functionality(ref)
-        modelled = configuration.mode(ref).name
-        view = own.get(ref.functionality)
-        mode = modelled if view is None else view["mode"]
-        as_modelled = as_modelled and mode == modelled
-        functionalities.append(
-            {
-                "name": str(ref),
-                "mode": mode,
-                "modelled": modelled,
-                "normal": mode == functionality.modes[0].name,
-                "because": None if view is None else view.get("because"),
-                "since": None if view is None else view.get("since"),
-                "busy": None if view is None else view.get("busy"),
-            }
-        )
-    ports = (state or {}).get("ports", {})
-    return {
-        "name": instance.name,
-        "role": instance.role,
-        "component": instance.component.name,
-        "pid": None if state is None else state.get("pid"),
-        "reachable": state is not None,
-        "waiting": None if state is None else state.get("waiting"),
-        "as_modelled": as_modelled,
-        "functionalities": functionalities,
-        "attachments": [
-            {
-                "port": str(port),
-                "connector": connector,
-                "gate": ports.get(port.port, {}).get(configuration.context.connectors[connector].topic, {}).get("gate"),
-            }
+def _component(
+    configuration: Configuration, instance: Instance, state: State | None, pid: int | None
+) -> ComponentStatus:
+    told = state or {}
+    own, ports = told.get("functionalities", {}), told.get("ports", {})
+    functionalities = [
+        _functionality(configuration, ref, own.get(ref.functionality, {})) for ref in instance.functionality_refs()
+    ]
+    topics = {name: connector.topic for name, connector in configuration.context.connectors.items()}
+    return ComponentStatus(
+        name=instance.name,
+        role=instance.role,
+        component=instance.component.name,
+        pid=told.get("pid") or pid,
+        reachable=state is not None,
+        waiting=told.get("waiting"),
+        as_modelled=all(each.mode == each.modelled for each in functionalities),
+        functionalities=functionalities,
+        attachments=[
+            AttachmentStatus(
+                port=str(port),
+                connector=connector,
+                gate=ports.get(port.port, {}).get(topics[connector], {}).get("gate"),
+            )
             for port, connector in configuration.attached_ports(instance.name)
         ],
-    }
+    )
 
 
-async def why(configuration: Configuration, link: ComponentClient, clock: Clock, functionality: str) -> State:
+def _functionality(configuration: Configuration, ref: FunctionalityRef, view: State) -> FunctionalityStatus:
+    modelled = configuration.mode(ref).name
+    mode = view.get("mode", modelled)
+    return FunctionalityStatus(
+        name=str(ref),
+        mode=mode,
+        modelled=modelled,
+        normal=mode == configuration.functionality(ref).modes[0].name,
+        because=view.get("because"),
+        since=view.get("since"),
+        busy=view.get("busy"),
+    )
+
+
+async def why(configuration: Configuration, link: ComponentClient, clock: Clock, functionality: str) -> Why:
     """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
     asked = FunctionalityRef.parse(functionality)
     every = [ref for instance in configuration.instances.values() for ref in instance.functionality_refs()]
@@ -158,17 +168,16 @@ async def why(configuration: Configuration, link: ComponentClient, clock: Clock,
     state = (await observed([ref.instance], link, clock))[ref.instance]
     view = (state or {}).get("functionalities", {}).get(ref.functionality, {})
     mode = view.get("mode", configuration.mode(ref).name)
-    return {
-        "functionality": str(ref),
-        "mode": mode,
-        "normal": configuration.functionality(ref).modes[0].name == mode,
-        "because": view.get("because"),
-        "chain": _chain(configuration, ref),
-        "inputs": {
-            str(PortRef(ref.instance, name)): Evaluator(configuration).input_satisfied(PortRef(ref.instance, name))
-            for name in configuration.functionality(ref).inputs
-        },
-    }
+    evaluator = Evaluator(configuration)
+    inputs = [PortRef(ref.instance, name) for name in configuration.functionality(ref).inputs]
+    return Why(
+        functionality=str(ref),
+        mode=mode,
+        normal=configuration.functionality(ref).modes[0].name == mode,
+        because=view.get("because"),
+        chain=_chain(configuration, ref),
+        inputs={str(port): evaluator.input_satisfied(port) for port in inputs},
+    )
 
 
 def _chain(configuration: Configuration, ref: FunctionalityRef) -> list[str]:
