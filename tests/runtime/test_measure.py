@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
+from midstride.codec.form import encode
 from midstride.runtime.measure import Observation, Row, SwapReport, report
 
 MS = 1_000_000
@@ -163,7 +164,7 @@ def test_what_the_middleware_cannot_tell_is_null_and_never_zero(hide: Callable[[
     recorder = Recorder()
     swap(recorder)
     recorder.rows = [hide(row) for row in recorder.rows]
-    document = recorder.observe(35, 80).to_document()
+    document = encode(recorder.observe(35, 80))
     figures = {"gap", "missed", "lost", "duplicates"}
     assert {name for name in figures if document[name] is None} == unknown
 

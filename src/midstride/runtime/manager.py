@@ -82,9 +82,7 @@ class Manager:
         """Use ``token`` from now on: it is what the components of the system know their manager by."""
         backend = self._backend
         self._token = token
-        self._client = ComponentClient(
-            backend.transport, backend.clock, token, self._reconciler.on_component_event
-        )
+        self._client = ComponentClient(backend.transport, backend.clock, token, self._reconciler.on_component_event)
         self._launcher = Launcher(backend, self._client, token, self._directory)
         self._reconciler.connect(self._client, self._launcher)
         self._session = ChangeSession(

@@ -108,8 +108,13 @@ class Reconciler:
             yield
             await self.reconcile()
         finally:
-            if self.crashes.unsettled:  # while that was reconciled, or where the command has failed
+            if self._is_behind():  # since then, or where the command has failed
                 self._reconcile_soon()
+
+    def _is_behind(self) -> bool:
+        """Whether something has happened that the model does not have yet."""
+        assert self._client is not None
+        return bool(self.crashes.unsettled or own_degradations(self._system.configuration, self._client, ()))
 
     def _reconcile_soon(self) -> None:
         task = asyncio.get_running_loop().create_task(self._reconcile_alone())
@@ -147,6 +152,8 @@ class Reconciler:
         if not gone and not worse and not self._pending_degradations:
             return
         because = [f"{name} exited unexpectedly" for name in sorted(gone)]
+        for name in {ref.instance for ref in worse}:
+            self._client.accept(name)  # at the revision that it reports them at
         for ref, index in sorted(worse.items()):
             words = f"{ref} has degraded to {configuration.functionality(ref).modes[index].name} by itself"
             self._events.add("degraded", words, functionality=str(ref))

@@ -1,20 +1,14 @@
 """Finding a running system again: what an earlier manager left, and what is true of it now.
 
-The state file says what the earlier manager believed; each component says what it is. Where they
+The state store has what the earlier manager believed; each component reports what it is. Where they
 differ, the component is right. What a killed manager left half done (a second instance of a role
 behind its gate) is ended here, so that the configuration is one the model knows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Callable, Sequence
 
-from immutables import Map
-
-from midstride.codec.component import decode_component, encode_component
-from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import MidstrideError
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
@@ -22,14 +16,19 @@ from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.state_store import SavedInstance
 from midstride.wire.commands import GateCommand, RecordCommand
 from midstride.wire.state import ComponentState
 
-Tell = Callable[[str, str], None]
+Tell = Callable[[str, str], object]
 
 
 async def recover(
-    saved: Sequence[SavedInstance], specification: Specification, launcher: Launcher, client: ComponentClient, tell: Tell
+    saved: Sequence[SavedInstance],
+    specification: Specification,
+    launcher: Launcher,
+    client: ComponentClient,
+    tell: Tell,
 ) -> Configuration:
     """The configuration of what still runs. Ends half-started components; never touches what works."""
     found: dict[str, tuple[Instance, ComponentState]] = {}

@@ -18,7 +18,7 @@ from typing import Any, Final
 import msgspec
 
 from midstride.codec.configuration import InstanceForm
-from midstride.codec.specification import SpecificationForm
+from midstride.codec.specification import SpecificationForm, decode_specification
 from midstride.errors import ManagerError, MidstrideError
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
@@ -79,7 +79,7 @@ class StateStore:
             return SavedState(
                 system["backend"],
                 system["token"],
-                msgspec.json.decode(system["specification"], type=SpecificationForm).checked(),
+                decode_specification(msgspec.json.decode(system["specification"])),
                 tuple(_instance(form, handle) for form, handle in rows),
             )
         except ManagerError:
