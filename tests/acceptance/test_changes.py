@@ -93,7 +93,7 @@ def busy_specification(folder: Path) -> Specification:
 
 
 async def is_busy(manager: Manager) -> bool:
-    return bool((await manager.peek("busy"))["functionalities"]["work"]["busy"])
+    return bool((await manager.peek("busy")).functionalities["work"].busy)
 
 
 def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(tmp_path: Path) -> None:
@@ -148,9 +148,9 @@ async def picture(manager: Manager, backend: Any) -> dict[str, Any]:
     for name in ("source", "sink"):
         state = await manager.peek(name)
         gates = {
-            f"{port} {topic}": view["gate"] for port, topics in state["ports"].items() for topic, view in topics.items()
+            f"{port} {topic}": view.gate for port, topics in state["ports"].items() for topic, view in topics.items()
         }
-        own[name] = ({key: view["mode"] for key, view in state["functionalities"].items()}, gates)
+        own[name] = ({key: view.mode for key, view in state["functionalities"].items()}, gates)
     graph = await backend.endpoints()
     on_swap = {name for name, topic in (*graph.publishers, *graph.subscribers) if topic == "/swap"}
     return {"own": own, "graph": on_swap, "model": manager.configuration}

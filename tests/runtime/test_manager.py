@@ -19,8 +19,8 @@ from midstride.runtime.backend import Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome, Why
 from midstride.runtime.workspace import Workspace
-from midstride.wire.messages import Command, Reply
-from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, rewritten
+from midstride.wire.commands import RecordCommand
+from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, request, rewritten, saved
 
 CHANGES = [("talker", "talker", "NewTalker"), ("obstacle", "detector", "StereoDetector")]
 CHANGES += [("filter", "filter", "MedianFilter")]
@@ -156,15 +156,15 @@ def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Pa
         simulator.faults.freeze("sink", 60)
         simulator.faults.kill("source")
         await asyncio.sleep(30)
-        view = (await manager.peek("filter"))["functionalities"]["smooth"]
-        assert (view["mode"], view["because"]) == ("degraded", "source has ended by itself")
+        view = (await manager.peek("filter")).functionalities["smooth"]
+        assert (view.mode, view.because) == ("degraded", "source has ended by itself")
         status = await manager.status()
         assert not status.valid, "the sink's mode is not known"
         (sink,) = [row for row in status.components if row.name == "sink"]
         assert (sink.reachable, sink.pid) == (False, 4711), "whoever is to kill it needs its number"
         await asyncio.sleep(60)
         assert (await manager.change(Request(remove=("filter",)))).outcome == "done"
-        assert (await manager.peek("sink"))["functionalities"]["use"]["mode"] == "degraded"
+        assert (await manager.peek("sink")).functionalities["use"].mode == "degraded"
 
     managed("filter", tmp_path, body)
 
@@ -185,8 +185,8 @@ def test_a_crash_during_a_change_is_told_and_does_not_wait_for_the_measure(when:
         assert outcome.ended == [dies]
         kinds = [event.kind for event in manager.log(begun)]
         assert kinds.index("degraded") < kinds.index("measured")
-        view = (await manager.peek("listener"))["functionalities"]["listen"]
-        assert (view["mode"], view["because"].endswith("has ended by itself")) == ("degraded", True)
+        view = (await manager.peek("listener")).functionalities["listen"]
+        assert (view.mode, view.because.endswith("has ended by itself")) == ("degraded", True)
         assert [entry.name for entry in (await manager.status()).crashed] == [dies]
 
     managed("talker", tmp_path, body)
@@ -195,41 +195,46 @@ def test_a_crash_during_a_change_is_told_and_does_not_wait_for_the_measure(when:
 def test_a_crash_at_the_very_end_of_a_command_is_seen_to(tmp_path: Path) -> None:
     """While the manager looks whether anybody has fallen meanwhile, the last thing it does, the detector dies."""
 
-    class Late(Simulator):
-        looks: int | None = None
-
-        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-            if self.looks is not None and (instance, command.op) == ("controller", "observe"):
-                self.looks += 1
-                if self.looks == 2:
-                    self.faults.kill("detector")
-                    await self.time.sleep(0.1)
-            return await super().call(instance, command, timeout)
-
-    simulator = Late()
+    simulator = Simulator()
 
     async def body(manager: Manager, _: Simulator) -> None:
-        simulator.looks = 0
+        reconciler = manager._reconciler
+        reconcile, looks = reconciler.reconcile, 0
+
+        async def late() -> None:
+            nonlocal looks
+            looks += 1
+            await reconcile()
+            if looks == 2:
+                simulator.faults.kill("detector")
+                await asyncio.sleep(0.1)
+
+        reconciler.reconcile = late  # type: ignore[method-assign]
         assert (await manager.change(Request())).outcome == "refused"
+        reconciler.reconcile = reconcile  # type: ignore[method-assign]
         await asyncio.sleep(2)
         assert sorted(manager.configuration.instances) == ["controller"]
-        assert (await manager.peek("controller"))["functionalities"]["control"]["mode"] == "degraded"
+        assert (await manager.peek("controller")).functionalities["control"].mode == "degraded"
 
     managed("obstacle", tmp_path, body, simulator)
 
 
 def test_at_no_call_does_a_process_run_that_the_next_manager_would_not_know(tmp_path: Path) -> None:
-    class Watching(Simulator):
-        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-            state = Workspace(tmp_path).load()
-            assert state is not None
-            assert set(self.processes) <= {entry["name"] for entry in state["instances"] if entry["handle"]}
-            return await super().call(instance, command, timeout)
+    simulator, looks = Simulator(), 0
+
+    async def look(instance: str, op: str) -> None:
+        nonlocal looks
+        looks += 1
+        instances = saved(Workspace(tmp_path)).instances
+        assert set(simulator.processes) <= {entry.instance.name for entry in instances if entry.handle}
+
+    simulator.control.before_request = look
 
     async def body(manager: Manager, _: Simulator) -> None:
         assert (await manager.change(replace("talker", "NewTalker"))).outcome == "done"
 
-    managed("talker", tmp_path, body, Watching())
+    managed("talker", tmp_path, body, simulator)
+    assert looks > 20
 
 
 def test_a_component_started_by_hand_is_taken_in_found_again_and_left_running(tmp_path: Path) -> None:
@@ -308,7 +313,7 @@ def test_the_next_manager_finds_everything_again(tmp_path: Path) -> None:
         assert second.configuration == first.configuration
         assert (await second.change(replace("talker", "Talker"))).outcome == "done"
         await second.down()
-        assert not simulator.processes and Workspace(tmp_path).load() is None
+        assert not simulator.processes and not Workspace(tmp_path).state.exists()
         await second.close()
 
     simulator.run(main())
@@ -317,11 +322,9 @@ def test_the_next_manager_finds_everything_again(tmp_path: Path) -> None:
 def test_the_next_manager_ends_a_recording_that_a_killed_one_has_left(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         workspace = Workspace(tmp_path)
-        kept_state = workspace.load()
-        assert kept_state is not None
-        revision = (await manager.peek("listener"))["revision"]
-        left = Command("record", {"inputs": ["in"], "on": True}, "left", kept_state["token"], revision)
-        assert (await simulator.call("listener", left, 3.0)).ok
+        revision = (await manager.peek("listener")).revision
+        left = RecordCommand(inputs=["in"], on=True)
+        assert (await request(workspace, simulator, "listener", left, revision)).ok
         await manager.close()
         following = Manager(example("talker"), simulator, workspace, EXAMPLES / "talker")
         await following.up()
@@ -396,9 +399,9 @@ def test_whoever_relies_on_one_that_has_degraded_by_itself_is_lowered_at_once(tm
 
     async def body(manager: Manager, simulator: Simulator) -> None:
         await asyncio.sleep(10)
-        view = (await manager.peek("listener"))["functionalities"]["listen"]
-        assert (view["mode"], view["because"]) == ("degraded", "talker.talk has gone to degraded by itself")
-        assert view["because"] in [event.words for event in manager.log() if event.kind == "degraded"]
+        view = (await manager.peek("listener")).functionalities["listen"]
+        assert (view.mode, view.because) == ("degraded", "talker.talk has gone to degraded by itself")
+        assert view.because in [event.words for event in manager.log() if event.kind == "degraded"]
         state = await manager.status()
         assert state.valid and not state.topics[0].satisfied
         again = await manager.change(Request(to=specification))
@@ -427,7 +430,7 @@ def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -
         with pytest.raises(StepFailed, match="no camera"):
             await manager.up()
         assert not simulator.processes
-        assert Workspace(tmp_path).load() is None
+        assert not Workspace(tmp_path).state.exists()
         await manager.close()
 
     simulator.run(main())
@@ -449,9 +452,9 @@ def test_a_system_that_does_not_come_up_and_cannot_be_taken_back_is_not_forgotte
         manager = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
         with pytest.raises(StepFailed, match="does not let go of listener"):
             await manager.up()
-        state = Workspace(tmp_path).load()
-        assert list(simulator.processes) == ["listener"] and state is not None
-        assert [entry["name"] for entry in state["instances"] if entry["handle"]] == ["listener"]
+        assert list(simulator.processes) == ["listener"]
+        instances = saved(Workspace(tmp_path)).instances
+        assert [entry.instance.name for entry in instances if entry.handle] == ["listener"]
         await manager.close()
 
     simulator.run(main())
@@ -468,7 +471,7 @@ def test_a_manager_told_to_end_while_the_system_comes_up_leaves_nothing(after: f
         coming.cancel()
         await asyncio.wait({coming})
         assert coming.cancelled(), "it was up before: the test missed what it is about"
-        assert not simulator.processes and Workspace(tmp_path).load() is None
+        assert not simulator.processes and not Workspace(tmp_path).state.exists()
         await manager.close()
 
     simulator.run(main())

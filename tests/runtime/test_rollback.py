@@ -19,7 +19,6 @@ from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
-from midstride.wire.messages import Command, Reply
 from tests.runtime.systems import (
     kept,
     last_said,
@@ -46,13 +45,13 @@ class Failing(Simulator):
         self.at, self.how, self.times = at, how, times
         self.calls: list[tuple[str, str]] = []
         self.armed = False
+        self.control.before_request = self.before
 
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+    async def before(self, instance: str, op: str) -> None:
         if self.armed:
             if len(self.calls) == self.at:
-                self.faults.fail_next(instance, command.op, self.how, self.times)
-            self.calls.append((instance, command.op))
-        return await super().call(instance, command, timeout)
+                self.faults.fail_next(instance, op, self.how, self.times)
+            self.calls.append((instance, op))
 
 
 def change(simulator: Failing, name: str, request: Request, folder: Path) -> Outcome:
@@ -166,12 +165,11 @@ def test_a_component_that_dies_at_any_call_leaves_no_half_done_change(
 class Dying(Failing):
     """Kills the component that the call number ``at`` is for, just before it."""
 
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+    async def before(self, instance: str, op: str) -> None:
         if self.armed:
             if len(self.calls) == self.at and instance in self.processes:
                 self.faults.kill(instance)
-            self.calls.append((instance, command.op))
-        return await Simulator.call(self, instance, command, timeout)
+            self.calls.append((instance, op))
 
 
 class Cancelling(Failing):
@@ -179,10 +177,10 @@ class Cancelling(Failing):
 
     task: asyncio.Task[Outcome] | None = None
 
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+    async def before(self, instance: str, op: str) -> None:
         if self.armed and len(self.calls) == self.at and self.task is not None:
             asyncio.get_running_loop().call_later(self.network.latency, self.task.cancel)
-        return await super().call(instance, command, timeout)
+        await super().before(instance, op)
 
 
 @pytest.mark.parametrize(("name", "request_"), CASES[:2], ids=lambda value: getattr(value, "strategy", value))
@@ -246,11 +244,10 @@ def test_a_witness_of_the_inputs_ends_where_there_is_nobody_to_measure(tmp_path:
 
 def test_a_failure_that_nobody_foresaw_is_taken_back_as_well(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     class Odd(Failing):
-        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-            if self.armed and command.op == "attach":
+        async def before(self, instance: str, op: str) -> None:
+            if self.armed and op == "attach":
                 self.armed = False
                 raise KeyError("what is this?")
-            return await super().call(instance, command, timeout)
 
     simulator = Odd()
 
@@ -288,17 +285,17 @@ def test_an_old_side_that_dies_while_the_new_one_looks_for_it_is_known_at_once(t
     class Meeting(Simulator):
         died: float | None = None
 
-        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-            if command.op == "meet" and self.died is None:
+        async def before(self, instance: str, op: str) -> None:
+            if op == "meet" and self.died is None:
                 self.died = self.clock.steady()
                 self.faults.kill("talker")
-            return await super().call(instance, command, timeout)
 
     simulator = Meeting()
+    simulator.control.before_request = simulator.before
 
     async def body(manager: Manager, _: Simulator) -> tuple[Outcome, str, float]:
         outcome = await manager.change(replace("talker", "NewTalker"))
-        listening = (await manager.peek("listener"))["functionalities"]["listen"]["mode"]
+        listening = (await manager.peek("listener")).functionalities["listen"].mode
         assert simulator.died is not None
         return outcome, listening, simulator.clock.steady() - simulator.died
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import copy
 import threading
 import time
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from msgspec import UNSET
+from msgspec import UNSET, structs
 
 from midstride.backends.simulator import Simulator
 from midstride.model.component import FunctionalityRef
@@ -20,12 +19,13 @@ from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 from midstride.plan.request import Request
 from midstride.runtime import runtime_verification
+from midstride.runtime.component_client import SILENCE
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event, LiveConfiguration, Outcome
 from midstride.runtime.runtime_verification import Verifier
 from midstride.verify.checking import Asking
 from midstride.verify.verdict import Answer, Finding, Verdict, VerdictForm
-from midstride.wire.messages import Command, Reply
+from midstride.wire.state import ComponentState
 from tests.runtime.systems import managed, replace, snapshot
 
 UNKNOWN = Verdict(Answer.UNKNOWN, "the plan", "nothing was judged", "Alloy", because="there is no Java here")
@@ -57,19 +57,18 @@ class Scripted(Verifier):
 
 
 class Lying(Simulator):
-    """Components that tell the manager something else than is so, once armed."""
+    """Components that report something else than is so, or nothing, once armed."""
 
-    def __init__(self, lie: Callable[[str, dict[str, Any]], dict[str, Any] | None]) -> None:
+    def __init__(self, lie: Callable[[ComponentState], ComponentState | None]) -> None:
         super().__init__()
         self.lie = lie
         self.armed = False
+        self.control.rewrite_state = lambda state: self.lie(state) if self.armed else state
 
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-        reply = await super().call(instance, command, timeout)
-        if self.armed and command.op == "observe" and reply.ok:
-            told = self.lie(instance, copy.deepcopy(dict(reply.result)))
-            return Reply(reply.revision, refused="not now") if told is None else Reply(reply.revision, told)
-        return reply
+
+def with_mode(state: ComponentState, functionality: str, mode: str) -> ComponentState:
+    view = structs.replace(state.functionalities[functionality], mode=mode)
+    return structs.replace(state, functionalities={**state.functionalities, functionality: view})
 
 
 def changed(
@@ -84,6 +83,7 @@ def changed(
         since = manager.log()[-1].n
         if isinstance(simulator, Lying):
             simulator.armed = True
+            await asyncio.sleep(2 * SILENCE)
         outcome = await manager.change(replace("talker", "NewTalker", strategy), verify=True)
         if isinstance(simulator, Lying):
             simulator.armed = False
@@ -115,10 +115,8 @@ def test_nothing_is_begun_unless_the_plan_holds(tmp_path: Path, verdict: Verdict
     assert events[-1].kind == "outcome"
 
 
-def degraded_by_itself(instance: str, state: dict[str, Any]) -> dict[str, Any]:
-    if instance == "talker_2":
-        state["functionalities"]["talk"]["mode"] = "degraded"
-    return state
+def degraded_by_itself(state: ComponentState) -> ComponentState:
+    return with_mode(state, "talk", "degraded") if state.instance == "talker_2" else state
 
 
 def test_where_components_stand_otherwise_alloy_judges_what_is_live(tmp_path: Path) -> None:
@@ -142,10 +140,11 @@ def test_a_step_after_which_what_is_live_does_not_hold_is_taken_back(tmp_path: P
     ]
 
 
-def without_its_output(instance: str, state: dict[str, Any]) -> dict[str, Any]:
-    if instance == "talker_2":
-        state["ports"]["out"] = {topic: {**view, "gate": "closed"} for topic, view in state["ports"]["out"].items()}
-    return state
+def without_its_output(state: ComponentState) -> ComponentState:
+    if state.instance != "talker_2":
+        return state
+    closed = {topic: structs.replace(link, gate="closed") for topic, link in state.ports["out"].items()}
+    return structs.replace(state, ports={**state.ports, "out": closed})
 
 
 def test_what_stands_behind_a_closed_gate_is_not_attached(tmp_path: Path) -> None:
@@ -160,26 +159,19 @@ def test_what_stands_behind_a_closed_gate_is_not_attached(tmp_path: Path) -> Non
 
 
 def test_a_component_that_does_not_answer_is_no_pass(tmp_path: Path) -> None:
-    silences = iter([None])
-
-    def silent(instance: str, state: dict[str, Any]) -> dict[str, Any] | None:
-        """Once, after the first step."""
-        degraded = state["functionalities"].get("listen", {}).get("mode") == "degraded"
-        return next(silences, state) if degraded else state
+    def silent(state: ComponentState) -> ComponentState | None:
+        return None if state.instance == "listener" else state
 
     outcome, before, after, _ = changed(tmp_path, Scripted(), Lying(silent))
     assert outcome.outcome == "rolled_back"
-    told = "what is live is not known: listener did not answer"
-    assert outcome.because == f"degrade listener.listen to degraded: {told}"
+    unknown = "what is live is not known: listener has reported nothing for more than 2 s"
+    assert outcome.because == f"degrade listener.listen to degraded: {unknown}"
     assert after == before
 
 
 def test_the_configuration_is_told_as_the_components_tell_it(tmp_path: Path) -> None:
-    def lying(instance: str, state: dict[str, Any]) -> dict[str, Any] | None:
-        if instance == "listener":
-            return None
-        state["functionalities"]["talk"]["mode"] = "degraded"
-        return state
+    def lying(state: ComponentState) -> ComponentState | None:
+        return None if state.instance == "listener" else with_mode(state, "talk", "degraded")
 
     async def body(manager: Manager, simulator: Simulator) -> LiveConfiguration:
         assert isinstance(simulator, Lying)
@@ -187,11 +179,13 @@ def test_the_configuration_is_told_as_the_components_tell_it(tmp_path: Path) -> 
         assert honest.silent == []
         assert honest.configuration.modes == {"listener.listen": "normal", "talker.talk": "normal"}
         simulator.armed = True
+        await asyncio.sleep(2 * SILENCE)
         return await manager.live()
 
     told = managed("talker", tmp_path, body, Lying(lying))
     assert told.silent == ["listener"]
-    assert told.configuration.modes == {"listener.listen": "normal", "talker.talk": "degraded"}
+    # The talker reports that it has degraded by itself, so the listener has been lowered; it does not say so.
+    assert told.configuration.modes == {"listener.listen": "degraded", "talker.talk": "degraded"}
     assert told.configuration.attachments == [("listener.in", "/chatter"), ("talker.out", "/chatter")]
 
 
