@@ -17,8 +17,8 @@ from typing import Any
 
 from midstride import backends
 from midstride.plan.request import Request
-from midstride.runtime.adoption import specification_of
 from midstride.runtime.manager import Manager
+from midstride.runtime.recovery import specification_of
 from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Command, Reply
 from tests.acceptance.support import BENCHMARKS, swap_specification

@@ -17,10 +17,10 @@ from types import ModuleType
 from typing import Any
 
 from midstride.model.specification import Specification
-from midstride.runtime import guardian
-from midstride.runtime.guardian import Guardian
+from midstride.runtime import reaper
 from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Row
+from midstride.runtime.reaper import Guardian
 from midstride.runtime.workspace import Workspace
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -61,14 +61,14 @@ def ended() -> Iterator[str]:
                 del os.environ[RUN]
             else:
                 os.environ[RUN] = before
-    assert guardian.left({}, RUN, token) == set()
+    assert reaper.left({}, RUN, token) == set()
 
 
 class Recorder:
     """A process of bare rclpy that records ``/swap``; it knows nothing of Midstride."""
 
     def __init__(self, folder: Path) -> None:
-        from midstride.backends.ros2.tuning import tuned_environment
+        from midstride.backends.ros2.dds_profiles import tuned_environment
 
         self._path = folder / "recorded.json"
         self._process = subprocess.Popen(

@@ -17,8 +17,8 @@ from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Any
 
-from midstride.runtime import guardian
-from midstride.runtime.guardian import Guardian
+from midstride.runtime import reaper
+from midstride.runtime.reaper import Guardian
 from midstride.wire.messages import ENV_TOKEN
 from tests.backends.ros2_support import Rig
 
@@ -72,7 +72,7 @@ async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
                 await backend.end(instance, 2.0)
             await backend.close()
             assert await backend._master.process() is None, "the master was left running"
-    assert guardian.left({}, ENV_TOKEN, token) == set()
+    assert reaper.left({}, ENV_TOKEN, token) == set()
 
 
 @contextlib.contextmanager

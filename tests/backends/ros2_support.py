@@ -16,10 +16,10 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Coroutine
 from pathlib import Path
 from typing import Any, TypeVar
 
-from midstride.runtime import guardian
+from midstride.runtime import reaper
 from midstride.runtime.backend import Exited, Handle, Launch
-from midstride.runtime.guardian import Guardian, look
-from midstride.runtime.link import Link
+from midstride.runtime.component_client import Link
+from midstride.runtime.reaper import Guardian, look
 from midstride.wire.messages import ENV_TOKEN, Announcement
 
 T = TypeVar("T")
@@ -166,7 +166,7 @@ async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
             yield rig
         finally:
             await backend.close()
-    assert guardian.left({}, ENV_TOKEN, token) == set()
+    assert reaper.left({}, ENV_TOKEN, token) == set()
 
 
 def shared_memory_of(pid: int) -> list[str]:
@@ -185,10 +185,10 @@ class Bare:
         from rclpy.node import Node
         from rclpy.signals import SignalHandlerOptions
 
-        from midstride.backends.ros2 import tuning
+        from midstride.backends.ros2 import dds_profiles
 
         self.context = Context()
-        with tuning.in_force(tuning.of_this_process()):
+        with dds_profiles.in_force(dds_profiles.of_this_process()):
             rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
             self.node: Any = Node(
                 name, context=self.context, use_global_arguments=False, start_parameter_services=False

@@ -12,8 +12,8 @@ import pytest
 from midstride.backends import ros1
 from midstride.cli.files import load
 from midstride.plan.request import Request
-from midstride.runtime.guardian import Guardian, left
 from midstride.runtime.manager import Manager
+from midstride.runtime.reaper import Guardian, left
 from midstride.runtime.workspace import Workspace
 from tests.backends.ros1_support import own_master_uri
 from tests.backends.ros2_support import run

@@ -14,12 +14,12 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros1 import core, names
+from midstride.backends.ros1 import master_process, names
 from midstride.backends.ros1.master import Master
 from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle
-from midstride.runtime.guardian import carries
 from midstride.runtime.process import Process, spawn
+from midstride.runtime.reaper import carries
 from midstride.wire.messages import Command
 from tests.backends.ros1_support import free_port, own_master_uri, program, rig, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, alive, run, until, until_async
@@ -241,7 +241,7 @@ def test_a_master_that_was_started_goes_with_the_last_who_needs_it(tmp_path: Pat
         await second.open(lambda event: None)
         assert (first.started_master, second.started_master) == (True, False)
         pid = await first._master.process()
-        assert pid is not None and carries(pid, core.ENV_STARTED, uri.rpartition(":")[2])
+        assert pid is not None and carries(pid, master_process.ENV_STARTED, uri.rpartition(":")[2])
         await first.close()
         assert alive(pid), "the second manager needs it"
         with program("guest", "/chatter", str(tmp_path / "heard")):
@@ -296,7 +296,7 @@ def test_a_killed_manager_is_forgotten_by_the_next(tmp_path: Path) -> None:
                 "registerSubscriber", dead.caller, names.ANNOUNCEMENT, names.STRING, f"http://127.0.0.1:{free_port()}/"
             )
             assert dead.caller in (await master.state()).nodes()
-            await core.forget_dead_managers(master)
+            await master_process.forget_dead_managers(master)
             assert (await master.state()).nodes() == {master.caller}
 
     run(scenario())
@@ -305,7 +305,7 @@ def test_a_killed_manager_is_forgotten_by_the_next(tmp_path: Path) -> None:
 def test_a_master_that_is_started_for_nothing_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The manager is told to end while its master comes up, or then cannot join it."""
     from midstride.backends.ros1 import create_backend
-    from midstride.backends.ros1.listening import Listener
+    from midstride.backends.ros1.announcement_listener import Listener
 
     started: list[int] = []
 
@@ -328,7 +328,7 @@ def test_a_master_that_is_started_for_nothing_ends(tmp_path: Path, monkeypatch: 
             await create_backend(logs=tmp_path).open(lambda event: None)
         assert len(started) == 2 and not alive(started[1])
 
-    monkeypatch.setattr(core, "spawn", noted)
+    monkeypatch.setattr(master_process, "spawn", noted)
     with own_master_uri():
         run(scenario())
 

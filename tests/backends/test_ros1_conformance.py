@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from midstride.runtime import guardian
-from midstride.runtime.guardian import Guardian
+from midstride.runtime import reaper
+from midstride.runtime.reaper import Guardian
 from midstride.testing.conformance import CHECKS, Check
 from tests.backends.ros1_support import own_master_uri
 from tests.backends.ros2_support import run
@@ -28,7 +28,7 @@ def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     with own_master_uri(), Guardian(OURS, this) as guarding:
         backend = create_backend(logs=tmp_path / "logs", guardian=guarding)
         run(check(backend, tmp_path), 100)
-        assert guardian.left({}, OURS, this) - {guarding.pid} == set()
+        assert reaper.left({}, OURS, this) - {guarding.pid} == set()
 
 
 @pytest.mark.long

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros1 import asking, rpc, tcpros
+from midstride.backends.ros1 import connection_headers, rpc, tcpros
 from midstride.model.contract import QoS
 from tests.backends.ros1_support import program, rig, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, run, until_async
@@ -51,11 +51,13 @@ def test_who_asks_gets_numbers_and_times_beside_the_message(tmp_path: Path) -> N
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
             await r.attach("talker", "out", "/chatter")
-            header, reader, writer = await subscribe(r, "/talker", "/chatter", asking.ask("string data", QoS()))
+            header, reader, writer = await subscribe(
+                r, "/talker", "/chatter", connection_headers.ask("string data", QoS())
+            )
             begun = time.time_ns()
             await r.modes("talker", talk="normal")
-            publisher = asking.publisher_of(header)
-            assert publisher and asking.is_compatible(header)
+            publisher = connection_headers.publisher_of(header)
+            assert publisher and connection_headers.is_compatible(header)
             for number in range(1, 20):
                 block = await tcpros.read_block(reader)
                 message = tcpros.pack_string(str(number))
@@ -67,8 +69,10 @@ def test_who_asks_gets_numbers_and_times_beside_the_message(tmp_path: Path) -> N
             # Off and on the topic again: another publisher, counting from 1.
             await r.detach("talker", "out", "/chatter")
             await r.attach("talker", "out", "/chatter")
-            header, reader, writer = await subscribe(r, "/talker", "/chatter", asking.ask("string data", QoS()))
-            assert asking.publisher_of(header) not in (None, publisher)
+            header, reader, writer = await subscribe(
+                r, "/talker", "/chatter", connection_headers.ask("string data", QoS())
+            )
+            assert connection_headers.publisher_of(header) not in (None, publisher)
             writer.close()
 
     run(scenario())

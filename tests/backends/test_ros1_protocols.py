@@ -16,7 +16,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from midstride.backends import common
-from midstride.backends.ros1 import asking, launching, names, rpc, tcpros
+from midstride.backends.ros1 import connection_headers, launching, names, rpc, tcpros
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.model.contract import QoS
 from tests.backends.ros1_support import free_port
@@ -159,21 +159,23 @@ def test_what_is_no_message_of_one_string_is_told(data: bytes) -> None:
 
 
 def test_what_is_asked_is_a_comment_to_everybody_else() -> None:
-    definition = asking.ask("string data\n", QoS(durability="transient_local", depth=3))
+    definition = connection_headers.ask("string data\n", QoS(durability="transient_local", depth=3))
     assert [line for line in definition.splitlines() if not line.startswith("#")] == ["string data"]
-    assert asking.asked({"message_definition": definition}) == QoS(durability="transient_local", depth=3)
+    assert connection_headers.asked({"message_definition": definition}) == QoS(durability="transient_local", depth=3)
     for plain in ({}, {"message_definition": "string data"}, {"message_definition": "string data\n# midstride: [3]"}):
-        assert asking.asked(plain) is None
-        assert asking.grant(plain, "endpoint", QoS()) == {}
+        assert connection_headers.asked(plain) is None
+        assert connection_headers.grant(plain, "endpoint", QoS()) == {}
 
 
 def test_what_is_granted_depends_on_what_is_offered() -> None:
-    header = {"message_definition": asking.ask("", QoS(durability="transient_local"))}
-    granted = asking.grant(header, "endpoint", QoS(durability="transient_local"))
-    assert asking.publisher_of(granted) == "endpoint" and asking.is_compatible(granted)
-    refused = asking.grant(header, "endpoint", QoS())
-    assert asking.publisher_of(refused) == "endpoint" and not asking.is_compatible(refused)
-    assert asking.publisher_of({"callerid": "/bare"}) is None and asking.is_compatible({"callerid": "/bare"})
+    header = {"message_definition": connection_headers.ask("", QoS(durability="transient_local"))}
+    granted = connection_headers.grant(header, "endpoint", QoS(durability="transient_local"))
+    assert connection_headers.publisher_of(granted) == "endpoint" and connection_headers.is_compatible(granted)
+    refused = connection_headers.grant(header, "endpoint", QoS())
+    assert connection_headers.publisher_of(refused) == "endpoint" and not connection_headers.is_compatible(refused)
+    assert connection_headers.publisher_of({"callerid": "/bare"}) is None and connection_headers.is_compatible(
+        {"callerid": "/bare"}
+    )
 
 
 def test_names_of_nodes() -> None:

@@ -14,7 +14,7 @@ import pytest
 
 from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle, Launch
-from midstride.runtime.link import Link
+from midstride.runtime.component_client import Link
 from midstride.wire.messages import ENV_TOKEN, Command
 from tests.backends.ros2_support import LISTENER, TALKER, Bare, alive, rig, run, shared_memory_of, until, until_async
 
@@ -296,7 +296,7 @@ import asyncio, sys
 from pathlib import Path
 from midstride.backends.ros2 import create_backend
 from midstride.runtime.backend import Launch
-from midstride.runtime.guardian import Guardian
+from midstride.runtime.reaper import Guardian
 from midstride.wire.messages import ENV_TOKEN
 
 async def main(token):

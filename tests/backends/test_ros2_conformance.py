@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from midstride.runtime import guardian
-from midstride.runtime.guardian import Guardian
+from midstride.runtime import reaper
+from midstride.runtime.reaper import Guardian
 from midstride.testing.conformance import CHECKS, Check
 from midstride.testing.conformance.walks import walk
 from tests.backends.ros2_support import run
@@ -27,7 +27,7 @@ def held(check: Check, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Guardian(OURS, this) as guarding:
         backend = create_backend(logs=folder / "logs", guardian=guarding)
         run(check(backend, folder), 100)
-        assert guardian.left({}, OURS, this) - {guarding.pid} == set()
+        assert reaper.left({}, OURS, this) - {guarding.pid} == set()
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))

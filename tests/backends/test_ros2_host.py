@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros2 import tuning
+from midstride.backends.ros2 import dds_profiles
 from midstride.errors import BackendError
 from midstride.wire.messages import ENV_TOKEN, Command
 from tests.backends.ros2_support import LISTENER, TALKER, Bare, Rig, alive, rig, run, until
@@ -285,7 +285,7 @@ def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path) ->
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
-            environment = tuning.tuned_environment(os.environ)
+            environment = dds_profiles.tuned_environment(os.environ)
             for token in ({}, {ENV_TOKEN: r.token}):  # by hand, and as a manager would that knows no better
                 second = await asyncio.to_thread(
                     subprocess.run,
@@ -397,7 +397,7 @@ def test_ros_actions_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
     """No package with a ROS action's type is part of the test environment, so rclpy's own answer is planted."""
     from rclpy import action
 
-    from midstride.backends.ros2.own import endpoints
+    from midstride.backends.ros2.node_parameters import endpoints
 
     with Bare("acting") as bare:
 
@@ -608,7 +608,9 @@ def test_standalone(tmp_path: Path) -> None:
 
         (tmp_path / "talker.py").write_text(TALKER)
         command = [sys.executable, "talker.py", "--standalone", "out:=/alone", "--ros-args", "-r", "__node:=soloist"]
-        environment = tuning.tuned_environment({k: v for k, v in os.environ.items() if not k.startswith("MIDSTRIDE_")})
+        environment = dds_profiles.tuned_environment(
+            {k: v for k, v in os.environ.items() if not k.startswith("MIDSTRIDE_")}
+        )
         with (
             Bare() as bare,
             subprocess.Popen(

@@ -11,7 +11,7 @@ import pytest
 
 from midstride.backends import common
 from midstride.backends.ros2 import launching, names
-from midstride.backends.ros2.tuning import PROFILES, RANGE, TRANSPORTS, Tuning, choose
+from midstride.backends.ros2.dds_profiles import PROFILES, RANGE, TRANSPORTS, Tuning, choose
 from midstride.errors import StartFailed
 from midstride.runtime.backend import Launch
 

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from midstride.backends.ros2 import tuning
-from midstride.backends.ros2.tuning import PROFILE_VARIABLES, PROFILES, RANGE, TRANSPORTS, choose
+from midstride.backends.ros2 import dds_profiles
+from midstride.backends.ros2.dds_profiles import PROFILE_VARIABLES, PROFILES, RANGE, TRANSPORTS, choose
 
 FAST_DDS = "rmw_fastrtps_cpp"
 LOCAL = {RANGE: "LOCALHOST"}
@@ -88,8 +88,8 @@ def test_the_profiles_of_both_versions_say_the_same(kind: str) -> None:
 def test_the_environment_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(RANGE, "LOCALHOST")
     monkeypatch.delenv(TRANSPORTS, raising=False)
-    chosen = tuning.Tuning(FAST_DDS, {RANGE: "SYSTEM_DEFAULT", TRANSPORTS: "UDPv4"})
-    with tuning.in_force(chosen):
+    chosen = dds_profiles.Tuning(FAST_DDS, {RANGE: "SYSTEM_DEFAULT", TRANSPORTS: "UDPv4"})
+    with dds_profiles.in_force(chosen):
         assert (os.environ[RANGE], os.environ[TRANSPORTS]) == ("SYSTEM_DEFAULT", "UDPv4")
     assert os.environ[RANGE] == "LOCALHOST"
     assert TRANSPORTS not in os.environ
@@ -97,9 +97,9 @@ def test_the_environment_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch
 
 def test_which_fast_dds_another_interpreter_has(tmp_path: Path) -> None:
     (tmp_path / "lib").mkdir()
-    assert tuning.installed_major(tmp_path) is None
+    assert dds_profiles.installed_major(tmp_path) is None
     (tmp_path / "lib" / "libfastrtps.so.2.14").touch()
-    assert tuning.installed_major(tmp_path) == 2
+    assert dds_profiles.installed_major(tmp_path) == 2
 
 
 CHECKING = """

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.simulator import Simulator, VirtualLoop, fibre, loop, messages
+from midstride.backends.simulator import Simulator, VirtualLoop, loop, messages
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Exited, Launch
 from midstride.testing.conformance import puppets
@@ -216,7 +216,7 @@ def test_components_do_not_share_what_python_keeps_for_a_process(tmp_path: Path)
 
 
 def test_code_that_never_comes_back_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fibre, "PATIENCE", 0.3)
+    monkeypatch.setattr(cooperative_thread, "PATIENCE", 0.3)
     release = threading.Event()
     monkeypatch.setattr(sys, "release_the_stuck_fibre", release, raising=False)
 

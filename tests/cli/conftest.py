@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from midstride.cli import main
-from midstride.runtime.guardian import look
+from midstride.runtime.reaper import look
 from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
 
 ROOT = Path(__file__).parents[2]

@@ -15,8 +15,8 @@ from rich.console import Console
 
 from midstride.backends.simulator import loop
 from midstride.cli import example as examples
-from midstride.cli.listening import excerpt, parse
-from midstride.cli.performance import perform
+from midstride.cli.demo_runner import perform
+from midstride.cli.log_excerpt import excerpt, parse
 from tests.cli.conftest import ROOT, Midstride, alive, nothing_lost
 
 EVERY = ("filter", "obstacle", "talker")

@@ -9,7 +9,7 @@ from pathlib import Path
 from midstride.cli.app import COMMANDS
 from midstride.lang import format_text, render
 from midstride.lang.catalogue import reference
-from midstride.lang.cursor import RESERVED
+from midstride.lang.token_stream import RESERVED
 
 REFERENCE = Path(__file__).parents[2] / "docs" / "reference"
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from midstride.lang.messages import Message, parse_fields
+from midstride.lang.message_types import Message, parse_fields
 
 TEXTS = {
     "std_msgs/msg/String": "string data",

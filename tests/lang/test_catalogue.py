@@ -14,7 +14,7 @@ import pytest
 
 from midstride.lang import load, render
 from midstride.lang.catalogue import CATALOGUE, Example, explain
-from midstride.model.problems import CATALOGUE as MODEL_KINDS
+from midstride.model.diagnostics import CATALOGUE as MODEL_KINDS
 
 from .known import Known
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.lang.cursor import RESERVED
+from midstride.lang.token_stream import RESERVED
 
 FOLDER = Path(__file__).parents[2] / "editors" / "vscode"
 GRAMMAR = json.loads((FOLDER / "syntaxes" / "stride.tmLanguage.json").read_text(encoding="utf-8"))

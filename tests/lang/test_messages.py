@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.lang.messages import Installed, Message, Missing, field_kind, installed, parse_fields, share_folders
+from midstride.lang.message_types import Installed, Message, Missing, field_kind, installed, parse_fields, share_folders
 
 from .known import Known
 

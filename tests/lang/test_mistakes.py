@@ -7,7 +7,7 @@ from typing import NamedTuple
 import pytest
 
 from midstride.lang import load_text, render
-from midstride.lang.messages import installed
+from midstride.lang.message_types import installed
 
 from .test_errors import marked
 

@@ -28,7 +28,7 @@ from midstride.model.document import (
 )
 from midstride.model.rules import violations
 from midstride.model.specification import initial
-from midstride.model.wellformed import check, errors
+from midstride.model.specification_checks import check, errors
 from midstride.testing.action_strategies import actions
 from midstride.testing.strategies import (
     Scene,

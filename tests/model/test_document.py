@@ -11,6 +11,7 @@ import pytest
 from midstride.errors import SpecificationError
 from midstride.model.component import Connector, NamedInputs
 from midstride.model.contract import Interval, OneOf
+from midstride.model.diagnostics import Problem
 from midstride.model.document import (
     component_from_document,
     component_to_document,
@@ -18,7 +19,6 @@ from midstride.model.document import (
     specification_from_document,
     specification_to_document,
 )
-from midstride.model.problems import Problem
 from midstride.model.specification import Order
 
 DOCUMENT: dict[str, Any] = {

@@ -20,9 +20,9 @@ from midstride.model.component import (
     PortRef,
 )
 from midstride.model.configuration import Instance, exact
+from midstride.model.diagnosis import reasons_against
 from midstride.model.document import specification_from_document
 from midstride.model.specification import Node, Order, initial, structure
-from midstride.model.why import reasons_against
 from tests.model.build import at, component, filter_, mode, sink, source, system, work
 from tests.model.test_wellformed import DEMO
 

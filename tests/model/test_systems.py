@@ -9,8 +9,8 @@ from midstride.model.action import Attach, Create, Degrade, Detach, Upgrade
 from midstride.model.best import best, rebalanced
 from midstride.model.component import Assumption, EnvironmentGuarantee
 from midstride.model.configuration import Configuration, Instance
+from midstride.model.diagnosis import reasons_against
 from midstride.model.rules import Judge, is_valid, violations
-from midstride.model.why import reasons_against
 from tests.model.build import (
     at,
     component,

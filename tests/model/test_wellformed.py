@@ -10,10 +10,10 @@ from immutables import Map
 
 from midstride.model.component import Component, Functionality, Mode, NamedInputs
 from midstride.model.contract import Interval, Predicate, QoS
+from midstride.model.diagnostics import CATALOGUE, Problem, suggestion
 from midstride.model.document import specification_from_document
-from midstride.model.problems import CATALOGUE, Problem, suggestion
 from midstride.model.specification import Specification
-from midstride.model.wellformed import check, check_component, errors
+from midstride.model.specification_checks import check, check_component, errors
 from tests.model.build import at, component, mode, named, source
 from tests.model.test_document import FAULTS, spoil
 

@@ -8,8 +8,8 @@ from hypothesis import given
 
 from midstride.lang import load_text
 from midstride.model.configuration import Configuration
+from midstride.model.diagnosis import Reasons, reasons_against
 from midstride.model.specification import Specification, initial
-from midstride.model.why import Reasons, reasons_against
 from midstride.testing.strategies import specifications
 from midstride.testing.systems import chain
 

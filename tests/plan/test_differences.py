@@ -9,7 +9,7 @@ from hypothesis import given
 
 from midstride.lang import load_text
 from midstride.model.specification import Specification
-from midstride.plan.differences import differences
+from midstride.plan.specification_diff import differences
 from midstride.testing.strategies import specifications
 
 FOLDER = Path(__file__).parents[1] / "lang" / "seeds"

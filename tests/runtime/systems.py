@@ -15,7 +15,7 @@ from midstride.model.document import specification_from_document
 from midstride.model.specification import Specification
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
-from midstride.runtime.verifying import Verifier
+from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.workspace import Workspace
 from midstride.wire.messages import Command
 

@@ -17,11 +17,11 @@ import pytest
 
 from midstride.backends import common
 from midstride.errors import StartFailed
-from midstride.runtime import guardian
-from midstride.runtime.guardian import Guardian, look, members
+from midstride.runtime import reaper
 from midstride.runtime.logs import shorten, tail
+from midstride.runtime.orphans import end_strays
 from midstride.runtime.process import Process, find, spawn
-from midstride.runtime.strays import end_strays
+from midstride.runtime.reaper import Guardian, look, members
 from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
 
 VARIABLE = "MIDSTRIDE_TOKEN"
@@ -56,7 +56,7 @@ def token() -> Iterator[str]:
     """A token of our own; whatever still carries it at the end is ended, and was left behind by a fault."""
     token = f"test-{uuid.uuid4().hex}"
     yield token
-    guardian.end_all({}, VARIABLE, token, grace=0.0)
+    reaper.end_all({}, VARIABLE, token, grace=0.0)
 
 
 def family(tmp_path: Path, token: str, *arguments: str) -> Process:
@@ -182,7 +182,7 @@ def test_what_cannot_be_watched_does_not_run(tmp_path: Path, token: str, monkeyp
             spawn(("sleep", "600"), tmp_path, {**os.environ, VARIABLE: token}, tmp_path / "log")
 
     asyncio.run(main())
-    assert not guardian.left({}, VARIABLE, token)
+    assert not reaper.left({}, VARIABLE, token)
 
 
 def test_the_tail_of_a_log_is_whole_lines(tmp_path: Path) -> None:
@@ -322,9 +322,9 @@ def test_what_was_started_and_not_written_down_is_ended_and_nothing_else(tmp_pat
 
     def carriers(pid: int) -> list[int]:
         """The process and its child, which have one environment."""
-        mine = [guardian.value_of(pid, variable) for variable in (ENV_TOKEN, ENV_INSTANCE)]
-        found = (seen.pid for seen in guardian.processes() if seen.alive)
-        return [one for one in found if [guardian.value_of(one, name) for name in (ENV_TOKEN, ENV_INSTANCE)] == mine]
+        mine = [reaper.value_of(pid, variable) for variable in (ENV_TOKEN, ENV_INSTANCE)]
+        found = (seen.pid for seen in reaper.processes() if seen.alive)
+        return [one for one in found if [reaper.value_of(one, name) for name in (ENV_TOKEN, ENV_INSTANCE)] == mine]
 
     asyncio.run(run())
 
@@ -333,7 +333,7 @@ def test_what_was_started_and_not_written_down_is_ended_and_nothing_else(tmp_pat
 MANAGER = """
 import asyncio, os, sys, time
 from pathlib import Path
-from midstride.runtime.guardian import Guardian
+from midstride.runtime.reaper import Guardian
 from midstride.runtime.logs import tail
 from midstride.runtime.process import spawn
 

@@ -18,9 +18,8 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 from midstride.plan.request import Request
-from midstride.runtime import verifying
 from midstride.runtime.manager import Manager
-from midstride.runtime.verifying import Verifier
+from midstride.runtime.runtime_verification import Verifier
 from midstride.verify.checking import Asking
 from midstride.verify.verdict import Answer, Finding, Verdict
 from midstride.wire.messages import Command, Reply
@@ -202,7 +201,7 @@ def test_the_loop_goes_on_while_alloy_is_asked_and_who_is_cancelled_stops_it(mon
             ended.set()
         return UNKNOWN
 
-    monkeypatch.setattr(verifying, "verify_configuration", endless)
+    monkeypatch.setattr(runtime_verification, "verify_configuration", endless)
 
     async def main() -> float:
         begun = time.monotonic()

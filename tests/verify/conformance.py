@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Final
 
 from midstride.model.configuration import Configuration
+from midstride.verify.alloy_atoms import Universe
 from midstride.verify.formulas import Formula, NotInTheDump, formula
 from midstride.verify.library import carried
 from midstride.verify.run import Alloy, Outcome
-from midstride.verify.scene import Scene
-from midstride.verify.universe import Universe
+from midstride.verify.world_encoder import Scene
 from tests.verify.walks import Claim, World, key
 
 ATOMS: Final = 1000  # a little less than one run may have

@@ -16,12 +16,12 @@ from midstride.model.configuration import Configuration
 from midstride.model.rules import capacity_violation
 from midstride.model.snapshot import configuration_from_document, configuration_to_document
 from midstride.model.specification import Node, Specification, initial, structure
+from midstride.verify.alloy_names import Names
 from midstride.verify.chain import chain
 from midstride.verify.checking import Asking, verify_configuration, verify_plan, verify_specification
+from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
 from midstride.verify.export import dump_configuration, dump_plan
 from midstride.verify.library import carried
-from midstride.verify.naming import Names
-from midstride.verify.picture import chain_lines, to_dot, to_mermaid
 from midstride.verify.verdict import Answer, Finding, Verdict
 from tests.verify.systems import EXAMPLES, ROVER, TALKER, plan, specification
 

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from midstride.runtime.backend import Backend
-    from midstride.runtime.guardian import Guardian
+    from midstride.runtime.reaper import Guardian
 
 NAMES: Final = ("ros2", "ros1", "sim")
 

@@ -16,8 +16,8 @@ from typing import Any, Final, TypeVar
 
 from midstride.errors import StartFailed, Unreachable
 from midstride.runtime.backend import Launch
-from midstride.runtime.guardian import Guardian
 from midstride.runtime.process import Process
+from midstride.runtime.reaper import Guardian
 from midstride.wire.messages import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
 
 T = TypeVar("T")

@@ -34,11 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
     except click.UsageError as error:
-        from midstride.cli.faults import usage
+        from midstride.cli.errors import usage
 
         return usage(error, words)
     except MidstrideError as error:
-        from midstride.cli.faults import refused
+        from midstride.cli.errors import refused
 
         return refused(error, words)
     except (click.Abort, KeyboardInterrupt):
@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _write_nothing_more()
         return 1
     except OSError as error:
-        from midstride.cli.faults import refused_by_the_system
+        from midstride.cli.errors import refused_by_the_system
 
         if error.filename is None:
             _write_nothing_more()

@@ -70,7 +70,7 @@ class Commands(click.Group):
     ) -> tuple[str | None, click.Command | None, list[str]]:
         name = args[0]
         if not name.startswith("-") and self.get_command(ctx, name) is None:
-            from midstride.model.problems import suggestion
+            from midstride.model.diagnostics import suggestion
 
             raise click.UsageError(f"there is no command `{name}`; {suggestion(name, COMMANDS)}", ctx)
         return super().resolve_command(ctx, args)

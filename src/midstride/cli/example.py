@@ -11,7 +11,7 @@ import click
 import midstride
 from midstride.cli.files import load
 from midstride.errors import SpecificationError
-from midstride.model.problems import suggestion
+from midstride.model.diagnostics import suggestion
 from midstride.model.reading import parse_json
 from midstride.model.specification import Specification
 from midstride.plan.request import Request

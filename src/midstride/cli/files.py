@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from midstride.errors import SpecificationError
+from midstride.model.diagnostics import suggestion
 from midstride.model.document import parse_json, specification_from_document
-from midstride.model.problems import suggestion
 from midstride.model.specification import Specification
 
 # No specification and no plan is as long (characters); a device that never ends would fill the memory.
@@ -39,7 +39,7 @@ def read_json(path: Path) -> Any:
 
 def load(path: Path) -> Specification:
     """A specification that may be run or planned with. Raises SpecificationError with every error there is."""
-    from midstride.model.wellformed import check, errors
+    from midstride.model.specification_checks import check, errors
 
     specification = read(path)
     if _is_stride(path):
@@ -55,7 +55,7 @@ def _is_stride(path: Path) -> bool:
 
 def _stride(path: Path) -> Specification:
     from midstride.lang import load as load_stride
-    from midstride.lang.messages import installed
+    from midstride.lang.message_types import installed
 
     return load_stride(path, messages=installed()).require()
 

@@ -12,7 +12,7 @@ from pygls.lsp.server import LanguageServer
 
 from midstride import __version__
 from midstride.lang.diagnostics import Diagnostic
-from midstride.lang.messages import Messages, installed
+from midstride.lang.message_types import Messages, installed
 from midstride.lang.service import Service
 from midstride.lang.source import Source, Span
 

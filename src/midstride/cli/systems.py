@@ -9,7 +9,7 @@ import click
 
 from midstride.cli.client import Client
 from midstride.errors import ManagerError, NoManager
-from midstride.model.problems import suggestion
+from midstride.model.diagnostics import suggestion
 from midstride.runtime.workspace import Workspace
 
 # How long a manager that does not answer may be about to begin, or to end (s).

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from midstride.lang.cursor import BELONGS, RESERVED, Cursor, Panic
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.lexer import Tokens
-from midstride.lang.suggest import nearest
+from midstride.lang.near_miss import nearest
+from midstride.lang.token_stream import BELONGS, RESERVED, Cursor, Panic
 
 Handlers = Mapping[str, Callable[[], None]]
 

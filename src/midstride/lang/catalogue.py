@@ -1,6 +1,6 @@
 """The catalogue of diagnostics, as data: for each code what it means, why it is one, and inputs that trigger it.
 
-Codes below E100 and W100 are the model's (:mod:`midstride.model.problems`): they hold however a specification is
+Codes below E100 and W100 are the model's (:mod:`midstride.model.diagnostics`): they hold however a specification is
 written. Those from 100 on are the text's. A test holds that each entry is reachable and that each diagnostic has an
 entry.
 """
@@ -15,8 +15,8 @@ from typing import Final
 from midstride.lang.catalogue_model import MODEL
 from midstride.lang.catalogue_text import TEXT
 from midstride.lang.diagnostics import Severity
-from midstride.lang.suggest import did_you_mean
-from midstride.model.problems import CATALOGUE as MODEL_KINDS
+from midstride.lang.near_miss import did_you_mean
+from midstride.model.diagnostics import CATALOGUE as MODEL_KINDS
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,6 @@
 """The part of the catalogue that is the model's (E001 to E099, W001 to W099): explanations and examples.
 
-Titles and advice are in :mod:`midstride.model.problems`. Each entry: the explanation, and the examples, whose parts
+Titles and advice are in :mod:`midstride.model.diagnostics`. Each entry: the explanation, and the examples, whose parts
 are those of :class:`midstride.lang.catalogue.Example`. The codes that only JSON can run into have examples in JSON.
 """
 

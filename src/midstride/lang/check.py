@@ -1,7 +1,7 @@
 """From the files of a system to its specification, or to all that is wrong with it.
 
 What a text can do wrong is found here; what must hold of a specification however it is written is judged by
-:mod:`midstride.model.wellformed` on all that could be built, and told at its place in the text. What would only follow
+:mod:`midstride.model.specification_checks` on all that could be built, and told at its place in the text. What would only follow
 from a part that could not be read is left out.
 """
 
@@ -12,23 +12,23 @@ from dataclasses import dataclass
 
 from immutables import Map
 
-from midstride.lang.advice import Advice
 from midstride.lang.components import UNRESOLVED, Components
-from midstride.lang.consequences import Consequences
 from midstride.lang.contracts import Contracts
 from midstride.lang.declarations import Declarations, collect, topic_name
 from midstride.lang.diagnostics import Diagnostic, Note, Reporter, in_order
 from midstride.lang.files import Loader, Read, join
+from midstride.lang.hints import Advice
+from midstride.lang.impact_notes import Consequences
 from midstride.lang.lexer import is_topic_name
-from midstride.lang.messages import Messages
+from midstride.lang.message_types import Messages
 from midstride.lang.nodes import Nodes
-from midstride.lang.places import Places
 from midstride.lang.source import Source, Span
+from midstride.lang.source_map import Places
 from midstride.lang.syntax import KeepStatement, LimitStatement
 from midstride.model.component import Component, Connector, EnvironmentGuarantee, FunctionalityRef, Resource
-from midstride.model.problems import Problem
+from midstride.model.diagnostics import Problem
 from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification
-from midstride.model.wellformed import check as check_specification
+from midstride.model.specification_checks import check as check_specification
 
 # Consequences, which mean something only where there is no error to mend first.
 _CONSEQUENCES = frozenset({"W031", "W032", "W033", "W034"})

@@ -8,11 +8,11 @@ from typing import Final
 
 from midstride.lang.check import Resolved
 from midstride.lang.contracts import POLICIES, policy_words
-from midstride.lang.cursor import BELONGS
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.lexer import Tokens, tokenize
 from midstride.lang.source import Source
 from midstride.lang.syntax import ComponentDeclaration
+from midstride.lang.token_stream import BELONGS
 from midstride.model.specification import DEFAULT_SECONDS
 
 _HEADS: Final = (

@@ -1,7 +1,7 @@
 """From component declarations to the model's components: inheritance by ``like``, contracts, what assumptions mean.
 
 Only what a text can do wrong is judged here; what must hold of a component however it is written is
-:mod:`midstride.model.wellformed`'s to say.
+:mod:`midstride.model.specification_checks`'s to say.
 """
 
 from __future__ import annotations
@@ -13,10 +13,9 @@ from typing import Final, TypeVar
 from immutables import Map
 
 from midstride.lang.contracts import Contracts
-from midstride.lang.cursor import RESERVED
 from midstride.lang.declarations import MAX_PARTS, bounded
 from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.suggest import did_you_mean
+from midstride.lang.near_miss import did_you_mean
 from midstride.lang.syntax import (
     Allowed,
     Assumed,
@@ -27,6 +26,7 @@ from midstride.lang.syntax import (
     Name,
     NamedAssumption,
 )
+from midstride.lang.token_stream import RESERVED
 from midstride.model.component import Assumption, Component, Endpoint, Functionality, Mode, NamedInputs, Parameter
 from midstride.model.contract import NOTHING, Predicate
 

@@ -10,10 +10,10 @@ from dataclasses import replace
 from typing import Any, Final, get_args
 
 from midstride.lang.diagnostics import Reporter
-from midstride.lang.messages import Message, Messages, Missing, field_kind
+from midstride.lang.message_types import Message, Messages, Missing, field_kind
+from midstride.lang.near_miss import did_you_mean
 from midstride.lang.parse_contract import SECONDS
 from midstride.lang.source import Span
-from midstride.lang.suggest import did_you_mean
 from midstride.lang.syntax import ContractDeclaration, ContractExpression, FieldConstraint, Name, Policy
 from midstride.model.contract import (
     NOTHING,

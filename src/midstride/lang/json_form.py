@@ -8,10 +8,10 @@ import re
 from midstride.errors import SpecificationError
 from midstride.lang.diagnostics import Diagnostic, Reporter, in_order
 from midstride.lang.source import Source, Span
+from midstride.model.diagnostics import Problem
 from midstride.model.document import parse_json, specification_from_document
-from midstride.model.problems import Problem
 from midstride.model.specification import Specification
-from midstride.model.wellformed import check
+from midstride.model.specification_checks import check
 
 _SIGNIFICANT = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:,]|[^\s{}\[\]:,"]+')
 

@@ -10,7 +10,7 @@ from midstride.lang.check import Resolved, check_files
 from midstride.lang.diagnostics import Diagnostic, has_errors
 from midstride.lang.files import Read, Unreadable, read_source, read_text
 from midstride.lang.json_form import check_json
-from midstride.lang.messages import Messages
+from midstride.lang.message_types import Messages
 from midstride.lang.source import Source
 from midstride.model.specification import Specification
 

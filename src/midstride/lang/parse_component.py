@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from midstride.lang.cursor import RESERVED
 from midstride.lang.parse_contract import ContractParser
 from midstride.lang.syntax import (
     Allowed,
@@ -20,6 +19,7 @@ from midstride.lang.syntax import (
     ParameterEntry,
     Run,
 )
+from midstride.lang.token_stream import RESERVED
 
 ENDPOINT_KINDS = ("topic", "service", "ROS action")
 

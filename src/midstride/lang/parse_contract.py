@@ -6,9 +6,8 @@ import re
 from typing import Final
 
 from midstride.lang.blocks import BlockParser
-from midstride.lang.cursor import RESERVED, Panic
 from midstride.lang.lexer import string_value
-from midstride.lang.suggest import nearest
+from midstride.lang.near_miss import nearest
 from midstride.lang.syntax import (
     ContractExpression,
     FieldConstraint,
@@ -19,6 +18,7 @@ from midstride.lang.syntax import (
     ScalarValue,
     Value,
 )
+from midstride.lang.token_stream import RESERVED, Panic
 from midstride.model.component import ParameterValue
 from midstride.model.contract import Scalar
 

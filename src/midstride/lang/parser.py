@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from midstride.lang.blocks import Handlers
-from midstride.lang.cursor import Panic
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.lexer import tokenize
 from midstride.lang.parse_component import ComponentParser
@@ -38,6 +37,7 @@ from midstride.lang.syntax import (
     TimingBlock,
     TopicDeclaration,
 )
+from midstride.lang.token_stream import Panic
 
 MAX_NESTING: Final = 16
 

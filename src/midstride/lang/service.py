@@ -16,13 +16,13 @@ from typing import Final
 from midstride.lang.completion import Completion, complete
 from midstride.lang.diagnostics import Diagnostic
 from midstride.lang.files import Read, Unreadable, join, read_text
+from midstride.lang.hover import tell
 from midstride.lang.index import Index, Occurrence
 from midstride.lang.lexer import is_topic_name
 from midstride.lang.load import Loaded, load
-from midstride.lang.messages import Messages
+from midstride.lang.message_types import Messages
 from midstride.lang.printer import format_text
 from midstride.lang.source import Source, Span
-from midstride.lang.tell import tell
 
 # How many files of a folder are looked at to find the system that includes a fragment.
 _SEARCHED: Final = 200

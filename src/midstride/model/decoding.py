@@ -39,8 +39,8 @@ from midstride.model.contract import (
     Scalar,
     ValueSet,
 )
-from midstride.model.names import is_message_type
-from midstride.model.problems import suggestion
+from midstride.model.diagnostics import suggestion
+from midstride.model.name_checks import is_message_type
 from midstride.model.reading import Reader, told
 from midstride.model.specification import DEFAULT_SECONDS, Constraint, Keep, Limit, Node, Order, Specification
 

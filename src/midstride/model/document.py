@@ -24,8 +24,8 @@ order of ports and functionalities is that of their declaration: do not sort key
 with ``=``, ``in``, ``>=``, ``>``, ``<=``, ``<``, all of which hold together; ``{}`` is any number.
 What is the default may be left out, and is left out here.
 
-Reading reports every fault at once, as ``SpecificationError`` of :class:`~midstride.model.problems.Problem`
-values. It covers form and names; whether what is said makes sense is :mod:`midstride.model.wellformed`'s to say.
+Reading reports every fault at once, as ``SpecificationError`` of :class:`~midstride.model.diagnostics.Problem`
+values. It covers form and names; whether what is said makes sense is :mod:`midstride.model.specification_checks`'s to say.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ from midstride.errors import SpecificationError
 from midstride.model.component import Assumption, Component, Functionality, Mode, NamedInputs, ParameterValue
 from midstride.model.contract import Interval, OneOf, Predicate, QoS, ValueSet
 from midstride.model.decoding import decode_component, decode_predicate, decode_specification
-from midstride.model.names import component_names, specification_names
-from midstride.model.problems import Problem, independent
+from midstride.model.diagnostics import Problem, independent
+from midstride.model.name_checks import component_names, specification_names
 from midstride.model.reading import Reader, parse_json
 from midstride.model.specification import Constraint, Keep, Limit, Node, Specification
 

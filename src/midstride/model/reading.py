@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 
 from midstride.errors import SpecificationError
-from midstride.model.problems import Problem, suggestion
+from midstride.model.diagnostics import Problem, suggestion
 
 
 class JsonObject(dict[str, Any]):

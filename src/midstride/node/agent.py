@@ -1,7 +1,7 @@
 """The agent: the control side of a component. It carries out the manager's commands and answers for its state.
 
 The rules of the envelope (wire/messages.py) are here: token, revision, repeated ids. What each
-command does is in :mod:`midstride.node.operations`. It never runs user code: whatever does is
+command does is in :mod:`midstride.node.command_handlers`. It never runs user code: whatever does is
 handed to the data side, in bounded time.
 """
 
@@ -18,9 +18,9 @@ from midstride.errors import CommandRefused, MidstrideError
 from midstride.model import component as model
 from midstride.model.document import component_to_document
 from midstride.node.arguments import Arguments
+from midstride.node.command_handlers import Operations
+from midstride.node.functionality_runner import Runner
 from midstride.node.host import Host
-from midstride.node.operations import Operations
-from midstride.node.running import Runner
 from midstride.node.standalone import FLAG, Attachments, best_modes
 from midstride.wire.commands import BETWEEN, CHANGING, READING
 from midstride.wire.messages import Announcement, Command, Reply

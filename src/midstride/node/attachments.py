@@ -15,8 +15,8 @@ from typing import Any, Final
 from midstride.errors import CommandRefused
 from midstride.node.arguments import Arguments
 from midstride.node.host import Host, Publisher, Subscription
+from midstride.node.mode_switch import DataSide, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
-from midstride.node.switch import DataSide, within
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
 SETTLE: Final = 0.05

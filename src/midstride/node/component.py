@@ -34,8 +34,8 @@ from midstride.node.functionality import Functionality
 from midstride.node.modes import listed
 from midstride.node.parameters import Parameter, check_parameter
 from midstride.node.ports import Input, Output
+from midstride.node.process_context import find, host_factory
 from midstride.node.standalone import remappings
-from midstride.node.surroundings import find, host_factory
 
 F = TypeVar("F", bound=Callable[..., Any])
 

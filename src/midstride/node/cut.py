@@ -6,7 +6,7 @@ or else to the moment it is made; the old side passes what belongs before T (for
 T), the new side the rest. So neither clock nor scheduling decides, and no write passes both gates
 or none. A call so late that it stands for several slots belongs to the first of them on the old
 side, and to the last on the new one: T is written, if late. This module is the data side's part;
-:mod:`midstride.node.handing` is the control side's.
+:mod:`midstride.node.cut_protocol` is the control side's.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
+from midstride.node.functionality_runner import Runner
 from midstride.node.host import Host
 from midstride.node.ports import OutputLink, Passage
-from midstride.node.running import Runner
 from midstride.node.trigger import InfoSet
 
 # How long after T a message published before it may still be on its way (s).

@@ -10,7 +10,7 @@ from midstride.node.modes import Approximate, DeclaredMode, Function, ModeFuncti
 from midstride.node.ports import AnyOf, Input, Output
 
 if TYPE_CHECKING:
-    from midstride.node.running import Runner
+    from midstride.node.functionality_runner import Runner
 
 
 class Functionality:

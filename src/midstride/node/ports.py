@@ -17,7 +17,7 @@ from midstride.node.contracts import type_name
 from midstride.node.host import Host, Publisher, Subscription
 
 if TYPE_CHECKING:
-    from midstride.node.running import Runner
+    from midstride.node.functionality_runner import Runner
 
 # How many receipts an input remembers while nobody records: enough to see 20 periods back.
 REMEMBERED: Final = 64

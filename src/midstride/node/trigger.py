@@ -14,7 +14,7 @@ from midstride.node.modes import DeclaredMode, Function
 from midstride.node.ports import Input, Listener
 
 if TYPE_CHECKING:
-    from midstride.node.running import Runner
+    from midstride.node.functionality_runner import Runner
 
 
 class Trigger(Protocol):

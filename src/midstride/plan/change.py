@@ -18,7 +18,7 @@ from midstride.model.action import Swap
 from midstride.model.component import Component, FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance, World
 from midstride.model.specification import DEFAULT_SECONDS, Node, Specification
-from midstride.plan.difference import Difference, between, of_roles
+from midstride.plan.change_builder import Difference, between, of_roles
 from midstride.plan.request import Request
 
 Attachment = tuple[PortRef, str]

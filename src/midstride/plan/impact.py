@@ -14,9 +14,9 @@ from midstride.errors import PlanRefused
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
-from midstride.model.problems import suggestion
+from midstride.model.diagnosis import Reasons
+from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification, initial
-from midstride.model.why import Reasons
 
 
 @dataclass(frozen=True, slots=True)

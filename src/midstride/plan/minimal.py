@@ -19,12 +19,12 @@ from midstride.model.contract import figure
 from midstride.model.specification import Constraint, Order
 from midstride.plan.change import Change
 from midstride.plan.constraints import Breach, Watch, breaches, conflict, in_force, refusal, roles_of
-from midstride.plan.core import Core
 from midstride.plan.disruption import Levels
-from midstride.plan.draft import Ceiling, Draft
 from midstride.plan.moves import moves
 from midstride.plan.plan import Plan
+from midstride.plan.plan_builder import Ceiling, Draft
 from midstride.plan.schedule import makespan
+from midstride.plan.search_state import Core
 from midstride.plan.step import Step
 
 # How many ways to go on are tried in all; after that, of each choice only the first few, and no choice twice.

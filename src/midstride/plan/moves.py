@@ -17,7 +17,7 @@ from midstride.model.configuration import exact
 from midstride.plan.change import Attachment
 
 if TYPE_CHECKING:
-    from midstride.plan.core import Core, Turn
+    from midstride.plan.search_state import Core, Turn
 
 # Sets of components to remove for one that needs room are looked for up to this size, among so many.
 _SET_SIZE: Final = 3

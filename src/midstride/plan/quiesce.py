@@ -9,8 +9,8 @@ from __future__ import annotations
 from midstride.model.best import consumers_of
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.plan.change import Change
+from midstride.plan.paper import six_steps
 from midstride.plan.plan import Plan
-from midstride.plan.replace import six_steps
 
 
 def quiesce(change: Change) -> Plan:

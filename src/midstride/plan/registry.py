@@ -8,12 +8,12 @@ from typing import Final, TypeAlias
 from immutables import Map
 
 from midstride.errors import PlanRefused
-from midstride.model.problems import suggestion
+from midstride.model.diagnostics import suggestion
 from midstride.plan.change import Change
 from midstride.plan.minimal import minimal
+from midstride.plan.paper import paper
 from midstride.plan.plan import Plan
 from midstride.plan.quiesce import quiesce
-from midstride.plan.replace import paper
 
 Planner: TypeAlias = Callable[[Change], Plan]
 

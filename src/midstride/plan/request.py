@@ -11,15 +11,15 @@ from immutables import Map
 
 from midstride.errors import PlanRefused, SpecificationError
 from midstride.model.component import Component
+from midstride.model.diagnostics import Problem
 from midstride.model.document import (
     component_from_document,
     component_to_document,
     specification_from_document,
     specification_to_document,
 )
-from midstride.model.problems import Problem
 from midstride.model.specification import Node, Specification
-from midstride.model.wellformed import check, check_component, check_node, errors
+from midstride.model.specification_checks import check, check_component, check_node, errors
 
 # How many names are listed where none is near the one that is not there.
 SHOWN: Final = 10

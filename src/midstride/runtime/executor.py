@@ -19,7 +19,7 @@ from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Action, Create, Degrade, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.runtime.performing import Performer, by_component
+from midstride.runtime.action_driver import Performer, by_component
 
 log = logging.getLogger(__name__)
 

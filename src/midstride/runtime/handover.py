@@ -20,7 +20,7 @@ from midstride.model.action import Handover, Swap
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
-from midstride.runtime.link import Link
+from midstride.runtime.component_client import Link
 
 # The old side takes up again when it has not heard of the new one's first write for this many periods,
 RESUME_PERIODS: Final = 10

@@ -21,9 +21,9 @@ from midstride.errors import (
 from midstride.model.configuration import Instance
 from midstride.model.document import component_from_document
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
-from midstride.runtime.link import Link
+from midstride.runtime.component_client import Link
+from midstride.runtime.orphans import end_strays
 from midstride.runtime.registration import mismatches, unexpected_endpoints
-from midstride.runtime.strays import end_strays
 from midstride.wire.messages import Announcement
 
 # How long a process may take from its start to its registration (s): imports of large libraries and models included.

@@ -26,20 +26,20 @@ from midstride.plan.change import Change
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import Request
-from midstride.runtime import adoption, status
+from midstride.runtime import recovery, status
+from midstride.runtime.action_driver import Performer
 from midstride.runtime.backend import Backend, Exited
+from midstride.runtime.component_client import Link
+from midstride.runtime.crash_response import settled
 from midstride.runtime.crashes import Crashes
+from midstride.runtime.degradation_timer import FallClock
 from midstride.runtime.events import Event, EventLog
 from midstride.runtime.executor import Executor
-from midstride.runtime.falling import FallClock
-from midstride.runtime.keeping import Keeper
 from midstride.runtime.launcher import Launcher
-from midstride.runtime.link import Link
-from midstride.runtime.live import Live, live
-from midstride.runtime.performing import Performer
+from midstride.runtime.observed_configuration import Live, live
 from midstride.runtime.recording import Recording, to_documents
-from midstride.runtime.settling import settled
-from midstride.runtime.verifying import Verifier, Watch
+from midstride.runtime.runtime_verification import Verifier, Watch
+from midstride.runtime.state_store import Keeper
 from midstride.runtime.workspace import Workspace
 from midstride.verify.verdict import Verdict
 from midstride.wire.messages import Announcement
@@ -127,7 +127,7 @@ class Manager:
                 raise StepFailed(str(outcome["because"]), outcome["outcome"])
 
     async def _adopt(self, state: dict[str, Any]) -> None:
-        running = adoption.specification_of(state)
+        running = recovery.specification_of(state)
         if state["backend"] != self._backend.name:
             raise ManagerError(
                 f"{self._workspace.name} runs on {state['backend']}; use that back end, or `midstride down` first"
@@ -137,7 +137,7 @@ class Manager:
                 f"{self._workspace.name} is running with another specification; "
                 "`midstride apply` changes a running system, `midstride down` ends it"
             )
-        self.configuration = await adoption.adopt(
+        self.configuration = await recovery.adopt(
             state, self.specification, self._launcher, self._link, lambda kind, words: self._note(kind, words)
         )
 

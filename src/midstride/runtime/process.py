@@ -18,9 +18,9 @@ from pathlib import Path
 from typing import Final
 
 from midstride.errors import BackendError, StartFailed
-from midstride.runtime.deadline import within
-from midstride.runtime.guardian import carries, look, members, send
 from midstride.runtime.logs import shorten, tail
+from midstride.runtime.reaper import carries, look, members, send
+from midstride.runtime.timeouts import within
 
 # How long the kernel may take to end what was killed (s).
 KILL_PATIENCE: Final = 10.0

@@ -12,7 +12,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Judge, violations
 from midstride.runtime.backend import Exited
 from midstride.runtime.clock import Clock
-from midstride.runtime.link import Link
+from midstride.runtime.component_client import Link
 
 # How long a component's own word is waited for (s): whoever asks for the status is to have it within 0.1 s.
 TIMEOUT: Final = 0.08

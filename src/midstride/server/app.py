@@ -17,7 +17,7 @@ from starlette.exceptions import HTTPException
 from midstride import __version__
 from midstride.errors import MidstrideError
 from midstride.model.document import specification_to_document
-from midstride.server import documents, faults, stream
+from midstride.server import documents, errors, stream
 from midstride.server.lifecycle import Lifecycle
 
 _REFUSED: dict[int | str, dict[str, Any]] = {
@@ -51,12 +51,12 @@ def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
 
 
 async def _told(_: Request, error: Exception) -> Response:
-    return JSONResponse(faults.told(error), faults.status_of(error))
+    return JSONResponse(errors.told(error), errors.status_of(error))
 
 
 async def _not_a_request(_: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    message = faults.in_one_line(list(error.errors()))
+    message = errors.in_one_line(list(error.errors()))
     return JSONResponse({"error": {"kind": "SpecificationError", "message": message}}, 422)
 
 

@@ -13,8 +13,8 @@ import time
 from typing import Any, Final, Literal
 
 from midstride.errors import ManagerError, MidstrideError
-from midstride.runtime.deadline import within
 from midstride.runtime.manager import Manager
+from midstride.runtime.timeouts import within
 
 log = logging.getLogger(__name__)
 

@@ -19,7 +19,7 @@ from midstride.errors import ManagerError
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.server.app import create_app
-from midstride.server.guard import Guarded, new_token
+from midstride.server.auth import Guarded, new_token
 from midstride.server.lifecycle import Lifecycle
 
 log = logging.getLogger(__name__)

@@ -13,14 +13,14 @@ from typing import Any
 from midstride.errors import AlloyFailed, PlanRefused, VerificationError
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
-from midstride.plan.differences import differences
 from midstride.plan.document import plan_from_document
 from midstride.plan.plan import Plan
+from midstride.plan.specification_diff import differences
+from midstride.verify.alloy_atoms import TooLarge
+from midstride.verify.alloy_text import VERDICT
 from midstride.verify.export import Dump, dump_configuration, dump_plan
 from midstride.verify.run import TIME_LIMIT, Alloy, Outcome, find
-from midstride.verify.text import VERDICT
 from midstride.verify.trace import confirm, findings, first_failure, instance, unexplained
-from midstride.verify.universe import TooLarge
 from midstride.verify.verdict import Answer, Finding, Verdict
 
 Detail = Callable[[int | None], Dump]

@@ -15,10 +15,10 @@ from midstride.model.best import best
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.plan.plan import Plan
 from midstride.plan.step import Step
+from midstride.verify.alloy_atoms import Universe
+from midstride.verify.alloy_text import Judged, JudgedStep, StepName, configuration_detail, step_detail, written
 from midstride.verify.formulas import NotInTheDump, formula
-from midstride.verify.scene import Scene
-from midstride.verify.text import Judged, JudgedStep, StepName, configuration_detail, step_detail, written
-from midstride.verify.universe import Universe
+from midstride.verify.world_encoder import Scene
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from midstride.model.action import (
     Upgrade,
 )
 from midstride.model.component import FunctionalityRef, PortRef
-from midstride.verify.scene import Scene
+from midstride.verify.world_encoder import Scene
 
 _Key = TypeVar("_Key", bound=Hashable)
 

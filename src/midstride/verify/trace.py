@@ -14,11 +14,11 @@ from midstride.model.component import Assumption, FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Judge, cap_violation
 from midstride.plan.step import Step
+from midstride.verify.alloy_atoms import ModeName, SystemName
+from midstride.verify.alloy_text import BEST, VERDICT, StepName
 from midstride.verify.chain import chain
 from midstride.verify.export import Dump
 from midstride.verify.run import Outcome
-from midstride.verify.text import BEST, VERDICT, StepName
-from midstride.verify.universe import ModeName, SystemName
 from midstride.verify.verdict import Finding
 
 _FINDINGS = "Findings$0"

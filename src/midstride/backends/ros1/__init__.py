@@ -14,7 +14,7 @@ from midstride.errors import BackendError
 if TYPE_CHECKING:
     from midstride.backends.ros1.backend import Ros1Backend
     from midstride.backends.ros1.host import Ros1Host
-    from midstride.runtime.guardian import Guardian
+    from midstride.runtime.reaper import Guardian
 
 __all__ = ["available", "create_backend", "create_host"]
 

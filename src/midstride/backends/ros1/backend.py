@@ -16,16 +16,16 @@ from pathlib import Path
 from typing import Final
 
 from midstride.backends import common
-from midstride.backends.ros1 import core, launching, names
-from midstride.backends.ros1.calls import Caller
-from midstride.backends.ros1.listening import Listener
+from midstride.backends.ros1 import launching, master_process, names
+from midstride.backends.ros1.announcement_listener import Listener
+from midstride.backends.ros1.command_client import Caller
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
-from midstride.runtime.deadline import within
-from midstride.runtime.guardian import Guardian
 from midstride.runtime.process import Process, find, spawn
+from midstride.runtime.reaper import Guardian
+from midstride.runtime.timeouts import within
 from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
 
 # How long taking back what a dead node has registered may delay the news of its death (s).
@@ -56,9 +56,9 @@ class Ros1Backend:
         self._on_event = on_event
         self._master = Master(uri, f"{names.MANAGER}{os.getpid()}_{time.time_ns() // 1_000_000}")
         self._caller = Caller(self._master)
-        self.started_master = await core.ensure(self._master, self._folder(), self._guardian)
+        self.started_master = await master_process.ensure(self._master, self._folder(), self._guardian)
         try:
-            await core.forget_dead_managers(self._master)
+            await master_process.forget_dead_managers(self._master)
             listener = Listener(self._master, names.ANNOUNCEMENT, self._heard)
             await listener.open(host)
         except BaseException:
@@ -81,7 +81,7 @@ class Ros1Backend:
 
     async def _release_master(self) -> None:
         with contextlib.suppress(BackendError):  # a master that does not answer is left alone
-            await core.release(self._master, self._guardian)
+            await master_process.release(self._master, self._guardian)
 
     # -- components ----------------------------------------------------------------------------------
 

@@ -22,10 +22,10 @@ import rospy
 from std_msgs.msg import String
 
 from midstride.backends import common
-from midstride.backends.ros1 import launching, names, own, publishing, subscribing
-from midstride.backends.ros1.calls import Caller
-from midstride.backends.ros1.data import DataSide
-from midstride.backends.ros1.door import Door
+from midstride.backends.ros1 import launching, names, node_parameters, publishing, subscribing
+from midstride.backends.ros1.command_client import Caller
+from midstride.backends.ros1.command_server import Door
+from midstride.backends.ros1.data_thread import DataSide
 from midstride.backends.ros1.master import Master
 from midstride.backends.ros1.publishing import NumberedTopic, PortPublisher
 from midstride.backends.ros1.registrar import Registrar, managers
@@ -70,7 +70,7 @@ class Ros1Host:
         self._logger = logging.getLogger("rosout")
         self._data = DataSide(lambda told: self._logger.error(f"a callback raised, and the component goes on:\n{told}"))
         self._clock = RosClock(self._data)
-        self._parameters = own.OwnParameters(managed, self._show_parameter)
+        self._parameters = node_parameters.OwnParameters(managed, self._show_parameter)
         self._ended = threading.Event()
         self._told_to_end = ""
         self.now: Callable[[], int] = self._clock.now
@@ -136,7 +136,7 @@ class Ros1Host:
         self._states.publish(String(json.dumps(state)))
 
     def extra_endpoints(self) -> list[dict[str, str]]:
-        return own.endpoints()
+        return node_parameters.endpoints()
 
     def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
         return self._parameters.declare(name, default, on_change)

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from midstride.backends.ros1 import rpc
 from midstride.errors import BackendError, CallTimeout, Unreachable
-from midstride.runtime.deadline import within
+from midstride.runtime.timeouts import within
 
 # How long a node that may be dead is given to say that it is not (s).
 PROBE: Final = 0.5

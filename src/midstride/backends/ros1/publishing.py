@@ -27,9 +27,9 @@ from rospy.impl.registration import get_topic_manager
 from rospy.msg import serialize_message
 from rospy.topics import _PublisherImpl, _TopicImpl
 
-from midstride.backends.ros1 import asking
-from midstride.backends.ros1.peers import Peer
+from midstride.backends.ros1 import connection_headers
 from midstride.backends.ros1.registrar import Registrar
+from midstride.backends.ros1.subscriber_connection import Peer
 from midstride.errors import NodeError
 from midstride.model.contract import QoS
 
@@ -95,7 +95,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
     @property
     def headers(self) -> dict[str, str]:
         """The fields that rospy adds to the header of the connection it is about to answer."""
-        return {**self._headers, **asking.grant(_joining_header(), self._endpoint, self._offered)}
+        return {**self._headers, **connection_headers.grant(_joining_header(), self._endpoint, self._offered)}
 
     @headers.setter
     def headers(self, headers: dict[str, str] | None) -> None:
@@ -103,7 +103,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
 
     def add_connection(self, transport: Any) -> bool:
         """rospy, in the thread of a new connection: its header has been answered."""
-        requested = asking.asked(_joining_header())
+        requested = connection_headers.asked(_joining_header())
         depth = max((port.depth for port in self.ports), default=1)
         compatible = requested is None or not requested.unmet_by(self._offered)
         peer = Peer(transport, requested is not None, compatible, depth, self._control)

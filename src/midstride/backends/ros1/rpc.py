@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 from xml.parsers.expat import ExpatError
 
 from midstride.errors import BackendError, CallTimeout, Unreachable
-from midstride.runtime.deadline import within
+from midstride.runtime.timeouts import within
 
 # How long a master or a node may take to answer what it knows by heart (s).
 PATIENCE: Final = 3.0

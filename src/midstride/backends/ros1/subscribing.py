@@ -11,8 +11,8 @@ import rospy
 from rospy.impl.registration import get_topic_manager
 from rospy.topics import _SubscriberImpl
 
-from midstride.backends.ros1 import asking
-from midstride.backends.ros1.data import DataSide
+from midstride.backends.ros1 import connection_headers
+from midstride.backends.ros1.data_thread import DataSide
 from midstride.backends.ros1.publishing import TRAILER
 from midstride.backends.ros1.registrar import Registrar
 from midstride.errors import NodeError
@@ -42,7 +42,7 @@ def frame_of(type_: Any, qos: QoS) -> type:
             "__init__": lambda frame: None,
             "_type": type_._type,
             "_md5sum": type_._md5sum,
-            "_full_text": asking.ask(type_._full_text, qos),
+            "_full_text": connection_headers.ask(type_._full_text, qos),
             "_has_header": False,
             "deserialize": deserialize,
         },
@@ -74,7 +74,7 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
 
     def read(self, frame: Any, connection: Any) -> tuple[Info, bool]:
         """What is known of a message, and whether it was held for late joiners."""
-        publisher = asking.publisher_of(connection.header)
+        publisher = connection_headers.publisher_of(connection.header)
         if publisher is not None:
             number, source, index, held = TRAILER.unpack(frame.tail)
             return (source, number, f"{publisher}.{index}", None), bool(held)
@@ -92,7 +92,7 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
     def connected(self) -> int:
         """Publishers that have answered, and offer what is requested."""
         return sum(
-            bool(connection.header) and asking.is_compatible(connection.header) and not connection.done
+            bool(connection.header) and connection_headers.is_compatible(connection.header) and not connection.done
             for connection in self.connections
         )
 

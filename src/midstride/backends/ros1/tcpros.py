@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 
 from midstride.backends.ros1.rpc import told
 from midstride.errors import BackendError, CallTimeout, Unreachable
-from midstride.runtime.deadline import within
+from midstride.runtime.timeouts import within
 
 # The checksum that stands for any type: the name of the service or topic says enough.
 ANY: Final = "*"

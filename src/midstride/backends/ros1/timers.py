@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 
 import rospy
 
-from midstride.backends.ros1.data import DataSide
+from midstride.backends.ros1.data_thread import DataSide
 
 # A clock that was set back may wake a timer before its slot: by more than this (ns) it goes to sleep again.
 _EARLY = 200_000

@@ -14,7 +14,7 @@ from midstride.errors import BackendError
 if TYPE_CHECKING:
     from midstride.backends.ros2.backend import Ros2Backend
     from midstride.backends.ros2.host import Ros2Host
-    from midstride.runtime.guardian import Guardian
+    from midstride.runtime.reaper import Guardian
 
 __all__ = ["create_backend", "create_host"]
 

@@ -26,14 +26,14 @@ from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends import common
 from midstride.backends.common import Children
-from midstride.backends.ros2 import events, launching, names, tuning
-from midstride.backends.ros2.calls import Caller
-from midstride.backends.ros2.spinning import Spinner
+from midstride.backends.ros2 import dds_profiles, events, launching, names
+from midstride.backends.ros2.command_client import Caller
+from midstride.backends.ros2.executor_thread import Spinner
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
-from midstride.runtime.guardian import Guardian
 from midstride.runtime.process import Process, find, spawn
+from midstride.runtime.reaper import Guardian
 from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
 
 # A manager that has just joined knows nobody yet: that long it listens before it says that a name is free (s).
@@ -62,7 +62,7 @@ class Ros2Backend:
     ) -> None:
         self._own_clock = Ros2Clock()
         self.clock: Clock = self._own_clock
-        self.tuning = tuning.Tuning("", untuned=("discovery: left as it comes, as it was asked for",))
+        self.tuning = dds_profiles.Tuning("", untuned=("discovery: left as it comes, as it was asked for",))
         self._logs = logs
         self._tuned = tuned
         self._use_sim_time = use_sim_time
@@ -79,8 +79,8 @@ class Ros2Backend:
         context = Context()
         try:
             if self._tuned:
-                chosen = tuning.of_this_process()
-                with tuning.in_force(chosen) as check:
+                chosen = dds_profiles.of_this_process()
+                with dds_profiles.in_force(chosen) as check:
                     self._join(context)
                 self.tuning = check.tuning
             else:

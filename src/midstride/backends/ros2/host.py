@@ -25,10 +25,10 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from midstride.backends.common import ending_on_signals, on_thread, with_short_pauses
-from midstride.backends.ros2 import endpoints, events, names, own, qos
-from midstride.backends.ros2.calls import Caller
-from midstride.backends.ros2.door import Door, parameters_of
-from midstride.backends.ros2.spinning import Spinner
+from midstride.backends.ros2 import endpoints, events, names, node_parameters, qos
+from midstride.backends.ros2.command_client import Caller
+from midstride.backends.ros2.executor_thread import Spinner
+from midstride.backends.ros2.parameter_services import Door, parameters_of
 from midstride.backends.ros2.timers import GridTimer
 from midstride.errors import NodeError
 from midstride.model.contract import QoS
@@ -92,7 +92,7 @@ class Ros2Host:
         self._control_group = ReentrantCallbackGroup()
         self._events = events.publisher(self._control_node)
         self._caller = Caller(self._control_node, self._control.executor, self._control_group)
-        self._parameters = own.OwnParameters(self._data_node, given)
+        self._parameters = node_parameters.OwnParameters(self._data_node, given)
         self._ports: set[int] = set()
         self._door: Door | None = None
         self._shown: dict[str, Any] = {}
@@ -195,7 +195,7 @@ class Ros2Host:
             self._events.publish(events.changed(self._full_name, self.now(), told))
 
     def extra_endpoints(self) -> list[dict[str, str]]:
-        return own.endpoints(self._data_node, self._ports)
+        return node_parameters.endpoints(self._data_node, self._ports)
 
     def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
         return self._parameters.declare(name, default, on_change)

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Final
 
 from midstride.backends import common
-from midstride.backends.ros2 import tuning
-from midstride.backends.ros2.tuning import Tuning
+from midstride.backends.ros2 import dds_profiles
+from midstride.backends.ros2.dds_profiles import Tuning
 from midstride.runtime.backend import Launch
 
 # Set by the ROS wheels in an interpreter that they have started anew with their libraries' paths.
@@ -50,7 +50,7 @@ def _drop_ros1(environment: dict[str, str]) -> None:
 
 def _variables(program: str, chosen: Tuning, base: Mapping[str, str]) -> Mapping[str, str]:
     """The tuning for the Fast DDS that ``program`` will load, which may be another one than the manager's."""
-    major = None if program == sys.executable else tuning.installed_major(Path(program).parent.parent)
+    major = None if program == sys.executable else dds_profiles.installed_major(Path(program).parent.parent)
     if major is None or not chosen.variables:
         return chosen.variables
-    return tuning.choose(base, chosen.middleware, major).variables
+    return dds_profiles.choose(base, chosen.middleware, major).variables

@@ -10,8 +10,8 @@ from typing import Any, Final, TypeVar
 from midstride.backends.simulator import loop as virtual
 from midstride.backends.simulator import messages
 from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.cooperative_thread import simulated_sleep
 from midstride.backends.simulator.faults import Faults
-from midstride.backends.simulator.fibre import simulated_sleep
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.process import Process
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from midstride.backends.simulator.fibre import Waits
+from midstride.backends.simulator.cooperative_thread import Waits
 from midstride.backends.simulator.network import Reader, Writer
 from midstride.backends.simulator.timer import SimulatedTimer
 from midstride.errors import CommandRefused, MidstrideError

@@ -16,11 +16,11 @@ from types import CodeType, ModuleType
 from typing import Any, Final, Protocol
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.fibre import Ended, Fibre, Killed, Sleeps, Yielded
+from midstride.backends.simulator.cooperative_thread import Ended, Fibre, Killed, Sleeps, Yielded
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.backends.simulator.network import Network
 from midstride.errors import BackendError, StartFailed
-from midstride.node import surroundings
+from midstride.node import process_context
 from midstride.node.host import Host
 from midstride.runtime.backend import Launch
 from midstride.wire.messages import Announcement, Command, Reply
@@ -82,7 +82,7 @@ class Process:
         self._thawed_at = 0.0
         self._asleep = False
         context = contextvars.copy_context()
-        context.run(surroundings.current.set, self._surroundings())
+        context.run(process_context.current.set, self._surroundings())
         self.fibre = Fibre(launch.instance, self._program.run, context)
 
     @property
@@ -96,12 +96,12 @@ class Process:
         inside = (own or self.launch.namespace).strip("/")
         return f"/{inside}/{name}" if inside else f"/{name}"
 
-    def _surroundings(self) -> surroundings.Surroundings:
+    def _surroundings(self) -> process_context.Surroundings:
         def factory(name: str, namespace: str) -> Host:
             return SimulatedHost(self, name)
 
         launch = self.launch
-        return surroundings.Surroundings(
+        return process_context.Surroundings(
             factory=factory,
             instance=launch.instance,
             namespace=launch.namespace,

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from midstride.cli import asking
+from midstride.cli import change_options
 from midstride.cli.app import json_option
 from midstride.cli.client import Client, Document
 from midstride.cli.systems import find, system_option
@@ -18,7 +18,7 @@ def _change_options(function: Any) -> Any:
     yes = click.option("--yes", "-y", is_flag=True, help="Do not ask.")
     told = "Begin only if Alloy finds every step safe, and go on only if what is live is so after each."
     verify = click.option("--verify", is_flag=True, help=told)
-    return json_option(system_option(asking.strategy_option(verify(yes(function)))))
+    return json_option(system_option(change_options.strategy_option(verify(yes(function)))))
 
 
 def _declarations(function: Any) -> Any:
@@ -63,7 +63,7 @@ def add_command(
     yes: bool,
 ) -> int:
     """Add NODE, a COMPONENT, and attach its ports to topics."""
-    new = asking.node(node, component, attachments, parameters)
+    new = change_options.node(node, component, attachments, parameters)
     request = {"add": [new], "components": _components(file), "strategy": strategy}
     return change(system, request, f"add {node} ({component})", yes, verify)
 

@@ -28,7 +28,7 @@ def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
     """
     from midstride.cli.files import must_exist
     from midstride.lang import load, render
-    from midstride.lang.messages import installed
+    from midstride.lang.message_types import installed
 
     messages = None if no_types else installed()
     found: list[Diagnostic] = []

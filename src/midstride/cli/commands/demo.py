@@ -29,9 +29,9 @@ def demo_command(name: str, backend: str | None) -> int:
 
     from midstride import backends
     from midstride.cli import INTERRUPTED
+    from midstride.cli.demo_runner import perform
     from midstride.cli.example import find
     from midstride.cli.output import console, print_json, wants_json
-    from midstride.cli.performance import perform
 
     example = find(name)
     if backend is None:

@@ -22,14 +22,14 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 
     SVG and PNG need Graphviz; dot and Mermaid (mmd) do not.
     """
-    from midstride.cli import pictures
+    from midstride.cli import graphviz
     from midstride.cli.files import load
     from midstride.cli.output import print_json, wants_json
     from midstride.generate.drawing import to_dot, to_mermaid
     from midstride.generate.view import view
 
     if output is not None:
-        pictures.kind_of(output)
+        graphviz.kind_of(output)
     drawn = view(load(file), annotate=annotate, collapse=collapse)
     if output is None:
         text = to_dot(drawn)
@@ -38,7 +38,7 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
         else:
             click.echo(text, nl=False)
         return 0
-    pictures.write(output, lambda: to_dot(drawn), lambda: to_mermaid(drawn))
+    graphviz.write(output, lambda: to_dot(drawn), lambda: to_mermaid(drawn))
     if wants_json():
         print_json({"file": str(output), "boxes": len(drawn.boxes), "topics": len(drawn.topics)})
     return 0
@@ -78,7 +78,7 @@ def diff_command(old: Path, new: Path) -> int:
     """Say how the specification NEW differs from OLD. Exit status 0 if they mean the same, else 1."""
     from midstride.cli.files import load
     from midstride.cli.output import print_json, wants_json
-    from midstride.plan.differences import differences
+    from midstride.plan.specification_diff import differences
 
     found = differences(load(old), load(new))
     if wants_json():

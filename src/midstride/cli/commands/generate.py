@@ -37,7 +37,7 @@ def generate_command(file: Path, output: Path, ros: str) -> int:
     from midstride.generate.merge import digest
     from midstride.generate.project import project
     from midstride.lang import load
-    from midstride.lang.messages import installed
+    from midstride.lang.message_types import installed
 
     must_exist(file)
     loaded = load(file, messages=installed())

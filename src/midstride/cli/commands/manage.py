@@ -46,9 +46,9 @@ async def _still_running(workspace: Workspace) -> Specification | None:
     What is left written of a system of which nothing runs any more is forgotten, once what is not even written has
     ended.
     """
-    from midstride.runtime.adoption import specification_of
     from midstride.runtime.launcher import STOP_GRACE
-    from midstride.runtime.strays import end_strays
+    from midstride.runtime.orphans import end_strays
+    from midstride.runtime.recovery import specification_of
 
     state = workspace.load()
     if state is None:
@@ -61,7 +61,7 @@ async def _still_running(workspace: Workspace) -> Specification | None:
 
 
 def _runs(handle: dict[str, Any] | None) -> bool:
-    from midstride.runtime.guardian import look
+    from midstride.runtime.reaper import look
 
     if handle is None or handle["pid"] is None:
         return False

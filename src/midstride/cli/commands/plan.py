@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from midstride.cli import asking
+from midstride.cli import change_options
 from midstride.cli.app import json_option
 
 
@@ -17,7 +17,7 @@ from midstride.cli.app import json_option
 @click.option("--replace", "replaced", multiple=True, metavar="NODE=COMPONENT", help="Replace what plays NODE.")
 @click.option("--add", "added", multiple=True, metavar="'NODE COMPONENT PORT=TOPIC...'", help="Add a node.")
 @click.option("--remove", "removed", multiple=True, metavar="NODE", help="Remove a node.")
-@asking.strategy_option
+@change_options.strategy_option
 @json_option
 def plan_command(
     file: Path,
@@ -45,8 +45,8 @@ def plan_command(
     specification = load(file)
     request = Request.from_document(
         {
-            "replace": [asking.pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
-            "add": [asking.added(shlex.split(text)) for text in added],
+            "replace": [change_options.pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
+            "add": [change_options.added(shlex.split(text)) for text in added],
             "remove": removed,
             "strategy": strategy,
         }

@@ -106,7 +106,7 @@ def _stream(events: Iterable[Event]) -> None:
 @json_option
 def down_command(system: str | None) -> int:
     """End a system: every component, and its manager."""
-    from midstride.cli.ending import take_down
+    from midstride.cli.shutdown import take_down
 
     name = take_down(system)
     if wants_json():

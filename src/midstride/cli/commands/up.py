@@ -155,7 +155,7 @@ def _until_up(client: Client) -> Document:
 
 def _take_back(client: Client, workspace: Workspace, manager: subprocess.Popen[bytes], log: Path) -> None:
     """End the system and its manager. One that does not answer yet would bring the system up all the same."""
-    from midstride.cli.ending import until_free
+    from midstride.cli.shutdown import until_free
 
     try:
         _first_answer(client, manager, log)

@@ -50,10 +50,10 @@ def verify_command(
     midstride verify talker.stride
     midstride plan talker.stride --replace talker=NewTalker --json | midstride verify talker.stride --plan -
     """
-    from midstride.cli import pictures
+    from midstride.cli import graphviz
     from midstride.cli.output import console, print_json, wants_json
     from midstride.verify.checking import Asking
-    from midstride.verify.picture import to_dot, to_mermaid
+    from midstride.verify.diagram import to_dot, to_mermaid
 
     if live and (file or plan_file):
         raise click.UsageError("--live judges what is running: it goes without FILE and --plan")
@@ -62,12 +62,12 @@ def verify_command(
     if system is not None and not live:
         raise click.UsageError("--system says which running system --live means: it goes with --live alone")
     if picture is not None:
-        pictures.kind_of(picture)
+        graphviz.kind_of(picture)
     asking = Asking(alloy, limit, _keeper(output))
     verdict = _live(system, asking) if live else _designed(file, plan_file, asking)
     if picture is not None:
         if verdict.findings:
-            pictures.write(picture, lambda: to_dot(verdict), lambda: to_mermaid(verdict))
+            graphviz.write(picture, lambda: to_dot(verdict), lambda: to_mermaid(verdict))
         else:
             click.echo(f"There is nothing to draw: {picture} is not written.", err=True)
     if wants_json():
@@ -136,7 +136,7 @@ def _keeper(output: Path | None) -> Callable[[str], None]:
 
 def lines(verdict: Verdict) -> list[tuple[str, str]]:
     """A verdict for people, line by line, each with its style."""
-    from midstride.verify.picture import chain_lines
+    from midstride.verify.diagram import chain_lines
 
     told = [(str(verdict), _STYLES[verdict.answer.value])]
     for finding in verdict.findings:

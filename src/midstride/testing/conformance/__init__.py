@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from midstride.runtime.backend import Backend
-from midstride.testing.conformance import calls, handing, life, ports, walks
+from midstride.testing.conformance import calls, handovers, life, ports, walks
 
 Check: TypeAlias = Callable[[Backend, Path], Coroutine[Any, Any, None]]
 
-CHECKS: Final[tuple[Check, ...]] = (*life.CHECKS, *ports.CHECKS, *calls.CHECKS, *handing.CHECKS, *walks.CHECKS)
+CHECKS: Final[tuple[Check, ...]] = (*life.CHECKS, *ports.CHECKS, *calls.CHECKS, *handovers.CHECKS, *walks.CHECKS)
 
 __all__ = ["CHECKS", "Check"]

@@ -20,7 +20,7 @@ from midstride.verify.prove.goals import ACTION_GOALS, Case, Goal
 from midstride.verify.prove.rules import rules
 from midstride.verify.prove.terms import Term, and_, app, not_
 from midstride.verify.prove.theory import SORTS, Part, Theory
-from midstride.verify.prove.words import Teller
+from midstride.verify.prove.wording import Teller
 from midstride.verify.verdict import Answer
 
 GOALS: Final[tuple[Goal, ...]] = (*ACTION_GOALS, *FACT_GOALS)

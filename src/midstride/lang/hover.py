@@ -1,0 +1,138 @@
+"""What a name stands for, in a few lines of Markdown: contracts, modes, and in which mode it will be at first."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from midstride.lang.index import Symbol
+from midstride.model.component import Component, Functionality, FunctionalityRef, NamedInputs
+from midstride.model.configuration import Configuration
+from midstride.model.contract import NOTHING, figure
+from midstride.model.diagnosis import reasons_against
+from midstride.model.rules import Judge
+from midstride.model.specification import Specification, initial
+
+
+def tell(symbol: Symbol, specification: Specification, *, runnable: bool) -> str | None:
+    """A symbol in words. ``runnable``: the specification has no errors, so that it is known what will be in which
+    mode."""
+    told = _Teller(specification, initial(specification) if runnable else None)
+    writers: dict[str, Callable[[Symbol], Iterator[str]]] = {
+        "topic": told.topic,
+        "component": told.component,
+        "node": told.node,
+        "port": told.port,
+        "functionality": told.functionality,
+        "mode": told.mode,
+        "resource": told.resource,
+        "guarantee": told.guarantee,
+        "parameter": told.parameter,
+    }
+    lines = list(writers[symbol.kind](symbol)) if symbol.kind in writers else []
+    return "\n\n".join([f"**{symbol.kind}** `{symbol.name}`", *lines])
+
+
+class _Teller:
+    def __init__(self, specification: Specification, configuration: Configuration | None) -> None:
+        self.specification = specification
+        self.s = configuration
+
+    def topic(self, symbol: Symbol) -> Iterator[str]:
+        connector = self.specification.connectors.get(symbol.name)
+        if connector is None:
+            return
+        cap = "" if connector.cap is None else f" (at most {connector.cap} publishers)"
+        yield f"`{connector.guarantee}`{cap}"
+        if self.s is None:
+            return
+        for what, ports in (("from", self.s.publishers_on(symbol.name)), ("to", self.s.subscribers_on(symbol.name))):
+            if ports:
+                yield f"{what} {', '.join(f'`{port}`' for port in sorted(ports))}"
+        judge = Judge(self.s)
+        yield "satisfied" if judge.connector_satisfied(symbol.name) else judge.why_connector_unsatisfied(symbol.name)
+
+    def component(self, symbol: Symbol) -> Iterator[str]:
+        component = self.specification.components.get(symbol.name)
+        if component is None:
+            return
+        if component.run is not None:
+            yield f"`{component.run}`"
+        for name in component.input_order:
+            yield f"input `{name} : {component.inputs[name]}`"
+        for name in component.outputs:
+            yield f"output `{name} : {_normally(component, name)}`"
+        for functionality in component:
+            yield f"functionality `{functionality.name}`: {', '.join(mode.name for mode in functionality.modes)}"
+
+    def node(self, symbol: Symbol) -> Iterator[str]:
+        node = self.specification.nodes.get(symbol.name)
+        if node is None or node.component not in self.specification.components:
+            return
+        yield f"a `{node.component}`"
+        for functionality in self.specification.components[node.component]:
+            yield from self._stands(FunctionalityRef(symbol.name, functionality.name))
+
+    def _stands(self, ref: FunctionalityRef) -> Iterator[str]:
+        if self.s is None or ref not in self.s.modes:
+            return
+        yield f"`{ref}` will be in mode **{self.s.mode(ref).name}**"
+        if self.s.modes[ref]:
+            yield from (f"- {reason}" for reason in reasons_against(self.s, ref)[:3])
+
+    def port(self, symbol: Symbol) -> Iterator[str]:
+        component = self.specification.components.get(symbol.owner)
+        if component is not None and symbol.name in component.inputs:
+            yield f"assumes `{component.inputs[symbol.name]}`"
+        elif component is not None and (owner := component.find_owner(symbol.name)) is not None:
+            for mode in owner.modes:
+                given = mode.guarantee(symbol.name)
+                yield f"{mode.name}: `{'nothing' if given is NOTHING else given}`"
+
+    def functionality(self, symbol: Symbol) -> Iterator[str]:
+        found = self._declared(symbol.owner, symbol.name)
+        if found is None:
+            return
+        yield f"modes: {', '.join(mode.name for mode in found.modes)}; weight {figure(found.weight)}"
+        for role in self.specification.roles():
+            if self.specification.nodes[role].component == symbol.owner:
+                yield from self._stands(FunctionalityRef(role, symbol.name))
+
+    def mode(self, symbol: Symbol) -> Iterator[str]:
+        component, _, name = symbol.owner.partition(".")
+        found = self._declared(component, name)
+        for mode in found.modes if found is not None else ():
+            if mode.name == symbol.name:
+                names = [str(a) if isinstance(a, NamedInputs) else f"`{a}`" for a in mode.assumptions]
+                yield f"assumes {', '.join(names) or 'nothing'}"
+                for output, given in sorted(mode.guarantees.items()):
+                    yield f"guarantees `{output} : {given}`"
+
+    def resource(self, symbol: Symbol) -> Iterator[str]:
+        declared = self.specification.resources.get(symbol.name)
+        if declared is not None:
+            yield f"capacity {figure(declared.capacity)}"
+            held = 0.0 if self.s is None else float(self.s.held.get(symbol.name, 0))
+            yield f"held at first: {figure(held)}"
+
+    def guarantee(self, symbol: Symbol) -> Iterator[str]:
+        for offer in self.specification.environment:
+            if offer.name == symbol.name:
+                yield f"`{offer.guarantee}`" + ("" if offer.topic is None else f" on `{offer.topic}`")
+
+    def parameter(self, symbol: Symbol) -> Iterator[str]:
+        component = self.specification.components.get(symbol.owner)
+        declared = None if component is None else component.parameters.get(symbol.name)
+        if declared is not None:
+            yield f"`{declared.value!r}`" + (", changeable in place" if declared.changeable else "")
+
+    def _declared(self, component: str, functionality: str) -> Functionality | None:
+        found = self.specification.components.get(component)
+        return None if found is None else found.functionalities.get(functionality)
+
+
+def _normally(component: Component, output: str) -> str:
+    owner = component.find_owner(output)
+    if owner is None or not owner.modes:
+        return "nothing"
+    given = owner.modes[0].guarantee(output)
+    return "nothing" if given is NOTHING else str(given)

@@ -1,0 +1,51 @@
+"""What follows from an attachment whose contracts do not fit: who cannot be at its normal mode on its account."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
+from midstride.model.diagnostics import Problem
+from midstride.model.specification import Specification, initial
+
+_SHOWN = 8
+
+
+class Consequences:
+    """Tells what follows in one specification. Meaningful where nothing else is wrong with it."""
+
+    def __init__(self, specification: Specification) -> None:
+        self.specification = specification
+        self._initial: Configuration | None = None
+
+    def of(self, problem: Problem) -> str | None:
+        """What follows from an unfit attachment (E020), or None where nothing does."""
+        if self._initial is None:
+            self._initial = initial(self.specification)
+        s = self._initial
+        _, role, _, port, index = problem.subject
+        attached = PortRef(role, port)
+        topic = self.specification.nodes[role].attachments[port][int(index)]
+        first: Iterable[FunctionalityRef] = s.consumers(topic) if s.is_output(attached) else s.users(attached)
+        fallen = self._fallen(s, first)
+        if not fallen:
+            return None
+        told = [f"{ref} will be in mode {s.mode(ref).name}" for ref in fallen[:_SHOWN]]
+        more = len(fallen) - _SHOWN
+        return ", ".join(told) + (f", and {more} more below their normal modes" if more > 0 else "")
+
+    def _fallen(self, s: Configuration, first: Iterable[FunctionalityRef]) -> list[FunctionalityRef]:
+        """Those below their normal modes among ``first``, and those that fall with them, nearest first."""
+        found: dict[FunctionalityRef, None] = {}
+        waiting = deque(dict.fromkeys(first))
+        while waiting:
+            ref = waiting.popleft()
+            if ref in found or s.modes[ref] == 0:
+                continue
+            found[ref] = None
+            for output in s.functionality(ref).outputs:
+                for topic in s.attached_to(PortRef(ref.component, output)):
+                    waiting.extend(sorted(set(s.consumers(topic))))
+        return list(found)

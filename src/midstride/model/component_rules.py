@@ -1,0 +1,161 @@
+"""What must hold of one component, one predicate, one number, by itself (semantics.md sections 1 and 2).
+
+Part of :mod:`midstride.model.specification_checks`. Names that are not declared are passed over here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+from midstride.model.component import Component, Functionality, Mode, NamedInputs
+from midstride.model.contract import OneOf, Predicate, QoS, ValueSet, explain, figure
+from midstride.model.diagnostics import Problem
+
+Path = tuple[str, ...]
+
+
+def number_problems(value: float | None, what: str, path: Path, *, zero: bool = False) -> Iterator[Problem]:
+    """``value``, where it is stated, must be finite and positive (or zero, where that has a meaning)."""
+    if value is not None and not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
+        least = "at least" if zero else "more than"
+        yield Problem("E004", path, f"{what} must be finite and {least} 0, it is {figure(value)}")
+
+
+def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
+    """A predicate must have numbers that mean something, and fields that some value meets."""
+    yield from number_problems(predicate.rate, "a rate in Hz", (*path, "rate"))
+    yield from _qos_problems(predicate.qos, (*path, "qos"))
+    for field, values in predicate.fields:
+        where = (*path, "where", field)
+        if any(math.isnan(number) for number in _numbers(values)):
+            yield Problem("E004", where, f"field {field}: not a number")
+        elif values.is_empty:
+            yield Problem("E016", where, f"no value of field {field} meets all its constraints ({values})")
+
+
+def _qos_problems(qos: QoS, path: Path) -> Iterator[Problem]:
+    for name in ("deadline", "lease", "lifespan"):
+        yield from number_problems(getattr(qos, name), f"a {name}", (*path, f"{name}_seconds"))
+    yield from number_problems(qos.depth, "a depth", (*path, "depth"))
+
+
+def _numbers(values: ValueSet) -> list[float]:
+    if isinstance(values, OneOf):
+        return [value for value in values.values if isinstance(value, float)]
+    return [values.low, values.high]
+
+
+def component_rules(component: Component, path: Path) -> Iterator[Problem]:
+    """Ownership of outputs, M1, M2, M3, and the predicates and numbers of one component."""
+    for name in component.input_order:
+        yield from predicate_problems(component.inputs[name], (*path, "inputs", name))
+    for resource, amount in component.holds.items():
+        yield from number_problems(amount, f"what is held of {resource}", (*path, "holds", resource))
+    yield from number_problems(component.takes, "a time", (*path, "takes_seconds"), zero=True)
+    yield from _ownership(component, path)
+    for functionality in component:
+        yield from _functionality_rules(functionality, (*path, "functionalities", functionality.name))
+
+
+def _ownership(component: Component, path: Path) -> Iterator[Problem]:
+    misspelt = any(name not in component.outputs for f in component for name in f.outputs)
+    guaranteed = {name for f in component for mode in f.modes for name in mode.guarantees}
+    for index, output in enumerate(component.outputs):
+        if output in component.outputs[:index]:
+            continue
+        owners = [functionality.name for functionality in component if output in functionality.outputs]
+        where = (*path, "outputs", str(index))
+        if len(owners) > 1:
+            message = f"output {output} is owned by {len(owners)} functionalities: {', '.join(owners)}"
+            yield Problem("E014", where, message, "let one of them alone produce it")
+        elif not owners and not misspelt and output not in guaranteed:  # else the mode that does is told
+            help = "let one produce it: add it to what that one `produces`"
+            yield Problem("E013", where, f"output {output} is owned by no functionality", help)
+
+
+def _functionality_rules(functionality: Functionality, path: Path) -> Iterator[Problem]:
+    name, modes = functionality.name, functionality.modes
+    yield from number_problems(functionality.weight, f"the weight of {name}", (*path, "weight"), zero=True)
+    if len(modes) < 2:
+        count = "one mode alone" if modes else "no mode"
+        message = f"{name} has {count}: there is nothing to degrade to"
+        yield Problem("E015", (*path, "modes"), message, "add a last mode that assumes nothing")
+    elif modes[-1].assumptions:
+        assumed = ", ".join(str(assumption) for assumption in modes[-1].assumptions)
+        message = f"M1: mode {modes[-1].name}, the last of {name}, must assume nothing, it assumes {assumed}"
+        free = next((mode.name for mode in reversed(modes) if not mode.assumptions), None)
+        help = "take that out, or add a last mode without it"
+        if free is not None:
+            help = f"modes are listed best first: put {free}, which assumes nothing, last; or take the assumption out"
+        yield Problem("E010", (*path, "modes", modes[-1].name), message, help)
+    for mode in modes:
+        where = (*path, "modes", mode.name)
+        for index, assumption in enumerate(mode.assumptions):
+            if not isinstance(assumption, NamedInputs):
+                yield from predicate_problems(assumption, (*where, "assumes", str(index)))
+            elif not assumption.inputs:
+                message = f"an assumption of mode {mode.name} of {name} names no input"
+                yield Problem("E001", (*where, "assumes", str(index)), message, "name at least one")
+        for output, guarantee in sorted(mode.guarantees.items()):
+            yield from predicate_problems(guarantee, (*where, "guarantees", output))
+    for output in dict.fromkeys(functionality.outputs):
+        split = yield from _one_endpoint(functionality, output, path)
+        for better, worse in pairwise(modes):
+            yield from _no_better(functionality, output, better, worse, split, path)
+
+
+def _one_endpoint(functionality: Functionality, output: str, path: Path) -> Generator[Problem, None, bool]:
+    """M3, told at the first mode that disagrees. Returns whether there is one."""
+    first: tuple[Mode, Predicate] | None = None
+    for mode in functionality.modes:
+        guarantee = mode.guarantee(output)
+        if not isinstance(guarantee, Predicate):
+            continue
+        if first is None:
+            first = mode, guarantee
+            continue
+        where = (*path, "modes", mode.name, "guarantees", output)
+        if guarantee.type != first[1].type:
+            message = (
+                f"M3: output {output} is one endpoint, but is {first[1].type} in mode {first[0].name}"
+                f" and {guarantee.type} in mode {mode.name}"
+            )
+            yield Problem("E012", where, message, f"write {first[1].type} in both, or use two outputs")
+            return True
+        if not guarantee.qos.same_endpoint(first[1].qos):
+            message = (
+                f"M3: output {output} is one endpoint, but has {_told(first[1].qos)} in mode {first[0].name}"
+                f" and {_told(guarantee.qos)} in mode {mode.name}"
+            )
+            yield Problem("E012", where, message, "state one QoS in both, or use two outputs")
+            return True
+    return False
+
+
+def _told(qos: QoS) -> str:
+    return str(qos) or "the default QoS"
+
+
+def _no_better(
+    functionality: Functionality, output: str, better: Mode, worse: Mode, split: bool, path: Path
+) -> Iterator[Problem]:
+    """M2 for two neighbours of the chain; for all pairs it follows, since ⊨ is transitive.
+
+    For every q, worse ⊨ q must imply better ⊨ q. That is so iff worse is nothing, or better ⊨ worse: take
+    worse itself for q. Type and QoS are left to M3 where the modes are ``split`` over them.
+    """
+    least, most = worse.guarantee(output), better.guarantee(output)
+    if not isinstance(least, Predicate):
+        return
+    if split and isinstance(most, Predicate):
+        most = replace(most, type=least.type, qos=least.qos)
+    if clauses := explain(most, least):
+        message = (
+            f"M2: mode {worse.name} of {functionality.name} guarantees {output} : {least},"
+            f" which the better mode {better.name} does not ({', '.join(clauses)})"
+        )
+        help = f"guarantee at least that in {better.name}, or no more than {better.name} does in {worse.name}"
+        yield Problem("E011", (*path, "modes", better.name, "guarantees", output), message, help)

@@ -1,0 +1,270 @@
+"""The design-time check: what must, and what should, hold of a specification before it is run or changed to.
+
+Errors make a specification unusable; warnings are what its author most likely did not mean. Nothing
+here depends on how the specification was written down: problems point by the names of the JSON form.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+
+from midstride.model.best import best
+from midstride.model.component import Component, NamedInputs, PortRef, value_fits, value_kind
+from midstride.model.component_rules import component_rules, number_problems, predicate_problems
+from midstride.model.configuration import Configuration, exact
+from midstride.model.contract import Contract, Predicate, explain, figure, satisfies
+from midstride.model.diagnosis import Reasons
+from midstride.model.diagnostics import Problem
+from midstride.model.name_checks import Path, component_names, node_names, specification_names
+from midstride.model.specification import Keep, Limit, Node, Order, Specification, structure
+
+
+def check_component(component: Component) -> tuple[Problem, ...]:
+    """The problems of one component by itself: names, numbers, ownership, M1, M2, M3."""
+    return _sorted([*component_names(component, ()), *component_rules(component, ())])
+
+
+def check_node(specification: Specification, role: str) -> tuple[Problem, ...]:
+    """The problems of one node by itself, its component's own aside: names, contracts, parameters."""
+    node, path = specification.nodes[role], ("nodes", role)
+    return _sorted([*node_names(specification, node, path), *_node_problems(specification, node, path)])
+
+
+def check(specification: Specification) -> tuple[Problem, ...]:
+    """Every independent problem of a specification, errors and warnings, in a stable order."""
+    found = specification_names(specification)
+    named = not found
+    for name, component in specification.components.items():
+        found += component_rules(component, ("components", name))
+    found += _world_problems(specification)
+    for role, node in specification.nodes.items():
+        found += _node_problems(specification, node, ("nodes", role))
+    found += _too_many_publishers(specification)
+    found += _capacities(specification)
+    found += _constraint_problems(specification)
+    found += _hopeless(specification)
+    if named:
+        whole = structure(specification)
+        found += _unsatisfied_topics(whole)
+        if not errors(found):  # what stands in which mode means nothing before the rest is right
+            found += _at_first(specification, best(whole))
+    return _sorted(found)
+
+
+def errors(problems: Iterable[Problem]) -> list[Problem]:
+    """Those that make a specification unusable."""
+    return [problem for problem in problems if problem.severity == "error"]
+
+
+def _sorted(problems: Iterable[Problem]) -> tuple[Problem, ...]:
+    def place(problem: Problem) -> tuple[object, ...]:
+        elements = ((0, int(e), "") if e.isdecimal() else (1, 0, e) for e in problem.subject)
+        return (*elements, (-1, 0, problem.code), (-1, 0, problem.message))
+
+    return tuple(sorted(dict.fromkeys(problems), key=place))
+
+
+# -- the world -----------------------------------------------------------------------------------------
+
+
+def _world_problems(specification: Specification) -> Iterator[Problem]:
+    for name, connector in specification.connectors.items():
+        yield from predicate_problems(connector.guarantee, ("topics", name))
+        yield from number_problems(
+            connector.cap, "the number of publishers allowed", ("topics", name, "max_publishers"), zero=True
+        )
+    for offer in specification.environment:
+        yield from predicate_problems(offer.guarantee, ("environment", offer.name, "guarantee"))
+    for name, resource in specification.resources.items():
+        yield from number_problems(resource.capacity, f"the capacity of {name}", ("resources", name, "capacity"))
+    for kind, seconds in specification.timing.items():
+        yield from number_problems(seconds, f"the time of a step `{kind}`", ("timing_seconds", kind), zero=True)
+
+
+def _too_many_publishers(specification: Specification) -> Iterator[Problem]:
+    publishers: dict[str, list[str]] = {}
+    for role, node in sorted(specification.nodes.items()):
+        component = specification.components.get(node.component)
+        for port, topics in sorted(node.attachments.items()):
+            if component is not None and port in component.outputs:
+                for topic in dict.fromkeys(topics):
+                    publishers.setdefault(topic, []).append(str(PortRef(role, port)))
+    for name, connector in specification.connectors.items():
+        if connector.cap is None:
+            continue
+        counted = publishers.get(name, [])
+        counted += [
+            f"environment {offer.name}" for offer in specification.environment if offer.topic == connector.topic
+        ]
+        if len(counted) > connector.cap:
+            count = f"{len(counted)} publisher{'s' if len(counted) != 1 else ''}"
+            message = f"{name} has {count} ({', '.join(counted)}), at most {connector.cap} allowed"
+            yield Problem("E022", ("topics", name, "max_publishers"), message, "silent publishers count as well")
+
+
+def _capacities(specification: Specification) -> Iterator[Problem]:
+    holders: dict[str, list[tuple[str, float]]] = {}
+    for role, node in sorted(specification.nodes.items()):
+        component = specification.components.get(node.component)
+        for resource, amount in () if component is None else component.holds.items():
+            if math.isfinite(amount):
+                holders.setdefault(resource, []).append((role, amount))
+    for name, declared in specification.resources.items():
+        total = sum((exact(amount) for _, amount in holders.get(name, [])), start=Fraction())
+        if 0 < declared.capacity < math.inf and total > exact(declared.capacity):
+            who = ", ".join(f"{role} {figure(amount)}" for role, amount in holders[name])
+            message = f"{figure(float(total))} of {name} is held ({who}), its capacity is {figure(declared.capacity)}"
+            yield Problem("E023", ("resources", name), message, "take a holder out, or raise the capacity")
+
+
+# -- nodes ---------------------------------------------------------------------------------------------
+
+
+def _node_problems(specification: Specification, node: Node, path: Path) -> Iterator[Problem]:
+    component = specification.components.get(node.component)
+    if component is None:
+        return
+    for port, topics in node.attachments.items():
+        where = (*path, "attachments", port)
+        for index, topic in enumerate(topics):
+            if topic in topics[:index]:
+                message = f"{node.role}.{port} is attached to {topic} twice"
+                yield Problem("E021", (*where, str(index)), message, "once is enough")
+            elif topic in specification.connectors:
+                yield from _unfit(specification, PortRef(node.role, port), component, topic, (*where, str(index)))
+    if all(port in component.ports() for port in node.attachments):  # else one of them may be misspelt
+        for port in component.ports():
+            output = component.has_output(port)
+            if not node.attachments.get(port) and not (output and component.find_owner(port) is None):
+                kind = "output" if output else "input"
+                message = f"{kind} {node.role}.{port} is attached to no topic"
+                yield Problem("W030", (*path, "attachments", port), message, "attach it, or take it out")
+    for name, value in node.parameters.items():
+        declared = component.parameters.get(name)
+        if declared is not None and not value_fits(value, declared.value):
+            message = (
+                f"parameter {name} of {component.name} takes {value_kind(declared.value)}, not {value_kind(value)}"
+            )
+            yield Problem("E025", (*path, "parameters", name), message)
+
+
+def _unfit(
+    specification: Specification, port: PortRef, component: Component, topic: str, path: Path
+) -> Iterator[Problem]:
+    """An attachment is judged as ``attach`` judges it: the normal mode of an output, the assumption of an input."""
+    topic_guarantee = specification.connectors[topic].guarantee
+    if port.port in component.inputs:
+        offered: Contract = topic_guarantee
+        needed = component.inputs[port.port]
+        told = f"{topic} does not satisfy what {port} assumes"
+    else:
+        owner = component.find_owner(port.port)
+        if owner is None or not owner.modes:
+            return
+        offered, needed = owner.modes[0].guarantee(port.port), topic_guarantee
+        told = f"{port} in mode {owner.modes[0].name} does not satisfy {topic}"
+    if any(isinstance(contract, Predicate) and contract.is_empty for contract in (offered, needed)):
+        return  # told already
+    clauses = explain(offered, needed)
+    if clauses:
+        message = f"{told}: {', '.join(clauses)}"
+        yield Problem("E020", path, message, "strengthen what is offered, or weaken what is needed")
+
+
+# -- constraints -----------------------------------------------------------------------------------------
+
+
+def _constraint_problems(specification: Specification) -> Iterator[Problem]:
+    """Orders that go round in a circle, told at the one that closes it; times below zero."""
+    after: dict[str, list[tuple[str, Order]]] = {}
+    for index, constraint in enumerate(specification.constraints):
+        path = ("constraints", str(index))
+        if isinstance(constraint, Limit):
+            yield from number_problems(constraint.seconds, "a time", (*path, "below_baseline_seconds"), zero=True)
+        elif isinstance(constraint, Order) and constraint.first:
+            if constraint.first == constraint.then:
+                message = f"`{constraint}`: {constraint.first} cannot come before itself"
+                yield Problem("E024", path, message, "take it out")
+            elif (circle := _way(after, constraint.then, constraint.first)) is not None:
+                others = ", ".join(f"`{other}`" for other in circle)
+                yield Problem("E024", path, f"`{constraint}` contradicts {others}", "take one of them out")
+            else:
+                after.setdefault(constraint.first, []).append((constraint.then, constraint))
+
+
+def _way(after: dict[str, list[tuple[str, Order]]], start: str, end: str) -> list[Order] | None:
+    """A shortest chain of orders that puts ``start`` before ``end``, or None."""
+    came: dict[str, list[Order]] = {start: []}
+    waiting = deque([start])
+    while waiting:
+        role = waiting.popleft()
+        if role == end:
+            return came[role]
+        for then, order in after.get(role, ()):
+            if then not in came:
+                came[then] = [*came[role], order]
+                waiting.append(then)
+    return None
+
+
+# -- what should hold ------------------------------------------------------------------------------------
+
+
+def _hopeless(specification: Specification) -> Iterator[Problem]:
+    """Assumptions by predicate that no associated input counts for, nor the environment."""
+    offers = specification.world.offers()
+    for name, component in specification.components.items():
+        for functionality in component:
+            if any(port not in component.inputs for port in functionality.inputs):
+                continue
+            for mode in functionality.modes:
+                for index, assumption in enumerate(mode.assumptions):
+                    if isinstance(assumption, NamedInputs):
+                        continue
+                    given = [(f"input {port}", component.inputs[port]) for port in functionality.inputs]
+                    given += [(f"environment {offer.name}", offer.guarantee) for offer in offers]
+                    if any(satisfies(predicate, assumption) for _, predicate in given):
+                        continue
+                    near = [(who, predicate) for who, predicate in given if predicate.type == assumption.type]
+                    shortfalls = [f"{who}: {', '.join(explain(predicate, assumption))}" for who, predicate in near]
+                    because = (
+                        "; ".join(shortfalls) or f"no input of {functionality.name} and no guarantee is of that type"
+                    )
+                    where = ("components", name, "functionalities", functionality.name, "modes", mode.name)
+                    told = f"mode {mode.name} of {functionality.name} assumes {assumption}, which nothing can satisfy"
+                    yield Problem("W032", (*where, "assumes", str(index)), f"{told}: {because}")
+
+
+def _unsatisfied_topics(s: Configuration) -> Iterator[Problem]:
+    """Topics that not even the normal modes of their publishers satisfy. An unfit one among them is told as E020."""
+    for name, connector in s.world.connectors.items():
+        offers = s.world.publishers_out_of_scope(connector)
+        if s.publishers_on(name) or any(satisfies(offer.guarantee, connector.guarantee) for offer in offers):
+            continue
+        shortfalls = [f"environment {o.name}: {', '.join(explain(o.guarantee, connector.guarantee))}" for o in offers]
+        because = "; ".join(shortfalls) or "it has no publisher"
+        help = "attach an output, or let the environment guarantee it"
+        yield Problem("W031", ("topics", name), f"nobody satisfies {name}: {because}", help)
+
+
+def _at_first(specification: Specification, s: Configuration) -> Iterator[Problem]:
+    """Functionalities that cannot be at their normal mode at first, and `keep`s that so cannot hold."""
+    why = Reasons(s)
+    for ref in s.modes:
+        if s.modes[ref] > 0:
+            reasons = why.chain(ref)
+            path = ("nodes", ref.component)
+            stands = f"it will be in mode {s.mode(ref).name}"
+            message = "; ".join(
+                [f"{reasons[0].replace(' cannot be', ' cannot at first be', 1)} ({stands})", *reasons[1:]]
+            )
+            yield Problem("W033", path, message)
+    for index, constraint in enumerate(specification.constraints):
+        if isinstance(constraint, Keep):
+            ref = constraint.functionality
+            if s.modes[ref] > s.functionality(ref).mode_index(constraint.mode):
+                message = f"`{constraint}` does not hold at first: {ref} will be in mode {s.mode(ref).name}"
+                yield Problem("W034", ("constraints", str(index)), message)

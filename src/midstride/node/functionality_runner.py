@@ -1,0 +1,194 @@
+"""The running side of a functionality: its current mode, its calls, and what happens when one raises.
+
+Everything here runs on the data side. The control side reads ``index``, ``busy``, ``because`` and
+``since``, and changes nothing but through functions run on the data side.
+"""
+
+from __future__ import annotations
+
+import inspect
+import traceback
+from collections import deque
+from collections.abc import Callable, Coroutine
+from typing import Any, Final, Protocol
+
+from midstride.node.functionality import Functionality
+from midstride.node.host import Host
+from midstride.node.modes import DeclaredMode, Function
+from midstride.node.trigger import OnRate, Trigger, trigger_of
+
+# What user code may raise without taking the node down; sys.exit() in a callback is one of its errors.
+CAUGHT: Final = (Exception, SystemExit)
+
+
+class Waiting(Protocol):
+    """A mode switch that waits for an async call to end (midstride.node.mode_switch)."""
+
+    def attempt(self) -> None: ...
+
+
+class Runner:
+    """Runs one functionality. ``report`` is told when it degraded by itself."""
+
+    def __init__(self, functionality: Functionality, host: Host, report: Callable[[Runner], None]) -> None:
+        self.name = functionality.name
+        self.chain: tuple[DeclaredMode, ...] = functionality.chain()
+        self.outputs = functionality.outputs
+        self.index = len(self.chain) - 1
+        self.because = "started: nothing has been attached yet"
+        self.since = host.steady()
+        self.busy: int | None = None
+        # Whether it is in its mode because user code raised.
+        self.failed = False
+        # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
+        self.ready = True
+        # When in time the current call belongs: the first and the last of the slots that it stands for, or the info of
+        # what it answers.
+        self.slots: tuple[int, int] | None = None
+        self.info: Any = None
+        # During a cut, told of every message that reaches the functionality.
+        self.watch: Callable[[Any], None] | None = None
+        self._host = host
+        self._steady = host.steady
+        self._report = report
+        self._trigger: Trigger | None = None
+        self._asynchronous = False
+        self._error: BaseException | None = None
+        self._switch: Waiting | None = None
+        depths = [port.assumption.qos.effective().depth or 1 for port in functionality.inputs]
+        self._postponed: deque[tuple[Function, tuple[Any, ...], Any]] = deque(maxlen=max(depths, default=1))
+
+    # -- reading -----------------------------------------------------------------------------------
+
+    @property
+    def mode(self) -> DeclaredMode:
+        return self.chain[self.index]
+
+    @property
+    def last(self) -> int:
+        return len(self.chain) - 1
+
+    @property
+    def rate(self) -> OnRate | None:
+        """The time grid it runs on, where its mode has one."""
+        return self._trigger if isinstance(self._trigger, OnRate) else None
+
+    @property
+    def asynchronous(self) -> bool:
+        """Whether a call is under way that has given the data side back meanwhile."""
+        return self._asynchronous
+
+    # -- modes -------------------------------------------------------------------------------------
+
+    def leave(self) -> None:
+        """No further call of the current mode."""
+        if self._trigger is not None:
+            self._trigger.end()
+            self._trigger = None
+        self._postponed.clear()
+
+    def stand(self, index: int, because: str, failed: bool = False) -> None:
+        """In mode ``index`` from now on; :meth:`begin` starts its calls."""
+        self.index = index
+        self.because = because
+        self.since = self._steady()
+        self.failed = failed
+
+    def begin(self) -> None:
+        """Start the current mode's calls; the first may come at once. A platform that refuses is a failure like any."""
+        self._trigger = trigger_of(self.mode, self, self._host)
+        try:
+            self._trigger.begin()
+        except Exception as error:  # not user code's: that is caught where it is called
+            self._fail(error)
+
+    def hold(self, switch: Waiting) -> None:
+        """Start no further call until ``switch`` lets go; it is attempted when the call under way ends."""
+        self._switch = switch
+        self.ready = False
+
+    def let_go(self, switch: Waiting) -> None:
+        """``switch`` has happened, or will not: calls may start again."""
+        if self._switch is switch:
+            self._switch = None
+            self.ready = not self._asynchronous
+            self._catch_up()
+
+    # -- calls -------------------------------------------------------------------------------------
+
+    def call(self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any) -> None:
+        """One call of user code. The caller has made sure that it may start (``ready``)."""
+        self.slots = slots
+        self.info = info
+        self.busy = self._steady()
+        try:
+            result = function(*arguments)
+        except CAUGHT as error:
+            self._ended()
+            self._fail(error)
+            return
+        if result is not None and inspect.iscoroutine(result):
+            self._asynchronous = True
+            self.ready = False
+            self._host.run_coroutine(self._guarded(result), self._returned)
+        else:
+            self._ended()
+
+    def postpone(self, function: Function, arguments: tuple[Any, ...], info: Any) -> None:
+        """A message that comes during an async call waits for its end, as it would in the middleware's queue."""
+        self._postponed.append((function, arguments, info))
+
+    def _ended(self) -> None:
+        self.busy = None
+        self.slots = None
+        self.info = None
+
+    async def _guarded(self, coroutine: Coroutine[Any, Any, Any]) -> None:
+        try:
+            await coroutine
+        except GeneratorExit:
+            raise
+        except BaseException as error:  # a cancelled call has not done its work either
+            self._error = error
+
+    def _returned(self) -> None:
+        """An async call has ended."""
+        self._asynchronous = False
+        error, self._error = self._error, None
+        self._ended()
+        self.ready = self._switch is None
+        if error is not None:
+            self._fail(error)
+        if self._switch is not None:
+            self._switch.attempt()
+        else:
+            self._catch_up()
+
+    def _catch_up(self) -> None:
+        while self._postponed and self.ready:
+            function, arguments, info = self._postponed.popleft()
+            self.call(function, arguments, None, info)
+
+    # -- failing -----------------------------------------------------------------------------------
+
+    def _fail(self, error: BaseException) -> None:
+        """User code raised: to the last mode at once, with the traceback as the reason."""
+        failed = self.mode.name
+        told = told_by(error)
+        self.leave()
+        if self.index < self.last:
+            self.stand(self.last, f"mode {failed} raised: {told}", failed=True)
+            self._report(self)
+            self.begin()
+        else:
+            self.stand(self.index, f"its last mode, {failed}, raised, so it is no longer called: {told}", failed=True)
+            self._report(self)
+
+
+def told_by(error: BaseException) -> str:
+    """An exception in words: what it is first, then the traceback from the user's code on."""
+    frames = traceback.extract_tb(error.__traceback__)
+    own = __file__.rpartition("/")[0]
+    theirs = [frame for frame in frames if not frame.filename.startswith(own)] or list(frames)
+    lines = "".join(traceback.format_list(theirs))
+    return f"{''.join(traceback.format_exception_only(type(error), error)).strip()}\n{lines}".rstrip()

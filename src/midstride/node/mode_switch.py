@@ -1,0 +1,185 @@
+"""Changes to the data side that happen once, between two calls of user code, or never.
+
+Semantics.md section 7: a mode change is acknowledged once no call of the old mode runs; one that
+cannot happen within its drain time-out is taken back, and must not happen later.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from typing import Any, Generic, TypeVar
+
+from midstride.errors import CommandRefused
+from midstride.node.functionality_runner import Runner
+from midstride.node.host import Host
+
+T = TypeVar("T")
+
+
+async def within(host: Host, awaitable: Awaitable[T], seconds: float) -> asyncio.Future[T] | None:
+    """The finished future of ``awaitable``, or None where ``seconds`` on the steady clock pass first.
+
+    What is not finished is left alone: nothing on the data side can be interrupted from here.
+    """
+    work = asyncio.ensure_future(awaitable)
+    timer = asyncio.ensure_future(host.sleep(seconds))
+    try:
+        await asyncio.wait({work, timer}, return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        timer.cancel()
+    if work.done():
+        return work
+    work.add_done_callback(_seen)
+    return None
+
+
+def _seen(work: asyncio.Future[Any]) -> None:
+    """Nobody waits for it any more, so nobody else looks at what it raised."""
+    if not work.cancelled():
+        work.exception()
+
+
+class Once(Generic[T]):
+    """A function that runs once, or is taken back before it does: exactly one of the two."""
+
+    def __init__(self, function: Callable[[], T]) -> None:
+        self._function = function
+        self._lock = threading.Lock()
+        self._settled = False
+
+    def claim(self) -> bool:
+        """Whether the caller is the first to settle what becomes of it."""
+        with self._lock:
+            first, self._settled = not self._settled, True
+            return first
+
+    def __call__(self) -> T | None:
+        return self._function() if self.claim() else None
+
+
+class DataSide:
+    """Runs functions on the data side from the control side, in bounded time."""
+
+    def __init__(self, host: Host, busy: Callable[[], str]) -> None:
+        self._host = host
+        self._busy = busy
+
+    async def run(self, function: Callable[[], T], timeout: float) -> T:
+        """The result of ``function``, run between two calls of user code.
+
+        Raises CommandRefused where the data side is not free within ``timeout``; then it will not run later either.
+        """
+        once = Once(function)
+        work = asyncio.ensure_future(self._host.on_data(once))
+        if await within(self._host, work, timeout) is None:
+            if once.claim():
+                raise CommandRefused(f"user code did not return within {timeout:g} s{self._busy()}")
+            if await within(self._host, work, timeout) is None:
+                raise CommandRefused(f"it has begun, but did not end within {timeout:g} s more{self._busy()}")
+        result: T = work.result()  # type: ignore[assignment]  # it ran, since nobody took it back
+        return result
+
+    async def drive(self, function: Callable[[], Any], timeout: float) -> bool:
+        """Run user code that may be async to its end; whether it ended within ``timeout``. Raises what it raises."""
+        loop = asyncio.get_running_loop()
+        ended = asyncio.Event()
+        raised: list[BaseException] = []
+
+        async def guarded(coroutine: Coroutine[Any, Any, Any]) -> None:
+            try:
+                await coroutine
+            except Exception as error:
+                raised.append(error)
+
+        def begin() -> bool:
+            result = function()
+            if not asyncio.iscoroutine(result):
+                return True
+            self._host.run_coroutine(guarded(result), lambda: _call(loop, ended.set))
+            return False
+
+        once = Once(begin)
+        work = await within(self._host, self._host.on_data(once), timeout)
+        if work is None:
+            once.claim()
+            return False
+        if not work.result() and await within(self._host, ended.wait(), timeout) is None:
+            return False
+        if raised:
+            raise raised[0]
+        return True
+
+
+def _call(loop: asyncio.AbstractEventLoop, function: Callable[[], Any]) -> None:
+    if not loop.is_closed():
+        loop.call_soon_threadsafe(function)
+
+
+class Switch:
+    """One mode change of a group of functionalities: all at once, between two calls of each, or not at all.
+
+    ``guard`` is asked in that very moment; what it says refuses the change. ``settled`` is called
+    on the data side once it has happened or is refused, before the new modes' first calls.
+    """
+
+    def __init__(
+        self,
+        targets: Mapping[str, int],
+        runners: Sequence[Runner],
+        because: str,
+        guard: Callable[[], str | None],
+        settled: Callable[[], None],
+    ) -> None:
+        self.before: dict[str, str] | None = None
+        self.refused: str | None = None
+        self._targets = dict(targets)
+        self._runners = [runner for runner in runners if runner.name in targets]
+        self._because = because
+        self._guard = guard
+        self._settled = settled
+        self._lock = threading.Lock()
+        self._over = False
+
+    def attempt(self) -> None:
+        """On the data side: switch, unless an async call is under way; then this is called again at its end."""
+        if self._over:
+            return
+        if any(runner.asynchronous for runner in self._runners):
+            for runner in self._runners:
+                runner.hold(self)
+            return
+        if not self.claim():  # in this very moment the control side gave up waiting
+            return
+        try:
+            self.refused = self._guard()
+            if self.refused is None:
+                self._switch()
+        except Exception as error:  # ours, or the platform's: whoever waits must hear of it
+            self.refused = f"the change failed half way: {type(error).__name__}: {error}"
+            raise
+        finally:
+            self._settled()
+            self.release()
+
+    def _switch(self) -> None:
+        moved = [r for r in self._runners if r.index != self._targets[r.name]]
+        self.before = {runner.name: runner.mode.name for runner in self._runners}
+        for runner in moved:
+            runner.leave()
+            runner.stand(self._targets[runner.name], self._because)
+        self._settled()
+        for runner in moved:
+            runner.begin()
+
+    def claim(self) -> bool:
+        """Whether the caller is the first to settle what becomes of it; on the control side: that it never happens."""
+        with self._lock:
+            first, self._over = not self._over, True
+            return first
+
+    def release(self) -> None:
+        """On the data side, once it is settled or taken back: calls may start again."""
+        for runner in self._runners:
+            runner.let_go(self)

@@ -1,0 +1,245 @@
+"""Comparing what runs with what is wanted: the work behind :class:`~midstride.plan.change.Change`.
+
+Two ways to the same result: :func:`between` walks the whole system, :func:`of_roles` only the
+roles it is told of, so that its cost follows the change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+from immutables import Map
+
+from midstride.errors import PlanRefused
+from midstride.model.action import contract_reasons
+from midstride.model.best import best, rebalanced
+from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef
+from midstride.model.configuration import Configuration, Instance, World
+from midstride.model.diagnostics import suggestion
+from midstride.model.rules import Violation, cap_violation, capacity_violation, violations
+from midstride.model.specification import Specification
+
+
+@dataclass(slots=True)
+class Difference:
+    """What :class:`~midstride.plan.change.Change` says, while it is being found."""
+
+    specification: Specification
+    target: Specification
+    start: Configuration
+    baseline: Configuration
+    final: Configuration
+    identities: dict[str, str] = field(default_factory=dict)
+    leaving: list[str] = field(default_factory=list)
+    coming: list[Instance] = field(default_factory=list)
+    replaced: dict[str, str] = field(default_factory=dict)
+    detached: list[tuple[PortRef, str]] = field(default_factory=list)
+    attached: list[tuple[PortRef, str]] = field(default_factory=list)
+    parameters: list[tuple[str, Map[str, ParameterValue]]] = field(default_factory=list)
+    pending: list[FunctionalityRef] = field(default_factory=list)
+    lowered: list[FunctionalityRef] = field(default_factory=list)
+    renamed: list[Instance] = field(default_factory=list)
+    _names: set[str] = field(default_factory=set)
+
+    # -- one role --------------------------------------------------------------------------------------
+
+    def compare(self, role: str) -> None:
+        """Note what becomes of one role: nothing, a change in place, a replacement, going or coming."""
+        running = self.start.instances_of(role)
+        if role not in self.target.nodes:
+            for instance in running:
+                self._leave(instance)
+            return
+        _check_node(self.target, role)
+        wanted = self.target.instance(role)
+        kept = next((instance for instance in running if not _differs(instance, wanted)), None)
+        if kept is not None:
+            self._keep(kept, wanted)
+        else:
+            self._come(role, running)
+        for instance in running:
+            if instance is not kept:
+                self._leave(instance)
+
+    def _leave(self, instance: Instance) -> None:
+        self.leaving.append(instance.name)
+        self.detached.extend(self.start.attached_ports(instance.name))
+
+    def _come(self, role: str, running: list[Instance]) -> None:
+        name = self._fresh(role, bare=not running)
+        self.coming.append(self.target.instance(role, name))
+        self.attached.extend(self._wanted(role, name))
+        if running:
+            self.replaced[running[0].name] = name
+
+    def _keep(self, instance: Instance, wanted: Instance) -> None:
+        current = _values(instance)
+        changed = {key: value for key, value in wanted.parameters.items() if current.get(key) != value}
+        if changed:
+            self.parameters.append((instance.name, Map(changed)))
+        if instance.component is not wanted.component and instance.component != wanted.component:
+            self.renamed.append(replace(instance, component=wanted.component))
+        have = self.start.attached_ports(instance.name)
+        want = self._wanted(instance.role, instance.name)
+        self.detached.extend(pair for pair in have if pair not in want)
+        self.attached.extend(pair for pair in want if pair not in have)
+
+    def _wanted(self, role: str, instance: str) -> list[tuple[PortRef, str]]:
+        pairs = self.target.attachments_of(role, instance)
+        return [(port, self.identities.get(connector, connector)) for port, connector in pairs]
+
+    def _fresh(self, role: str, bare: bool) -> str:
+        """The name of a new instance; see semantics.md section 6. Only a first instance bears the role's own."""
+        nodes = (self.specification.nodes, self.target.nodes)
+        number = 1 if bare else 2
+        while True:
+            name = role if number == 1 else f"{role}_{number}"
+            taken = name in self.start.instances or name in self._names
+            if not taken and (number == 1 or not any(name in known for known in nodes)):
+                self._names.add(name)
+                return name
+            number += 1
+
+    # -- all of them together --------------------------------------------------------------------------
+
+    def conclude(self) -> None:
+        """Find the final configuration, and refuse a target that cannot stand."""
+        s = self.start
+        seeds: dict[FunctionalityRef, None] = dict.fromkeys(self.pending)
+        for port, connector in self.detached:
+            _note_users(s, port, seeds)
+            s = s.without_attachment(port, connector)
+        for name in self.leaving:
+            s = s.without_instance(name)
+        for instance in self.coming:
+            s = s.with_instance(instance)
+            seeds.update(dict.fromkeys(instance.functionality_refs()))
+        for port, connector in self.attached:
+            if reasons := contract_reasons(s, port, s.world.connectors[connector]):
+                raise PlanRefused(f"{port} cannot be attached to {connector}: {reasons[0]}")
+            s = s.with_attachment(port, connector)
+            _note_users(s, port, seeds)
+        for name, parameters in self.parameters:
+            s = s.with_parameters(name, parameters)
+        for connector in dict.fromkeys(connector for _, connector in [*self.detached, *self.attached]):
+            seeds.update(dict.fromkeys(s.consumers(connector)))
+        live = (ref for ref in seeds if ref.component in s.instances)
+        self.final = s.with_modes(rebalanced(s, live))
+        resources = dict.fromkeys(r for instance in self.coming for r in instance.component.holds)
+        connectors = dict.fromkeys(connector for _, connector in self.attached)
+        _meet("the target", self.final, connectors, resources)
+
+
+def _note_users(s: Configuration, port: PortRef, seeds: dict[FunctionalityRef, None]) -> None:
+    """The functionalities that an input of ``s`` serves are seeds; an output's consumers are found by topic."""
+    if not s.is_output(port):
+        seeds.update(dict.fromkeys(s.users(port)))
+
+
+def _values(instance: Instance) -> dict[str, ParameterValue]:
+    """What an instance runs with: its component's values, and its own over them."""
+    values = {name: parameter.value for name, parameter in instance.component.parameters.items()}
+    values.update(instance.parameters)
+    return values
+
+
+def _differs(instance: Instance, wanted: Instance) -> bool:
+    """Whether ``instance`` must be replaced to become ``wanted`` (semantics.md section 6)."""
+    if instance.component is not wanted.component and not instance.component.same_body(wanted.component):
+        return True
+    current = _values(instance)
+    if set(current) != set(wanted.parameters):
+        return True
+    declared, asked = instance.component.parameters, wanted.component.parameters
+    return any(
+        current[name] != value
+        and not (name in declared and declared[name].changeable and name in asked and asked[name].changeable)
+        for name, value in wanted.parameters.items()
+    )
+
+
+def _check_node(target: Specification, role: str) -> None:
+    """Refuse a node that names what is not there."""
+    node = target.nodes[role]
+    component = target.components.get(node.component)
+    if component is None:
+        hint = suggestion(node.component, target.components)
+        raise PlanRefused(f"node {role}: there is no component {node.component}; {hint}")
+    for port in sorted(node.attachments):
+        if port not in component.inputs and port not in component.outputs:
+            hint = suggestion(port, component.ports())
+            raise PlanRefused(f"node {role}: component {component.name} has no port {port}; {hint}")
+        for connector in node.attachments[port]:
+            if connector not in target.connectors:
+                hint = suggestion(connector, target.connectors)
+                raise PlanRefused(
+                    f"node {role}: port {port} is to be attached to {connector}, which is no topic; {hint}"
+                )
+    for name in sorted(node.parameters):
+        if name not in component.parameters:
+            hint = suggestion(name, component.parameters)
+            raise PlanRefused(f"node {role}: component {component.name} has no parameter {name}; {hint}")
+
+
+def _meet(who: str, s: Configuration, connectors: Iterable[str], resources: Iterable[str]) -> None:
+    """Refuse an end of the change that exceeds a cap or a capacity."""
+    found: list[Violation | None] = [cap_violation(s, name) for name in connectors]
+    found += [capacity_violation(s, name) for name in resources]
+    for violation in found:
+        if violation is not None:
+            raise PlanRefused(f"{who} does not fit: {violation}")
+
+
+# -- the two ways --------------------------------------------------------------------------------------
+
+
+def of_roles(
+    configuration: Configuration, specification: Specification, target: Specification, roles: Iterable[str]
+) -> Difference:
+    """The difference where nothing but the nodes ``roles`` differs, and ``configuration`` stands in ``best``."""
+    difference = Difference(specification, target, configuration, configuration, configuration)
+    for role in sorted(set(roles)):
+        difference.compare(role)
+    difference.conclude()
+    return difference
+
+
+def between(configuration: Configuration, specification: Specification, target: Specification) -> Difference:
+    """The difference of whole systems, the world's included."""
+    connectors, identities = _connectors(configuration, target)
+    resources = configuration.world.resources.update(target.resources)
+    start = configuration.with_world(World(connectors, target.environment, resources))
+    _meet("the running system", start, sorted(start.publishers), sorted(start.held))
+    for violation in violations(start):
+        raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
+    raised = best(start)
+    baseline = raised if start.world == configuration.world else best(configuration)
+    difference = Difference(specification, target, start, baseline, start, identities)
+    difference.pending = sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index)
+    difference.lowered = sorted(ref for ref, index in baseline.modes.items() if start.modes[ref] != index)
+    for role in sorted({*target.nodes, *start.players}):
+        difference.compare(role)
+    difference.conclude()
+    _meet("the target", difference.final, sorted(difference.final.publishers), sorted(difference.final.held))
+    return difference
+
+
+def _connectors(configuration: Configuration, target: Specification) -> tuple[Map[str, Connector], dict[str, str]]:
+    """The connectors that exist throughout, and the identities of the topics whose contract changes under use."""
+    running = configuration.world.connectors
+    identities: dict[str, str] = {}
+    throughout = running.update(target.connectors)
+    for name in sorted(target.connectors):
+        wanted, known = target.connectors[name], running.get(name)
+        if known is None or known.same_contract(wanted):
+            continue
+        if not configuration.publishers_on(name) and not configuration.subscribers_on(name):
+            continue
+        number = 2
+        while f"{name}@{number}" in throughout:
+            number += 1
+        identity = f"{name}@{number}"
+        identities[name] = identity
+        throughout = throughout.set(name, known).set(identity, replace(wanted, name=identity))
+    return throughout, identities

@@ -1,0 +1,162 @@
+"""Strategy ``paper``: the paper's Algorithm 1 and its six-step replace, as its text says (semantics.md section 6).
+
+1. Detach all the ports of what goes; before each detaching, degrade the affected functionalities
+   to their last mode, those that depend on them first.
+2. Remove it.
+3. Create what comes, in its last modes.
+4. Attach its inputs.
+5. Upgrade its functionalities.
+6. Attach its outputs, and upgrade the degraded functionalities of the others, to ``best``.
+
+Several changes: first what goes (1 and 2 for each), then what comes (3 to 6 for each). The paper's
+listing calls itself for ever in a cycle; here the affected are found as a closure, and lowered in
+groups where they support each other.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from midstride.errors import PlanRefused
+from midstride.model.action import Action, Attach, Create, Detach, Remove
+from midstride.model.best import consumers_of
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.rules import Judge
+from midstride.model.specification import Order
+from midstride.plan.change import Attachment, Change
+from midstride.plan.constraints import breaches, conflict, in_force, layers, refusal
+from midstride.plan.disruption import Levels
+from midstride.plan.mode_ordering import Modes
+from midstride.plan.plan import Plan
+from midstride.plan.plan_builder import Draft
+
+
+def paper(change: Change) -> Plan:
+    """The paper's plan. Raises PlanRefused where it does not meet the user's constraints."""
+    return six_steps("paper", change, ())
+
+
+def six_steps(strategy: str, change: Change, lowered_first: Iterable[FunctionalityRef]) -> Plan:
+    """The paper's process, after lowering ``lowered_first`` to their last modes.
+
+    Where the user asks for an order of roles, the whole process runs for one layer of roles after
+    the other.
+    """
+    levels = Levels(change)
+    constraints = in_force(change)
+    roles = [change.role_of(name) for name in _instances(change)]
+    layered = layers(roles, constraints)
+    if layered is None:
+        orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
+        raise refusal(conflict(orders, lambda some: layers(roles, some) is not None), ())
+    draft = Draft(change, levels)
+    _lower_to_last(draft, lowered_first)
+    for layer in layered:
+        _go(draft, set(layer))
+        _come(draft, set(layer))
+    draft.rise()
+    for name, parameters in change.parameters:
+        draft.set(name, parameters)
+    if broken := breaches(change, draft.steps, levels, constraints):
+        raise refusal([broken[0].constraint], broken)
+    return Plan.of(strategy, change, draft.steps, levels)
+
+
+def _instances(change: Change) -> list[str]:
+    """The instances with structural changes."""
+    ports = [port.component for port, _ in (*change.detached, *change.attached)]
+    return list(dict.fromkeys([*change.leaving, *(instance.name for instance in change.coming), *ports]))
+
+
+# -- steps 1 and 2 -------------------------------------------------------------------------------------
+
+
+def _go(draft: Draft, roles: set[str]) -> None:
+    change = draft.change
+    leaving = {name for name in change.leaving if change.role_of(name) in roles}
+    detached: dict[str, list[Attachment]] = {name: [] for name in change.leaving if name in leaving}
+    for port, connector in change.detached:
+        if change.role_of(port.component) in roles:
+            detached.setdefault(port.component, []).append((port, connector))
+    for name, attachments in detached.items():
+        for port, connector in attachments:
+            _detach(draft, port, connector)
+        if name in leaving:
+            draft.do(Remove(name))
+
+
+def _detach(draft: Draft, port: PortRef, connector: str) -> None:
+    seeds = consumers_of(draft.s, port, connector)
+    after = draft.s.without_attachment(port, connector)
+    affected = _affected(after, seeds)
+    draft.touched.update(dict.fromkeys(affected))
+    draft.lower_to(affected)
+    draft.do(Detach(port, connector))
+
+
+def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
+    """AffectedFuncs and AffectedConns to their end: whoever is not satisfied any more goes to its last mode."""
+    overlay: Modes = {}
+    judge = Judge(after, overlay)
+    pending = list(seeds)
+    while pending:
+        ref = pending.pop()
+        if ref in overlay or judge.satisfied(ref):
+            continue
+        functionality = after.functionality(ref)
+        overlay[ref] = functionality.last_mode
+        for output in functionality.outputs:
+            for name in after.connectors_of.get(PortRef(ref.component, output), ()):
+                pending.extend(after.consumers(name))
+    return overlay
+
+
+def _lower_to_last(draft: Draft, refs: Iterable[FunctionalityRef]) -> None:
+    s = draft.s
+    modes = {ref: last for ref in refs if s.modes[ref] != (last := s.functionality(ref).last_mode)}
+    draft.touched.update(dict.fromkeys(modes))
+    draft.lower_to(modes)
+
+
+# -- steps 3 to 6 --------------------------------------------------------------------------------------
+
+
+def _come(draft: Draft, roles: set[str]) -> None:
+    change = draft.change
+    attached: dict[str, list[Attachment]] = {}
+    for port, connector in change.attached:
+        if change.role_of(port.component) in roles:
+            attached.setdefault(port.component, []).append((port, connector))
+    for instance in change.coming:
+        if instance.role in roles:
+            _bring(draft, instance, attached.pop(instance.name, []))
+    for attachments in attached.values():
+        for port, connector in attachments:
+            _possible(draft, Attach(port, connector))
+            draft.attach(port, connector)
+        draft.rise()
+
+
+def _bring(draft: Draft, instance: Instance, attachments: list[Attachment]) -> None:
+    _possible(draft, Create(instance))
+    draft.create(instance)
+    inputs = [pair for pair in attachments if pair[0].port in instance.component.inputs]
+    outputs = [pair for pair in attachments if instance.component.has_output(pair[0].port)]
+    for port, connector in inputs:
+        draft.attach(port, connector)
+    for ref in instance.functionality_refs():
+        index = Judge(draft.s).best_satisfied_mode(ref, 0)
+        if index < draft.s.modes[ref]:
+            draft.raise_to({ref: index})
+    for port, connector in outputs:
+        _possible(draft, Attach(port, connector))
+        draft.attach(port, connector)
+    draft.rise()
+
+
+def _possible(draft: Draft, action: Action) -> None:
+    """Refuse where an ``order`` lets something come before what it needs to be gone is."""
+    if reasons := action.check(draft.s):
+        because = "; ".join(str(reason) for reason in reasons)
+        raise PlanRefused(f"in the order that the constraints ask for, {action.describe()} is impossible: {because}")

@@ -1,0 +1,204 @@
+"""What each action of the model does on live components.
+
+An action is done when every component concerned has acknowledged it. One that fails leaves nothing half done, as far
+as the components can be reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from midstride.errors import CallTimeout, MidstrideError, Unreachable
+from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
+from midstride.runtime.component_client import Link
+from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, hand_over
+from midstride.runtime.launcher import Launcher
+
+# How long a call of user code may take to return before a mode change is given up (s).
+DRAIN_TIMEOUT: Final = 5.0
+
+Told = Callable[[str, str, dict[str, Any]], None]
+
+
+@dataclass(slots=True)
+class Performer:
+    """Performs actions on the components of one change. ``tell`` is told what is worth knowing.
+
+    While ``taking_back``, what was removed has its own state again, and a state that cannot be had stops nothing.
+    ``last_numbers`` holds the number of the last message of each output that was taken off its topic.
+    """
+
+    link: Link
+    launcher: Launcher
+    tell: Told
+    is_gone: Callable[[str], bool] = lambda _: False
+    before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
+    drain_timeout: float = DRAIN_TIMEOUT
+    taking_back: bool = False
+    last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
+    _exported: dict[str, str] = field(default_factory=dict)  # by role: a change removes of each at most one instance
+
+    async def perform(self, action: Action, s: Configuration, because: str) -> None:
+        """Carry out ``action``, whose precondition holds in ``s``. Raises MidstrideError.
+
+        ``because`` is the reason that components give for the modes they are in.
+        """
+        if self._is_void(action, s):
+            return
+        match action:
+            case Create():
+                await self._create(action)
+            case Remove():
+                await self._remove(action, s)
+            case Attach():
+                await self._attach(action, s)
+            case Detach():
+                await self._detach(action, s)
+            case Degrade() | Upgrade():
+                await self._set_modes(action, s, because)
+            case Handover():
+                await self._hand_over(action, s)
+            case SetParameters():
+                await self.link.change(action.component, "set", parameters=dict(action.parameters))
+
+    def _is_void(self, action: Action, s: Configuration) -> bool:
+        """Whether nothing is to be done on the components: the action only takes something from a process that has
+        ended, or the port has its endpoint on that topic, and keeps it, by another contract of the topic."""
+        match action:
+            case Attach(port, connector):
+                return _has_endpoint(s, port, connector)
+            case Detach(port, connector):
+                return self.is_gone(port.component) or _has_endpoint(s, port, connector)
+            case Degrade(modes):
+                return all(self.is_gone(ref.component) for ref in modes)
+            case Remove(component):
+                return self.is_gone(component)
+            case _:
+                return False
+
+    async def _create(self, action: Create) -> None:
+        await self.launcher.registered(action.instance)
+        state = self._exported.get(action.instance.role)
+        if state is not None:
+            await self._give(action.instance.name, state)
+
+    async def _remove(self, action: Remove, s: Configuration) -> None:
+        instance = s.instances[action.component]
+        if not self.taking_back:  # else it is what this very change has created, and what comes back has its own
+            try:
+                exported = await self.link.read(action.component, "export_state")
+                if exported.get("state") is not None:
+                    self._exported[instance.role] = exported["state"]
+            except (CallTimeout, Unreachable) as error:  # what no longer answers must still be removable
+                self.tell("note", f"the state of {action.component} is lost: {error}", {})
+        if instance.component.run is None:
+            await self.launcher.release(action.component)
+            self.tell("note", f"{action.component} was started elsewhere: it is released, and left running", {})
+        else:
+            await self.launcher.end(action.component)
+
+    async def _give(self, instance: str, state: str) -> None:
+        try:
+            await self.link.change(instance, "import_state", state=state)
+        except MidstrideError as error:
+            if not self.taking_back:
+                raise
+            self.tell("note", f"{instance} has not taken up its state again: {error}", {})
+
+    async def _attach(self, action: Attach, s: Configuration) -> None:
+        port, output = action.port, s.is_output(action.port)
+        peers = len(s.subscribers_on(action.connector) if output else s.publishers_on(action.connector))
+        topic = s.world.connectors[action.connector].topic
+        gate = {"gate": "open"} if output else {}
+        await self._or_undone(
+            self.link.change(
+                port.component, "attach", timeout=ATTACH_TIMEOUT, port=port.port, topic=topic, peers=peers, **gate
+            ),
+            port.component,
+            "detach",
+            port=port.port,
+            topic=topic,
+        )
+
+    async def _detach(self, action: Detach, s: Configuration) -> None:
+        port, topic = action.port, s.world.connectors[action.connector].topic
+        gate = {"gate": "open"} if s.is_output(port) else {}
+        reply = await self._or_undone(
+            self.link.change(port.component, "detach", timeout=DETACH_TIMEOUT, port=port.port, topic=topic),
+            port.component,
+            "attach",
+            port=port.port,
+            topic=topic,
+            peers=0,
+            **gate,
+        )
+        if reply.get("last"):
+            self.last_numbers[port] = int(reply["last"])
+        if reply.get("acknowledged") is None and s.is_output(port):
+            self.tell("note", f"{port}: nobody can tell whether its last messages on {topic} arrived", {})
+
+    async def _set_modes(self, action: Degrade | Upgrade, s: Configuration, because: str) -> None:
+        """The functionalities of each component at once, the components one after the other."""
+        changed: list[tuple[str, dict[str, str]]] = []
+        try:
+            for component, modes in by_component(action.modes).items():
+                changed.append((component, {ref.functionality: s.mode(ref).name for ref in modes}))
+                wanted = {ref.functionality: s.functionality(ref).modes[index].name for ref, index in modes.items()}
+                await self.link.change(component, "modes", self.drain_timeout, modes=wanted, because=because)
+        except Exception:
+            for component, before in reversed(changed):
+                await self.link.take_back(component, "modes", self.drain_timeout, modes=before, because="roll-back")
+            raise
+
+    async def _hand_over(self, action: Handover, s: Configuration) -> None:
+        for old, new in sorted({(swap.old.component, swap.new.component) for swap in action.swaps}):
+            if old != new and s.instances[old].role == s.instances[new].role:  # else nobody is replaced
+                await self._carry_state(old, new)
+        if self.before_handover is not None:
+            await self.before_handover(s, action)
+        handed = await hand_over(self.link, s, action)
+        self.last_numbers.update(handed.last)
+        for warning in handed.warnings:
+            self.tell("note", warning, {})
+
+    async def _carry_state(self, old: str, new: str) -> None:
+        try:
+            exported = await self.link.read(old, "export_state")
+        except MidstrideError as error:
+            if not self.taking_back:
+                raise
+            self.tell("note", f"{new} goes on with the state it had: {error}", {})
+            return
+        if exported.get("state") is not None:
+            await self._give(new, exported["state"])
+
+    async def _or_undone(
+        self, attempt: Awaitable[dict[str, Any]], component: str, op: str, **arguments: Any
+    ) -> dict[str, Any]:
+        """``attempt``; where it fails, ``op`` takes back what it may have left."""
+        try:
+            return await attempt
+        except Exception:
+            await self.link.take_back(component, op, DETACH_TIMEOUT, **arguments)
+            raise
+
+
+def by_component(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:
+    """The modes of each component, the components in order of their names."""
+    found: dict[str, dict[FunctionalityRef, int]] = {}
+    for ref, index in sorted(modes.items()):
+        found.setdefault(ref.component, {})[ref] = index
+    return found
+
+
+def _has_endpoint(s: Configuration, port: PortRef, connector: str) -> bool:
+    """Whether ``port`` is attached to another connector of the same topic: to its contract before or after a
+    change. The components know the topic alone."""
+    connectors = s.world.connectors
+    return any(
+        other != connector and connectors[other].topic == connectors[connector].topic for other in s.attached_to(port)
+    )

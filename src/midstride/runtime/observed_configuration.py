@@ -1,0 +1,61 @@
+"""The configuration as the components themselves tell it, beside the one that the manager believes in."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from dataclasses import dataclass
+from typing import Any, Final
+
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
+from midstride.runtime.clock import Clock
+from midstride.runtime.component_client import Link
+from midstride.runtime.status import observed
+
+# How long a component's own word is waited for (s).
+TIMEOUT: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Live:
+    """What the components tell. Of those in ``silent``, which did not answer in time, the model's word is taken."""
+
+    configuration: Configuration
+    silent: tuple[str, ...]
+
+
+async def live(s: Configuration, link: Link, clock: Clock, gone: Container[str] = ()) -> Live:
+    """``s`` with the modes and attachments that its components tell; without those in ``gone``, which have ended."""
+    for name in [name for name in s.instances if name in gone]:
+        s = s.without_instance(name)
+    states = await observed(sorted(s.instances), link, clock, TIMEOUT)
+    for name, state in states.items():
+        if state is not None:
+            s = _as_told(s, name, state)
+    return Live(s, tuple(name for name, state in states.items() if state is None))
+
+
+def _as_told(s: Configuration, name: str, state: dict[str, Any]) -> Configuration:
+    modes = {}
+    for functionality, view in state["functionalities"].items():
+        ref = FunctionalityRef(name, functionality)
+        modes[ref] = s.functionality(ref).mode_index(view["mode"])
+    s = s.with_modes(modes)
+    # A component knows topics alone; what stands behind a closed gate is not attached yet, or no longer.
+    told = {
+        (PortRef(name, port), topic)
+        for port, topics in state["ports"].items()
+        for topic, view in topics.items()
+        if view["gate"] != "closed"
+    }
+    known = set()
+    for port, connector in s.attached_ports(name):
+        pair = (port, s.world.connectors[connector].topic)
+        known.add(pair)
+        if pair not in told:
+            s = s.without_attachment(port, connector)
+    if unknown := sorted(told - known):
+        by_topic = {connector.topic: key for key, connector in s.world.connectors.items()}
+        for port, topic in unknown:
+            s = s.with_attachment(port, by_topic.get(topic, topic))
+    return s

@@ -1,0 +1,136 @@
+"""Finding a running system again: what an earlier manager left, and what is true of it now.
+
+The state file says what the earlier manager believed; each component says what it is. Where they
+differ, the component is right. What a killed manager left half done (a second instance of a role
+behind its gate) is ended here, so that the configuration is one the model knows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from immutables import Map
+
+from midstride.errors import MidstrideError
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration, Instance, configure
+from midstride.model.document import (
+    component_from_document,
+    component_to_document,
+    specification_from_document,
+    specification_to_document,
+)
+from midstride.model.specification import Specification
+from midstride.runtime.backend import Handle
+from midstride.runtime.component_client import Link
+from midstride.runtime.launcher import Launcher
+
+Tell = Callable[[str, str], None]
+
+
+def state_document(
+    specification: Specification,
+    backend: str,
+    token: str,
+    instances: Iterable[Instance],
+    attachments: Iterable[tuple[PortRef, str]],
+    handles: Mapping[str, Handle],
+) -> dict[str, Any]:
+    """What the next manager needs to find this system again."""
+    return {
+        "version": 1,
+        "backend": backend,
+        "token": token,
+        "specification": specification_to_document(specification),
+        "instances": [
+            {
+                "name": instance.name,
+                "role": instance.role,
+                "component": component_to_document(instance.component),
+                "parameters": dict(instance.parameters),
+                "handle": asdict(handles[instance.name]) if instance.name in handles else None,
+            }
+            for instance in sorted(instances, key=lambda instance: instance.name)
+        ],
+        "attachments": [[str(port), connector] for port, connector in sorted(attachments)],
+    }
+
+
+def specification_of(state: dict[str, Any]) -> Specification:
+    return specification_from_document(state["specification"])
+
+
+async def adopt(
+    state: dict[str, Any], specification: Specification, launcher: Launcher, link: Link, tell: Tell
+) -> Configuration:
+    """The configuration of what still runs. Ends half-started components; never touches what works."""
+    found: dict[str, tuple[Instance, dict[str, Any]]] = {}
+    for entry in state["instances"]:
+        instance = Instance(
+            entry["name"], entry["role"], component_from_document(entry["component"]), Map(entry["parameters"])
+        )
+        handle = Handle(**entry["handle"]) if entry["handle"] else Handle(instance.name)
+        observed = await launcher.adopt(handle, own=entry["handle"] is not None)
+        if observed is None:
+            tell("gone", f"{instance.name} no longer runs")
+            await launcher.abandon(instance.name)
+            continue
+        found[instance.name] = (instance, observed)
+        tell("adopted", f"{instance.name} was found again")
+    for name in await launcher.end_strays(found):
+        tell("ended", f"{name} had just been started by an earlier manager, and is ended")
+    for name in _half_done(found):
+        tell("ended", f"{name} had been left half done by an earlier manager, and is ended")
+        await _end(found.pop(name)[0].name, launcher, link)
+    for name, (instance, _) in found.items():
+        # A cut that was under way may have been settled since it was looked at.
+        found[name] = (instance, await link.observe(name))
+        # What was being recorded for the earlier manager is of no use to this one.
+        if inputs := list(instance.component.input_order):
+            await link.take_back(name, "record", inputs=inputs, on=False)
+    return await _configuration(specification, found, link)
+
+
+def _half_done(found: dict[str, tuple[Instance, dict[str, Any]]]) -> list[str]:
+    """Instances beside another one of their role that serves its topics while they do not."""
+    by_role: dict[str, list[str]] = {}
+    for name, (instance, _) in found.items():
+        by_role.setdefault(instance.role, []).append(name)
+    half: list[str] = []
+    for names in by_role.values():
+        ranked = sorted(names, key=lambda name: (-_open_gates(found[name][1]), len(name), name))
+        half.extend(ranked[1:])
+    return half
+
+
+def _open_gates(observed: dict[str, Any]) -> int:
+    return sum(1 for topics in observed["ports"].values() for view in topics.values() if view["gate"] == "open")
+
+
+async def _end(name: str, launcher: Launcher, link: Link) -> None:
+    try:
+        await launcher.end(name)
+    except MidstrideError:
+        link.forget(name)
+
+
+async def _configuration(
+    specification: Specification, found: dict[str, tuple[Instance, dict[str, Any]]], link: Link
+) -> Configuration:
+    by_topic = {connector.topic: connector.name for connector in specification.connectors.values()}
+    attachments: list[tuple[PortRef, str]] = []
+    modes: dict[FunctionalityRef, int] = {}
+    for name, (instance, observed) in sorted(found.items()):
+        for port, topics in observed["ports"].items():
+            for topic, view in topics.items():
+                if topic not in by_topic:
+                    continue
+                if view["gate"] == "closed":  # the last one of its role: its topic is silent, so it may speak again
+                    await link.change(name, "gate", port=port, topic=topic, gate="open")
+                attachments.append((PortRef(name, port), by_topic[topic]))
+        for functionality, view in observed["functionalities"].items():
+            index = instance.component.functionalities[functionality].mode_index(view["mode"])
+            modes[FunctionalityRef(name, functionality)] = index
+    return configure(specification.world, [instance for instance, _ in found.values()], attachments, modes)

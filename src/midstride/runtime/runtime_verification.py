@@ -1,0 +1,63 @@
+"""Changes that are verified: the plan before anything is begun, and what is live after each of its steps.
+
+Alloy takes half a second or more to start, during which a plan would leave somebody fallen. So the whole plan, with
+every configuration on its way, is judged beforehand. After a step, what the components tell is compared with the
+configuration that was judged there; only where they stand otherwise is Alloy asked again.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from threading import Event
+from typing import Final
+
+from midstride.errors import VerificationError
+from midstride.model.configuration import Configuration
+from midstride.plan.plan import Plan
+from midstride.runtime.observed_configuration import Live
+from midstride.verify.checking import Asking, verify_configuration, verify_plan
+from midstride.verify.verdict import Verdict
+
+# How long Alloy may take, while other commands wait (s).
+LIMIT: Final = 60.0
+
+
+class Verifier:
+    """Asks Alloy beside the manager's loop, which goes on meanwhile. Whoever is cancelled leaves no process behind."""
+
+    async def plan(self, plan: Plan) -> Verdict:
+        return await self._beside(lambda asking: verify_plan(plan, asking=asking))
+
+    async def configuration(self, s: Configuration) -> Verdict:
+        return await self._beside(lambda asking: verify_configuration(s, told="what is live", asking=asking))
+
+    async def _beside(self, ask: Callable[[Asking], Verdict]) -> Verdict:
+        stop = Event()
+        try:
+            return await asyncio.to_thread(ask, Asking(limit=LIMIT, stop=stop))
+        finally:
+            stop.set()
+
+
+@dataclass(slots=True)
+class Watch:
+    """Looks at what is live after each step of a plan that has been judged."""
+
+    verifier: Verifier
+    judged: tuple[Configuration, ...]
+    live: Callable[[Configuration], Awaitable[Live]]
+    tell: Callable[[Verdict], object]
+
+    async def look(self, s: Configuration) -> None:
+        """Raises VerificationError where what is live is not known, or is not known to be valid."""
+        found = await self.live(s)
+        if found.silent:
+            raise VerificationError(f"what is live is not known: {', '.join(found.silent)} did not answer")
+        if found.configuration in self.judged:
+            return
+        verdict = await self.verifier.configuration(found.configuration)
+        self.tell(verdict)
+        if not verdict.holds:
+            raise VerificationError(verdict.words)

@@ -1,0 +1,234 @@
+"""The atoms and relations of a dump, and their Alloy text (semantics.md sections 1 to 3).
+
+What the model holds becomes one atom each, named after it. Predicates are atoms too: their satisfaction
+relation is computed by the model (`contract.satisfies`), and so are the sets of components that hold too much
+of a resource together; that the relation is a preorder is checked by Alloy. Several worlds may share a universe.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final
+
+from midstride.model.component import FunctionalityRef
+from midstride.model.contract import Predicate, satisfies
+from midstride.verify.alloy_names import Names
+
+# Alloy multiplies the atoms of a relation's columns, and Kodkod counts the result in 32 bits.
+MOST_ATOMS: Final = 1290
+_WIDTH: Final = 116
+_TOGETHER: Final = 6
+_FEW: Final = 2
+
+Pair = tuple[str, ...]
+
+
+class TooLarge(Exception):
+    """The dump would have more atoms, or more sets of holders, than Alloy can take; ``str`` of it says which."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModeName:
+    """A mode of a functionality of an instance."""
+
+    functionality: FunctionalityRef
+    mode: str
+
+    def __str__(self) -> str:
+        return f"{self.functionality} in mode {self.mode}"
+
+
+@dataclass(frozen=True, slots=True)
+class SystemName:
+    """A configuration of the dump: where in the plan it stands."""
+
+    number: int
+    told: str
+
+    def __str__(self) -> str:
+        return self.told
+
+
+@dataclass(frozen=True, slots=True)
+class Clause:
+    """A part of a precondition, or a rule, by what it says where it is broken."""
+
+    told: str
+
+    def __str__(self) -> str:
+        return self.told
+
+
+class Universe:
+    """Collects atoms and tuples; :meth:`text` writes them down."""
+
+    SIGS: Final = (
+        "Predicate", "NamedInputs", "Input", "Output", "Connector", "Mode", "Functionality", "Component", "Publisher",
+        "System", "Slot", "Overload",
+    )  # fmt: skip
+    # What are fields of signatures in the specification are constants here: Alloy works these out once, whereas it
+    # would search for the values of fields.
+    FIELDS: Final = {
+        "sat": "Predicate Predicate",
+        "named": "NamedInputs Input",
+        "input_asm": "Input Predicate",
+        "conn_guar": "Connector Predicate",
+        "mode_asms": "Mode Assumption",
+        "mode_guars": "Mode Output Predicate",
+        "worse": "Mode Mode",
+        "assoc_inputs": "Functionality Input",
+        "assoc_outputs": "Functionality Output",
+        "modes": "Functionality Mode",
+        "inputs": "Component Input",
+        "outputs": "Component Output",
+        "funcs": "Component Functionality",
+        "on": "Publisher Connector",
+        "pub_guar": "Publisher Predicate",
+        "slots": "Connector Slot",
+        "holders": "Overload Component",
+        "comps": "System Component",
+        "conns": "System Connector",
+        "roles": "System Connector Port",
+        "cur_mode": "System Functionality Mode",
+        "env_guars": "System Predicate",
+        "env_pubs": "System Publisher",
+    }
+
+    def __init__(self) -> None:
+        self.names = Names()
+        self.sigs: dict[str, dict[str, str]] = {name: {} for name in self.SIGS}
+        self.tuples: dict[str, dict[Pair, None]] = {name: {} for name in self.FIELDS}
+        self.capped: list[str] = []
+        self.clauses: dict[str, str] = {}
+        self._predicates: dict[Predicate, str] = {}
+
+    def atom(self, sig: str, wanted: str, bearer: object, told: str = "") -> str:
+        name = self.names.give(wanted, bearer)
+        self.sigs[sig][name] = told or str(bearer)
+        return name
+
+    def add(self, relation: str, *atoms: str) -> None:
+        self.tuples[relation][atoms] = None
+
+    def clause(self, told: str) -> str:
+        """The atom of a clause."""
+        if told not in self.clauses:
+            self.clauses[told] = self.names.give(told, Clause(told))
+        return self.clauses[told]
+
+    def predicate(self, contract: Predicate) -> str:
+        """The atom of a predicate; its satisfaction relation to every other one is kept complete."""
+        known = self._predicates.get(contract)
+        if known is not None:
+            return known
+        rate = "" if contract.rate is None else f"_{contract.rate:g}Hz"
+        name = self.atom("Predicate", f"{contract.type.rpartition('/')[2]}{rate}", contract)
+        self._predicates[contract] = name
+        for other, atom in self._predicates.items():
+            if satisfies(contract, other):
+                self.add("sat", name, atom)
+            if satisfies(other, contract):
+                self.add("sat", atom, name)
+        return name
+
+    @property
+    def size(self) -> int:
+        return sum(len(atoms) for atoms in self.sigs.values())
+
+    @property
+    def bitwidth(self) -> int:
+        """Bits that hold any count of publishers or slots of a capped topic: nothing else is counted.
+
+        One more than there ever are is counted as well, the one that `attach` may not add; Alloy's numbers wrap around.
+        """
+        publishers: dict[str, set[str]] = {connector: set() for connector in self.capped}
+        slots: dict[str, set[str]] = {connector: set() for connector in self.capped}
+        for _, connector, port in self.tuples["roles"]:
+            if connector in publishers and port in self.sigs["Output"]:
+                publishers[connector].add(port)
+        for publisher, connector in self.tuples["on"]:
+            if connector in publishers:
+                publishers[connector].add(publisher)
+        for connector, slot in self.tuples["slots"]:
+            slots[connector].add(slot)
+        most = max([_FEW, *(len(atoms) for counted in (publishers, slots) for atoms in counted.values())])
+        return (most + 1).bit_length() + 1
+
+    def scope(self) -> str:
+        """The scope in which the dump is exactly what it says. Findings is one atom more."""
+        exactly = ", ".join(f"exactly {len(atoms)} {sig}" for sig, atoms in self.sigs.items())
+        return f"for 1 but {exactly}, {self.bitwidth} Int"
+
+    # -- text -----------------------------------------------------------------------------------------
+
+    def text(self) -> str:
+        """The signatures and facts. Raises TooLarge where Alloy could not take them."""
+        if self.size + 2**self.bitwidth > MOST_ATOMS:
+            raise TooLarge(f"{self.size} atoms, and Alloy takes {MOST_ATOMS - 2**self.bitwidth} at most")
+        lines: list[str] = []
+        for sig, atoms in self.sigs.items():
+            if atoms:
+                width = max(len(name) for name in atoms)
+                lines += [
+                    f"one sig {name} extends {sig} {{}}{' ' * (width - len(name))}  -- {_comment(told)}"
+                    for name, told in atoms.items()
+                ]
+                lines.append("")
+        for name, columns in self.FIELDS.items():
+            sorts = columns.split()
+            terms = self._by_systems(name) if sorts[0] == "System" else _terms(self.tuples[name])
+            lines += _relation(name, sorts, terms)
+        lines.append(f"fun Capped: set Connector {{ {' + '.join(self.capped) or 'none'} }}")
+        return "\n".join(lines) + "\n"
+
+    def _by_systems(self, relation: str) -> list[str]:
+        """A relation of configurations: what they have in common, and what only some of them have."""
+        having: dict[Pair, list[str]] = {}
+        for entry in self.tuples[relation]:
+            having.setdefault(entry[1:], []).append(entry[0])
+        alike: dict[Pair, list[Pair]] = {}
+        for rest, systems in having.items():
+            alike.setdefault(tuple(systems), []).append(rest)
+        every = len(self.sigs["System"])
+        return [
+            f"{'System' if len(systems) == every else _union(list(systems))} -> {_union(_terms(tuples), within=True)}"
+            for systems, tuples in alike.items()
+        ]
+
+
+def _comment(told: str) -> str:
+    return " ".join(told.split())
+
+
+def _terms(tuples: Iterable[Pair]) -> list[str]:
+    """``a -> b``; tuples alike but for their last atom are drawn together."""
+    grouped: dict[Pair, list[str]] = {}
+    for entry in tuples:
+        grouped.setdefault(entry[:-1], []).append(entry[-1])
+    return [" -> ".join((*head, _union(last))) for head, last in grouped.items()]
+
+
+def _relation(name: str, sorts: list[str], terms: list[str]) -> list[str]:
+    """The sum of the terms, over lines that fit."""
+    body = _union(terms, outer=True) if terms else " -> ".join(["none"] * len(sorts))
+    words = f"{body} }}".split(" ")
+    lines, line = [], f"fun {name}: {' -> '.join(sorts)} {{"
+    for word in words:
+        if len(line) + len(word) >= _WIDTH:
+            lines.append(line)
+            line = " "
+        line += f" {word}"
+    return [*lines, line]
+
+
+def _union(terms: list[str], *, outer: bool = False, within: bool = False) -> str:
+    """A sum, in brackets within brackets where it is long: Alloy's type checker is cubic in the depth of a sum.
+
+    One term alone is bare, but for a product that stands ``within`` another one.
+    """
+    while len(terms) > _TOGETHER:
+        terms = [_union(terms[i : i + _TOGETHER]) for i in range(0, len(terms), _TOGETHER)]
+    joined = " + ".join(terms)
+    bare = outer or (len(terms) == 1 and not (within and "->" in joined))
+    return joined if bare else f"({joined})"
