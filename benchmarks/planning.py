@@ -22,7 +22,7 @@ from typing import Any
 from immutables import Map
 
 from midstride.model.best import best
-from midstride.model.component import Component, Connector, Functionality, Mode, NamedInputs
+from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, structure
@@ -37,13 +37,13 @@ TYPE = "std_msgs/msg/Header"
 LIMIT_MS, LIMIT_RATIO, LIMIT_MIB = 50.0, 2.0, 1024.0
 
 
-def component(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> Component:
-    work = Functionality(
+def component(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> ComponentSpec:
+    work = FunctionalitySpec(
         "work",
         (
             Mode(
                 "normal",
-                tuple(NamedInputs((port,)) for port in inputs),
+                tuple(InputAlternatives((port,)) for port in inputs),
                 Map({o: Predicate(TYPE, 20.0) for o in outputs}),
             ),
             Mode("degraded"),
@@ -51,7 +51,7 @@ def component(name: str, inputs: tuple[str, ...], outputs: tuple[str, ...]) -> C
         inputs,
         outputs,
     )
-    return Component.of(
+    return ComponentSpec.of(
         name,
         inputs={port: Predicate(TYPE, 10.0) for port in inputs},
         outputs=outputs,

@@ -27,7 +27,7 @@ from typing import Any
 
 from immutables import Map
 
-from midstride.model.component import Component, Connector, Functionality, Mode, NamedInputs
+from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import Request
@@ -71,19 +71,19 @@ class Way:
 def specification(platform: Platform) -> Specification:
     text = platform.type
     run = f"python3 {platform.nodes}"
-    talk = Functionality(
+    talk = FunctionalitySpec(
         "talk", (Mode("normal", (), Map({"out": Predicate(text, 50)})), Mode("degraded")), (), ("out",)
     )
-    listen = Functionality("listen", (Mode("normal", (NamedInputs(("in",)),)), Mode("degraded")), ("in",))
+    listen = FunctionalitySpec("listen", (Mode("normal", (InputAlternatives(("in",)),)), Mode("degraded")), ("in",))
     sources = [
-        Component.of(name, outputs=("out",), functionalities=(talk,), run=f"{run} source", takes=1.0)
+        ComponentSpec.of(name, outputs=("out",), functionalities=(talk,), run=f"{run} source", takes=1.0)
         for name in ("Source", "OtherSource")
     ]
     # Two names of one program: a swap there and back is a swap all the same.
-    sources[1] = Component.of(
+    sources[1] = ComponentSpec.of(
         "OtherSource", outputs=("out",), functionalities=(talk,), run=f"{run} source other", takes=1.0
     )
-    sink = Component.of(
+    sink = ComponentSpec.of(
         "Sink", inputs={"in": Predicate(text, 50)}, functionalities=(listen,), run=f"{run} sink", takes=1.0
     )
     return Specification(

@@ -20,7 +20,7 @@ from midstride.model.specification import Specification
 from midstride.runtime import reaper
 from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Row
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,7 +52,7 @@ def ended() -> Iterator[str]:
     """Every process started inside is ended, whoever started it: they all carry one token."""
     token = uuid.uuid4().hex
     before = os.environ.get(RUN)
-    with Guardian(RUN, token):
+    with Reaper(RUN, token):
         os.environ[RUN] = token
         try:
             yield token

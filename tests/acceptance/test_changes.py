@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from immutables import Map
 
-from midstride.model.component import Component, Connector, Functionality, Mode
+from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
 from midstride.plan.request import Request
@@ -81,8 +81,8 @@ comp.start()
 def busy_specification(folder: Path) -> Specification:
     (folder / "busy.py").write_text(BUSY)
     modes = (Mode("normal", (), Map({"out": Predicate("std_msgs/msg/String", 0.4)})), Mode("degraded"))
-    work = Functionality("work", modes, (), ("out",))
-    component = Component.of("Busy", outputs=("out",), functionalities=(work,), run="python3 busy.py")
+    work = FunctionalitySpec("work", modes, (), ("out",))
+    component = ComponentSpec.of("Busy", outputs=("out",), functionalities=(work,), run="python3 busy.py")
     return Specification(
         "busy",
         connectors=Map({"/late": Connector("/late", Predicate("std_msgs/msg/String", 0.4))}),

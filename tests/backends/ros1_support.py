@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from midstride.runtime import reaper
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.wire.messages import ENV_TOKEN
 from tests.backends.ros2_support import Rig
 
@@ -61,7 +61,7 @@ async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
     from midstride.backends.ros1 import create_backend
 
     token = f"test-{uuid.uuid4().hex}"
-    with own_master_uri(), Guardian(ENV_TOKEN, token) as guarding:
+    with own_master_uri(), Reaper(ENV_TOKEN, token) as guarding:
         backend = create_backend(logs=folder / "logs", guardian=guarding, **options)
         rig = Rig(backend, folder, token)
         await backend.open(rig.heard)

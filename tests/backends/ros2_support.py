@@ -18,8 +18,8 @@ from typing import Any, TypeVar
 
 from midstride.runtime import reaper
 from midstride.runtime.backend import Exited, Handle, Launch
-from midstride.runtime.component_client import Link
-from midstride.runtime.reaper import Guardian, look
+from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.reaper import Reaper, look
 from midstride.wire.messages import ENV_TOKEN, Announcement
 
 T = TypeVar("T")
@@ -92,7 +92,7 @@ class Rig:
         self.backend = backend
         self.folder = folder
         self.token = token
-        self.link = Link(backend, token)
+        self.link = ComponentClient(backend, token)
         self.announced: dict[str, Announcement] = {}
         self.exits: list[Exited] = []
         self.handles: dict[str, Handle] = {}
@@ -158,7 +158,7 @@ async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
     from midstride.backends.ros2 import create_backend
 
     token = f"test-{uuid.uuid4().hex}"
-    with Guardian(ENV_TOKEN, token) as guarding:
+    with Reaper(ENV_TOKEN, token) as guarding:
         backend = create_backend(logs=folder / "logs", guardian=guarding, **options)
         rig = Rig(backend, folder, token)
         await backend.open(rig.heard)

@@ -13,7 +13,7 @@ from midstride.backends import ros1
 from midstride.cli.files import load
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
-from midstride.runtime.reaper import Guardian, left
+from midstride.runtime.reaper import Reaper, left
 from midstride.runtime.workspace import Workspace
 from tests.backends.ros1_support import own_master_uri
 from tests.backends.ros2_support import run
@@ -40,7 +40,7 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)
 
-    async def bring_up(name: str, guardian: Guardian) -> Manager:
+    async def bring_up(name: str, guardian: Reaper) -> Manager:
         folder = tmp_path / name
         folder.mkdir()
         platform = backends.make(name, logs=folder, guardian=guardian)
@@ -55,7 +55,7 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
             outcomes.append(await manager.change(Request(replace=(("talker", component),))))
         return outcomes
 
-    async def scenario(guardian: Guardian) -> None:
+    async def scenario(guardian: Reaper) -> None:
         managers = [await bring_up("ros1", guardian), await bring_up("ros2", guardian)]
         try:
             states = [await manager.status() for manager in managers]
@@ -81,6 +81,6 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
                 await manager.down()
                 await manager.close()
 
-    with own_master_uri(), Guardian(OURS, this) as guardian:
+    with own_master_uri(), Reaper(OURS, this) as guardian:
         run(scenario(guardian), 140)
         assert left({}, OURS, this) - {guardian.pid} == set()

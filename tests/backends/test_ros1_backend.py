@@ -305,7 +305,7 @@ def test_a_killed_manager_is_forgotten_by_the_next(tmp_path: Path) -> None:
 def test_a_master_that_is_started_for_nothing_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The manager is told to end while its master comes up, or then cannot join it."""
     from midstride.backends.ros1 import create_backend
-    from midstride.backends.ros1.announcement_listener import Listener
+    from midstride.backends.ros1.announcement_listener import AnnouncementListener
 
     started: list[int] = []
 
@@ -314,7 +314,7 @@ def test_a_master_that_is_started_for_nothing_ends(tmp_path: Path, monkeypatch: 
         started.append(process.pid)
         return process
 
-    async def refused(listener: Listener, host: str) -> None:
+    async def refused(listener: AnnouncementListener, host: str) -> None:
         raise Unreachable("the master does not take it")
 
     async def scenario() -> None:
@@ -323,7 +323,7 @@ def test_a_master_that_is_started_for_nothing_ends(tmp_path: Path, monkeypatch: 
         opening.cancel()
         await asyncio.wait({opening})
         assert opening.cancelled() and not alive(started[0])
-        monkeypatch.setattr(Listener, "open", refused)
+        monkeypatch.setattr(AnnouncementListener, "open", refused)
         with pytest.raises(Unreachable):
             await create_backend(logs=tmp_path).open(lambda event: None)
         assert len(started) == 2 and not alive(started[1])

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from midstride.runtime import reaper
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.testing.conformance import CHECKS, Check
 from tests.backends.ros1_support import own_master_uri
 from tests.backends.ros2_support import run
@@ -25,7 +25,7 @@ def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
 
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)
-    with own_master_uri(), Guardian(OURS, this) as guarding:
+    with own_master_uri(), Reaper(OURS, this) as guarding:
         backend = create_backend(logs=tmp_path / "logs", guardian=guarding)
         run(check(backend, tmp_path), 100)
         assert reaper.left({}, OURS, this) - {guarding.pid} == set()
@@ -40,5 +40,5 @@ def test_ros1_does_what_random_sequences_ask(seed: int, tmp_path: Path, monkeypa
 
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)
-    with own_master_uri(), Guardian(OURS, this) as guarding:
+    with own_master_uri(), Reaper(OURS, this) as guarding:
         run(walk(create_backend(logs=tmp_path / "logs", guardian=guarding), tmp_path, seed), 100)

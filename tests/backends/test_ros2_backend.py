@@ -14,7 +14,7 @@ import pytest
 
 from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle, Launch
-from midstride.runtime.component_client import Link
+from midstride.runtime.component_client import ComponentClient
 from midstride.wire.messages import ENV_TOKEN, Command
 from tests.backends.ros2_support import LISTENER, TALKER, Bare, alive, rig, run, shared_memory_of, until, until_async
 
@@ -233,7 +233,7 @@ def test_a_later_manager_finds_the_component_again(tmp_path: Path) -> None:
                 assert not await later.adopt(Handle("talker", handle.pid, (handle.started or 0.0) + 1.0, handle.log))
                 assert not await later.adopt(Handle("another", handle.pid, handle.started, handle.log))
                 assert await later.adopt(handle)
-                state = await Link(later, r.token).observe("talker")
+                state = await ComponentClient(later, r.token).observe("talker")
                 assert state["ports"]["out"]["/chatter"]["gate"] == "open"
                 r.kill("talker")
                 await until(lambda: exits)

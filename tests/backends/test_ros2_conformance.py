@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from midstride.runtime import reaper
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.testing.conformance import CHECKS, Check
 from midstride.testing.conformance.walks import walk
 from tests.backends.ros2_support import run
@@ -24,7 +24,7 @@ def held(check: Check, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)
-    with Guardian(OURS, this) as guarding:
+    with Reaper(OURS, this) as guarding:
         backend = create_backend(logs=folder / "logs", guardian=guarding)
         run(check(backend, folder), 100)
         assert reaper.left({}, OURS, this) - {guarding.pid} == set()

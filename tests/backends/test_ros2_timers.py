@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros2.timers import TOLERANCE, GridTimer
+from midstride.backends.ros2.timers import TOLERANCE, Ros2GridTimer
 
 PERIOD = 20_000_000
 START = 1_000_000_000_000
@@ -94,9 +94,9 @@ class RclTimer:
         self.callback()
 
 
-def grid(world: World, epoch: int | None, calls: list[int], period: int = PERIOD) -> GridTimer:
+def grid(world: World, epoch: int | None, calls: list[int], period: int = PERIOD) -> Ros2GridTimer:
     node: Any = world
-    return GridTimer(node, None, world.now, period / 1e9, epoch, lambda first, last: calls.append(first))
+    return Ros2GridTimer(node, None, world.now, period / 1e9, epoch, lambda first, last: calls.append(first))
 
 
 def test_the_first_call_comes_at_once_and_the_others_on_its_grid() -> None:
@@ -155,7 +155,7 @@ def test_a_late_call_stands_for_the_slots_that_it_missed() -> None:
     world = World()
     calls: list[tuple[int, int]] = []
     node: Any = world
-    GridTimer(node, None, world.now, PERIOD / 1e9, START, lambda first, last: calls.append((first, last)))
+    Ros2GridTimer(node, None, world.now, PERIOD / 1e9, START, lambda first, last: calls.append((first, last)))
     world.until(START + PERIOD + 1_000)
     world.asleep_until(START + 4 * PERIOD + 9_000_000)
     world.until(START + 6 * PERIOD + 1_000)
@@ -173,7 +173,7 @@ def test_the_callback_may_take_longer_than_a_period() -> None:
         world.time += PERIOD * 5 // 2 if len(slots) == 2 else 1_000_000
 
     node: Any = world
-    GridTimer(node, None, world.now, PERIOD / 1e9, START, slow)
+    Ros2GridTimer(node, None, world.now, PERIOD / 1e9, START, slow)
     world.until(START + 8 * PERIOD + 1_000)
     assert slots == [START + n * PERIOD for n in (1, 2, 3, 5, 6, 7, 8)]
 
@@ -190,7 +190,7 @@ def test_cancelling_and_going_over_within_a_callback() -> None:
             timer.cancel()
 
     node: Any = world
-    timer = GridTimer(node, None, world.now, PERIOD / 1e9, START, once)
+    timer = Ros2GridTimer(node, None, world.now, PERIOD / 1e9, START, once)
     world.until(START + 9 * PERIOD)
     assert slots == [START + PERIOD, START + 2 * PERIOD, START + 2 * PERIOD + 5_000_000, START + 3 * PERIOD + 5_000_000]
     assert world.timers == []

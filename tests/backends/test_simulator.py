@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.simulator import Simulator, VirtualLoop, loop, messages
+from midstride.backends.simulator import Simulator, VirtualLoop, cooperative_thread, loop, messages
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Exited, Launch
 from midstride.testing.conformance import puppets

@@ -15,7 +15,7 @@ from rich.console import Console
 
 from midstride.backends.simulator import loop
 from midstride.cli import example as examples
-from midstride.cli.demo_runner import perform
+from midstride.cli.demo_runner import run_demo
 from midstride.cli.log_excerpt import excerpt, parse
 from tests.cli.conftest import ROOT, Midstride, alive, nothing_lost
 
@@ -28,11 +28,11 @@ def environment(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MIDSTRIDE_DEMO", "")
 
 
-def in_virtual_time(name: str) -> tuple[list[examples.Act], list[dict[str, object]], str]:
+def in_virtual_time(name: str) -> tuple[list[examples.DemoStep], list[dict[str, object]], str]:
     """An example on the simulator: its acts, what came of each, and what was shown."""
     example = examples.find(name)
     out = Console(file=io.StringIO(), width=1000)
-    outcomes = loop.run(perform(example, "sim", out))
+    outcomes = loop.run(run_demo(example, "sim", out))
     assert isinstance(out.file, io.StringIO)
     return list(example.acts), outcomes, out.file.getvalue()
 

@@ -16,7 +16,7 @@ from midstride.generate.merge import BEGIN, END, merge_component, merge_copy, me
 from midstride.generate.names import program, snake
 from midstride.generate.project import project
 from midstride.lang import load, load_text
-from midstride.model.component import Component
+from midstride.model.component import ComponentSpec
 from midstride.model.specification import Specification
 from midstride.runtime.registration import mismatches
 from midstride.testing.strategies import components
@@ -58,7 +58,7 @@ def skeletons(specification: Specification) -> dict[str, str]:
     return {str(file.path): file.text for file in files if file.kind == "component"}
 
 
-def registered(text: str, name: str) -> Component:
+def registered(text: str, name: str) -> ComponentSpec:
     """What a program of that text would register: the user's class, wired."""
     namespace: dict[str, Any] = {"__name__": "generated"}
     exec(compile(text, "generated.py", "exec"), namespace)
@@ -70,7 +70,7 @@ def registered(text: str, name: str) -> Component:
             or ast.get_docstring(method) is not None
             or method.name == "__init__"
         )
-    found: Component = made.component.declaration()
+    found: ComponentSpec = made.component.declaration()
     return found
 
 
@@ -90,7 +90,7 @@ def test_the_samples_skeletons_keep_its_promises(name: str) -> None:
 @pytest.mark.usefixtures("messages")
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(components())
-def test_any_components_skeleton_keeps_its_promises(component: Component) -> None:
+def test_any_components_skeleton_keeps_its_promises(component: ComponentSpec) -> None:
     if any(component.output_endpoint(output) is None for output in component.outputs):
         with pytest.raises(SpecificationError, match="has no type"):
             skeletons(of(component))
@@ -122,7 +122,7 @@ def test_numbers_of_many_digits_are_written_as_they_are() -> None:
     assert mismatches(declared, registered(text, "C")) == []
 
 
-def of(component: Component) -> Specification:
+def of(component: ComponentSpec) -> Specification:
     from dataclasses import replace
 
     from immutables import Map

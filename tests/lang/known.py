@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from midstride.lang.message_types import Message, parse_fields
+from midstride.lang.message_types import MessageDefinition, parse_fields
 
 TEXTS = {
     "std_msgs/msg/String": "string data",
@@ -21,8 +21,8 @@ TEXTS = {
 class Known:
     """Knows the types above, and no other package."""
 
-    def message(self, name: str) -> Message | None:
-        return Message(name, parse_fields(TEXTS[name], name.partition("/")[0])) if name in TEXTS else None
+    def message(self, name: str) -> MessageDefinition | None:
+        return MessageDefinition(name, parse_fields(TEXTS[name], name.partition("/")[0])) if name in TEXTS else None
 
     def types(self, package: str) -> Iterable[str]:
         return [name.rpartition("/")[2] for name in TEXTS if name.startswith(f"{package}/")]

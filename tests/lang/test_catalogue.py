@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from midstride.lang import load, render
-from midstride.lang.catalogue import CATALOGUE, Example, explain
+from midstride.lang.catalogue import CATALOGUE, CatalogueExample, explain
 from midstride.model.diagnostics import CATALOGUE as MODEL_KINDS
 
 from .known import Known
@@ -22,7 +22,7 @@ GOLDEN = Path(__file__).parent.parent / "golden" / "diagnostics"
 LANG = Path(__file__).parents[2] / "src" / "midstride" / "lang"
 
 
-def written(example: Example, folder: Path) -> Path:
+def written(example: CatalogueExample, folder: Path) -> Path:
     for name, text in {example.name: example.text, **example.files}.items():
         (folder / name).write_bytes(text if isinstance(text, bytes) else text.encode())
     return folder / example.name

@@ -8,7 +8,7 @@ import pytest
 from immutables import Map
 
 from midstride.lang import Loaded, load, load_text, render
-from midstride.model.component import Endpoint, NamedInputs, Parameter
+from midstride.model.component import Endpoint, InputAlternatives, ParameterSpec
 from midstride.model.contract import Interval, OneOf, Predicate, QoS
 from midstride.model.document import specification_from_document, specification_to_document
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
@@ -57,11 +57,11 @@ def test_the_sample_means_what_it_says() -> None:
     detector = patrol.components["ObstacleDetector"]
     assert detector.run == "python3 -m patrol.detector"
     assert detector.holds == Map({"/dev/video0": 1.0, "gpu_memory": 2048.0})
-    assert detector.parameters == Map({"threshold": Parameter(0.4, True), "model": Parameter("small.onnx")})
+    assert detector.parameters == Map({"threshold": ParameterSpec(0.4, True), "model": ParameterSpec("small.onnx")})
     detect = detector.functionalities["detect"]
     assert detect.weight == 3
     assert [mode.name for mode in detect.modes] == ["normal", "lidar_only", "degraded"]
-    assert detect.modes[0].assumptions == (NamedInputs(("scan",)), camera)
+    assert detect.modes[0].assumptions == (InputAlternatives(("scan",)), camera)
     assert detect.modes[0].guarantees == Map({"out": Predicate("sensor_msgs/msg/Range", 10)})
     stereo = patrol.components["StereoDetector"]
     assert stereo.run == "python3 -m patrol.stereo"
@@ -177,7 +177,7 @@ def test_like_takes_over_and_overrides_part_by_part() -> None:
     )
     base, child = found.components["Base"], found.components["Child"]
     assert (child.run, child.takes, child.holds) == ("child", None, Map())
-    assert child.parameters == Map({"a": Parameter(2), "b": Parameter("x", True), "c": Parameter(True)})
+    assert child.parameters == Map({"a": ParameterSpec(2), "b": ParameterSpec("x", True), "c": ParameterSpec(True)})
     assert child.input_order == ("in", "more")
     assert child.functionality_order == ("f", "g")
     assert child.functionalities["f"] == base.functionalities["f"]
@@ -223,8 +223,8 @@ def test_assumptions_by_name_alternatives_and_predicates() -> None:
     )
     near = Predicate("sensor_msgs/msg/Range", 5)
     assert found.components["C"].functionalities["f"].modes[0].assumptions == (
-        NamedInputs(("left",)),
-        NamedInputs(("left", "right")),
+        InputAlternatives(("left",)),
+        InputAlternatives(("left", "right")),
         near,
         Predicate("sensor_msgs/msg/Range", 2),
         Predicate("sensor_msgs/msg/Range"),
@@ -245,7 +245,7 @@ def test_words_of_the_language_may_be_fields_and_parameters() -> None:
         "changeable": False,
         "at": [1.0, 2.5],
     }
-    assert found.components["C"].functionalities["or"].modes[0].assumptions == (NamedInputs(("in",)),)
+    assert found.components["C"].functionalities["or"].modes[0].assumptions == (InputAlternatives(("in",)),)
 
 
 @pytest.mark.parametrize("end", ["\r\n", "\r", "\n"])
@@ -285,7 +285,7 @@ def test_parameter_files_are_matched_by_role() -> None:
     )
     assert found.parameters_of("robot1/talker")["volume"] == 4
     # What the file alone gives is declared with the component, and with those that are like it.
-    assert found.components["Singer"].parameters["plugin.name"] == Parameter("x")
+    assert found.components["Singer"].parameters["plugin.name"] == ParameterSpec("x")
     assert specification_from_document(specification_to_document(found)) == found
 
 

@@ -7,7 +7,15 @@ from pathlib import Path
 
 import pytest
 
-from midstride.lang.message_types import Installed, Message, Missing, field_kind, installed, parse_fields, share_folders
+from midstride.lang.message_types import (
+    Installed,
+    MessageDefinition,
+    Missing,
+    field_kind,
+    installed,
+    parse_fields,
+    share_folders,
+)
 
 from .known import Known
 
@@ -50,10 +58,10 @@ def test_installed_packages_come_before_the_type_store(tmp_path: Path) -> None:
     (tmp_path / "my_msgs" / "msg").mkdir(parents=True)
     (tmp_path / "my_msgs" / "msg" / "Odd.msg").write_text("float64 oddness\n")
     found = Installed([tmp_path], lambda: Known())
-    assert found.message("my_msgs/msg/Odd") == Message("my_msgs/msg/Odd", {"oddness": "number"})
+    assert found.message("my_msgs/msg/Odd") == MessageDefinition("my_msgs/msg/Odd", {"oddness": "number"})
     assert list(found.types("my_msgs")) == ["Odd"]
     assert found.message("my_msgs/msg/Even") is None
-    assert found.message("std_msgs/msg/String") == Message("std_msgs/msg/String", {"data": "text"})
+    assert found.message("std_msgs/msg/String") == MessageDefinition("std_msgs/msg/String", {"data": "text"})
     assert list(found.types("other_msgs")) == []
 
 

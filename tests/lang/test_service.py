@@ -9,7 +9,7 @@ import pytest
 
 from midstride.lang import load_text
 from midstride.lang.files import Unreadable
-from midstride.lang.service import Service
+from midstride.lang.service import LanguageService
 
 SEEDS = Path(__file__).parent / "seeds"
 PATROL = (SEEDS / "patrol.stride").read_text(encoding="utf-8")
@@ -18,7 +18,7 @@ ROOT, PART = Path("/ws/patrol.stride"), Path("/ws/sensors.stride")
 
 
 @pytest.fixture
-def service() -> Service:
+def service() -> LanguageService:
     disk = {ROOT: PATROL, PART: SENSORS}
 
     def read(path: Path) -> str:
@@ -26,7 +26,7 @@ def service() -> Service:
             raise Unreadable("E100", "no such file")
         return disk[path]
 
-    made = Service(read=read)
+    made = LanguageService(read=read)
     made.open(ROOT, PATROL)
     made.open(PART, SENSORS)
     return made
@@ -41,7 +41,7 @@ def at(text: str, marked: str) -> tuple[int, int]:
     return line, offset - (text.rfind("\n", 0, offset) + 1) + 1
 
 
-def test_a_fragment_is_seen_as_part_of_its_system(service: Service) -> None:
+def test_a_fragment_is_seen_as_part_of_its_system(service: LanguageService) -> None:
     assert service.diagnostics(PART) == {ROOT: [], PART: []}
     service.open(PART, SENSORS.replace("out : Scan", "out : Scam"))
     found = service.diagnostics(PART)
@@ -51,7 +51,7 @@ def test_a_fragment_is_seen_as_part_of_its_system(service: Service) -> None:
     assert service.diagnostics(ROOT) == {ROOT: [], PART: []}
 
 
-def test_a_file_that_is_no_system_and_that_none_includes(service: Service) -> None:
+def test_a_file_that_is_no_system_and_that_none_includes(service: LanguageService) -> None:
     lone = Path("/other/lone.stride")
     service.open(lone, "topic /a : std_msgs/msg/String\n")
     assert [d.code for d in service.diagnostics(lone)[lone]] == ["E106"]
@@ -78,14 +78,14 @@ def test_a_file_that_is_no_system_and_that_none_includes(service: Service) -> No
         ("changeable thres|hold", ["`0.4`, changeable in place"]),
     ],
 )
-def test_hover(service: Service, where: str, told: list[str]) -> None:
+def test_hover(service: LanguageService, where: str, told: list[str]) -> None:
     text = service.hover(ROOT, *at(PATROL, where))
     assert text is not None
     for piece in told:
         assert piece in text
 
 
-def test_hover_says_why_a_functionality_falls(service: Service) -> None:
+def test_hover_says_why_a_functionality_falls(service: LanguageService) -> None:
     changed = PATROL.replace('include "sensors.stride"', "").replace("node controller", "node  controller")
     service.open(ROOT, changed)
     text = service.hover(ROOT, *at(changed, "node  contr|oller"))
@@ -106,7 +106,7 @@ def test_hover_says_why_a_functionality_falls(service: Service) -> None:
         (PART, "node lidar : Lid|ar", (PART, "component |Lidar {")),
     ],
 )
-def test_definition(service: Service, path: Path, where: str, declared: tuple[Path, str]) -> None:
+def test_definition(service: LanguageService, path: Path, where: str, declared: tuple[Path, str]) -> None:
     texts = {ROOT: PATROL, PART: SENSORS}
     span = service.definition(path, *at(texts[path], where))
     assert span is not None
@@ -114,7 +114,7 @@ def test_definition(service: Service, path: Path, where: str, declared: tuple[Pa
     assert service.definition(ROOT, 1, 1) is None
 
 
-def applied(service: Service, path: Path, where: str, name: str) -> dict[Path, str]:
+def applied(service: LanguageService, path: Path, where: str, name: str) -> dict[Path, str]:
     texts = {ROOT: PATROL, PART: SENSORS}
     edits = service.rename(path, *at(texts[path], where), name)
     for span, text in sorted(edits, key=lambda edit: -edit[0].start):
@@ -138,7 +138,7 @@ def applied(service: Service, path: Path, where: str, name: str) -> dict[Path, s
     ],
 )
 def test_rename_changes_every_place_and_nothing_of_the_meaning(
-    service: Service, where: str, name: str, count: int
+    service: LanguageService, where: str, name: str, count: int
 ) -> None:
     texts = applied(service, ROOT, where, name)
     found = sum(texts[path].count(name) - {ROOT: PATROL, PART: SENSORS}[path].count(name) for path in texts)
@@ -152,7 +152,7 @@ def test_rename_in_namespaces_keeps_names_relative() -> None:
         "system s\nnamespace a {\n  topic t : std_msgs/msg/String\n  component C { output out }\n"
         "  node n : C { out -> t }\n  node m : C { out -> /a/t }\n}\n"
     )
-    service = Service(read=lambda path: text)
+    service = LanguageService(read=lambda path: text)
     path = Path("/ws/s.stride")
     service.open(path, text)
     edits = service.rename(path, *at(text, "topic |t :"), "u")
@@ -174,7 +174,7 @@ def test_rename_in_a_file_included_twice_changes_both_of_what_it_declares() -> N
         ),
         Path("/ws/part.stride"): "topic t : C\nnode n : Out { out -> t }\n",
     }
-    service = Service(read=lambda path: texts[path])
+    service = LanguageService(read=lambda path: texts[path])
     for path, text in texts.items():
         service.open(path, text)
     part, root = Path("/ws/part.stride"), Path("/ws/s.stride")
@@ -197,7 +197,7 @@ def test_rename_in_a_file_included_twice_changes_both_of_what_it_declares() -> N
         ("contract Sc|an   =", "contract", "`contract` is a word of the language"),
     ],
 )
-def test_a_name_that_is_taken_is_refused(service: Service, where: str, name: str, told: str) -> None:
+def test_a_name_that_is_taken_is_refused(service: LanguageService, where: str, name: str, told: str) -> None:
     with pytest.raises(ValueError, match=f"^it would be an error: {re.escape(told)}"):
         service.rename(ROOT, *at(PATROL, where), name)
 
@@ -205,7 +205,7 @@ def test_a_name_that_is_taken_is_refused(service: Service, where: str, name: str
 @pytest.mark.parametrize(
     ("where", "name"), [("contract Sc|an   =", "a b"), ("contract Sc|an   =", "a/b"), ("# pat|rol", "x")]
 )
-def test_what_cannot_be_renamed_is_refused(service: Service, where: str, name: str) -> None:
+def test_what_cannot_be_renamed_is_refused(service: LanguageService, where: str, name: str) -> None:
     with pytest.raises(ValueError, match=r"cannot name a contract|nothing that has a name"):
         service.rename(ROOT, *at(PATROL, where), name)
 
@@ -232,7 +232,7 @@ def test_what_cannot_be_renamed_is_refused(service: Service, where: str, name: s
         ("# node n : |", set(), {"Lidar"}),
     ],
 )
-def test_completion(service: Service, written: str, offered: set[str], not_offered: set[str]) -> None:
+def test_completion(service: LanguageService, written: str, offered: set[str], not_offered: set[str]) -> None:
     text = PATROL + written.replace("|", "")
     service.open(ROOT, text)
     line = text.count("\n") + 1
@@ -241,7 +241,7 @@ def test_completion(service: Service, written: str, offered: set[str], not_offer
     assert not words & not_offered
 
 
-def test_completion_inside_a_component_knows_its_ports(service: Service) -> None:
+def test_completion_inside_a_component_knows_its_ports(service: LanguageService) -> None:
     text = PATROL.replace("      assume Camera  ", "      assume sc  ")
     service.open(ROOT, text)
     words = {c.word for c in service.complete(ROOT, *at(text, "      assume sc|  "))}
@@ -249,7 +249,7 @@ def test_completion_inside_a_component_knows_its_ports(service: Service) -> None
     assert "obstacles" not in words
 
 
-def test_format(service: Service) -> None:
+def test_format(service: LanguageService) -> None:
     assert service.format(ROOT) == PATROL
     service.open(ROOT, "system   s\n")
     assert service.format(ROOT) == "system s\n"
@@ -257,7 +257,7 @@ def test_format(service: Service) -> None:
     assert service.format(ROOT) is None
 
 
-def test_whatever_stands_in_a_buffer_is_answered(service: Service) -> None:
+def test_whatever_stands_in_a_buffer_is_answered(service: LanguageService) -> None:
     """Every question at every place of a file that is being written."""
     lines = PATROL.split("\n")
     for number in range(0, len(lines), 3):

@@ -8,18 +8,18 @@ from immutables import Map
 
 from midstride.model.component import (
     Assumption,
-    Component,
+    ComponentSpec,
     Connector,
     EnvironmentGuarantee,
-    Functionality,
     FunctionalityRef,
+    FunctionalitySpec,
+    InputAlternatives,
     Mode,
-    NamedInputs,
-    Parameter,
+    ParameterSpec,
     PortRef,
     Resource,
 )
-from midstride.model.configuration import Configuration, Instance, World, configure
+from midstride.model.configuration import Configuration, Instance, SystemContext, configure
 from midstride.model.contract import Predicate
 
 TYPE = "demo_msgs/msg/Scan"
@@ -29,8 +29,8 @@ def at(rate: float | None = None, type_: str = TYPE) -> Predicate:
     return Predicate(type_, rate)
 
 
-def named(*inputs: str) -> NamedInputs:
-    return NamedInputs(inputs)
+def named(*inputs: str) -> InputAlternatives:
+    return InputAlternatives(inputs)
 
 
 def mode(name: str, assumes: Sequence[Assumption] = (), **guarantees: Predicate) -> Mode:
@@ -44,11 +44,11 @@ def component(
     modes: Sequence[Mode],
     *,
     holds: Mapping[str, float] | None = None,
-    parameters: Mapping[str, Parameter] | None = None,
-) -> Component:
+    parameters: Mapping[str, ParameterSpec] | None = None,
+) -> ComponentSpec:
     """A component of one functionality, `work`, that uses and produces all there is."""
-    work = Functionality("work", tuple(modes), tuple(inputs), tuple(outputs))
-    return Component.of(
+    work = FunctionalitySpec("work", tuple(modes), tuple(inputs), tuple(outputs))
+    return ComponentSpec.of(
         name,
         inputs=inputs,
         outputs=tuple(outputs),
@@ -58,22 +58,22 @@ def component(
     )
 
 
-def source(name: str = "Source", rate: float = 10.0, **options: Mapping[str, float]) -> Component:
+def source(name: str = "Source", rate: float = 10.0, **options: Mapping[str, float]) -> ComponentSpec:
     """Publishes on `out` whatever happens, and nothing when degraded."""
     return component(name, {}, ["out"], [mode("normal", out=at(rate)), mode("degraded")], holds=options.get("holds"))
 
 
-def filter_(name: str = "Filter", needs: float = 5.0, gives: float = 10.0) -> Component:
+def filter_(name: str = "Filter", needs: float = 5.0, gives: float = 10.0) -> ComponentSpec:
     """Publishes on `out` while it receives on `in`."""
     return component(name, {"in": at(needs)}, ["out"], [mode("normal", [named("in")], out=at(gives)), mode("degraded")])
 
 
-def sink(name: str = "Sink", needs: float = 5.0) -> Component:
+def sink(name: str = "Sink", needs: float = 5.0) -> ComponentSpec:
     return component(name, {"in": at(needs)}, [], [mode("normal", [named("in")]), mode("degraded")])
 
 
 def system(
-    instances: Mapping[str, Component],
+    instances: Mapping[str, ComponentSpec],
     attachments: Sequence[str],
     *,
     topics: Mapping[str, Predicate] | None = None,
@@ -85,7 +85,7 @@ def system(
     """``attachments`` as "node.port /topic"; topics not told guarantee 5 Hz; modes not told are the last."""
     pairs = [(PortRef.parse(port), topic) for port, topic in (text.split() for text in attachments)]
     names = {topic: at(5.0) for _, topic in pairs} | dict(topics or {})
-    world = World(
+    world = SystemContext(
         Map({name: Connector(name, guarantee, (caps or {}).get(name)) for name, guarantee in names.items()}),
         tuple(environment),
         Map({name: Resource(name, capacity) for name, capacity in (resources or {}).items()}),

@@ -31,7 +31,7 @@ from midstride.model.specification import initial
 from midstride.model.specification_checks import check, errors
 from midstride.testing.action_strategies import actions
 from midstride.testing.strategies import (
-    Scene,
+    GeneratedSystem,
     components,
     contracts,
     predicates,
@@ -99,7 +99,7 @@ def _walk(data: st.DataObject, visit: Callable[[Configuration, Action], None]) -
         action = data.draw(actions(scene))
         visit(scene.configuration, action)
         if not action.check(scene.configuration):
-            scene = Scene(action.apply(scene.configuration), scene.components)
+            scene = GeneratedSystem(action.apply(scene.configuration), scene.components)
 
 
 def preconditions_and_effects_are_the_twins(data: st.DataObject) -> None:
@@ -186,7 +186,7 @@ def violations_are_the_twins(data: st.DataObject) -> None:
     if data.draw(st.booleans()):
         capped = {name: replace(c, cap=1) for name, c in s.world.connectors.items()}
         resources = {name: replace(r, capacity=0.2) for name, r in s.world.resources.items()}
-        s = s.with_world(replace(s.world, connectors=Map(capped), resources=Map(resources)))
+        s = s.with_context(replace(s.world, connectors=Map(capped), resources=Map(resources)))
     assert (not violations(s)) == twin.valid(twin.of_configuration(s))
 
 
@@ -231,7 +231,9 @@ def rebalanced_is_best(data: st.DataObject) -> None:
     assert all(s.modes[ref] != index for ref, index in changes.items())
 
 
-def _changed(data: st.DataObject, scene: Scene, s: Configuration, seeds: set[FunctionalityRef]) -> Configuration:
+def _changed(
+    data: st.DataObject, scene: GeneratedSystem, s: Configuration, seeds: set[FunctionalityRef]
+) -> Configuration:
     kind = data.draw(st.sampled_from(("attach", "attach", "detach", "detach", "create", "remove")))
     name = data.draw(st.sampled_from(sorted(s.instances))) if s.instances else ""
     if kind == "create":

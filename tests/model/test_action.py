@@ -19,7 +19,7 @@ from midstride.model.action import (
     Upgrade,
 )
 from midstride.model.best import best
-from midstride.model.component import Component, Parameter
+from midstride.model.component import ComponentSpec, ParameterSpec
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import is_valid
 from tests.model.build import at, component, filter_, mode, named, port, sink, source, system, work
@@ -149,7 +149,7 @@ def test_upgrade_asks_only_for_its_own_assumptions() -> None:
 # -- hand-over -------------------------------------------------------------------------------------------------
 
 
-def two_talkers(new: Component, *, raised: bool = True, caps: dict[str, int] | None = None) -> Configuration:
+def two_talkers(new: ComponentSpec, *, raised: bool = True, caps: dict[str, int] | None = None) -> Configuration:
     instances = {"talker": source("Talker"), "talker_2": new, "listener": sink("Listener")}
     s = system(instances, ["talker.out /chatter", "listener.in /chatter"], caps=caps)
     high = best(s)
@@ -215,7 +215,7 @@ def test_set_touches_changeable_parameters_alone() -> None:
         {},
         [],
         [mode("normal"), mode("degraded")],
-        parameters={"gain": Parameter(0.5, changeable=True), "model": Parameter("small")},
+        parameters={"gain": ParameterSpec(0.5, changeable=True), "model": ParameterSpec("small")},
     )
     s = system({"tuned": kind}, [])
     assert refused(SetParameters("tuned", Map({"model": "large"})), s) == [("changeable", ("tuned.model",))]

@@ -13,7 +13,7 @@ from midstride.model.contract import (
     QoS,
     canonical_type,
     explain,
-    figure,
+    format_number,
     satisfies,
 )
 
@@ -120,7 +120,7 @@ def test_unsatisfied_and_why(offered: Contract, needed: Contract, clauses: list[
     [(10.0, "10"), (0.1, "0.1"), (1e18, "1e+18"), (8192, "8192"), (1234567, "1234567"), (1 / 3, "0.3333333333333333")],
 )
 def test_numbers_are_told_in_the_fewest_digits_that_tell_them_apart(number: float, text: str) -> None:
-    assert figure(number) == text
+    assert format_number(number) == text
     assert float(text) == number
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from midstride.errors import SpecificationError
-from midstride.model.component import Connector, NamedInputs
+from midstride.model.component import Connector, InputAlternatives
 from midstride.model.contract import Interval, OneOf
 from midstride.model.diagnostics import Problem
 from midstride.model.document import (
@@ -106,9 +106,9 @@ def test_it_says_what_it_shows() -> None:
     assert detector.functionality_order == ("watch", "detect")
     detect = detector.functionalities["detect"]
     assert [mode.name for mode in detect.modes] == ["normal", "blind", "degraded"]
-    assert detect.modes[0].assumptions[:2] == (NamedInputs(("scan",)), NamedInputs(("other", "scan")))
+    assert detect.modes[0].assumptions[:2] == (InputAlternatives(("scan",)), InputAlternatives(("other", "scan")))
     image = detect.modes[0].assumptions[2]
-    assert not isinstance(image, NamedInputs)
+    assert not isinstance(image, InputAlternatives)
     assert image.constraint("height") == Interval(0, 1080, low_open=True)
     assert image.constraint("encoding") == OneOf.of(["rgb8", "bgr8"])
     assert specification.connectors["/stop"].cap == 1

@@ -13,9 +13,9 @@ from immutables import Map
 from midstride.model import best as best_module
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, Swap, Upgrade
 from midstride.model.best import best, lowered, rebalanced
-from midstride.model.component import Component, Connector, EnvironmentGuarantee, PortRef, Resource
+from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, PortRef, Resource
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.rules import Judge, violations
+from midstride.model.rules import Evaluator, violations
 from midstride.model.specification import Node, Specification, structure
 from tests.model.build import at, component, filter_, mode, port, sink, work
 
@@ -65,7 +65,7 @@ def judgements(patch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
         return call
 
     with patch.context() as inside:
-        for kind in (Judge, best_module._Falling):
+        for kind in (Evaluator, best_module.MonotoneEvaluator):
             for name in ("mode_satisfied", "input_satisfied", "connector_satisfied", "guarantee"):
                 if name in vars(kind):
                     inside.setattr(kind, name, counting(name, vars(kind)[name]))
@@ -133,7 +133,7 @@ def test_a_topic_of_many_publishers_is_walked_once(monkeypatch: pytest.MonkeyPat
     """All of them fall, one after another; whoever reads it asks every time."""
     crowd = 300
     lame = component("Lame", {"in": at(5)}, ["out"], [mode("normal", [at(5)], out=at(5)), mode("degraded")])
-    kinds: dict[str, Component] = {"Lame": lame, "Sink": sink()}
+    kinds: dict[str, ComponentSpec] = {"Lame": lame, "Sink": sink()}
     nodes = {f"n{number}": Node(f"n{number}", "Lame", Map({"out": ("/t",)})) for number in range(crowd)}
     nodes |= {f"r{number}": Node(f"r{number}", "Sink", Map({"in": ("/t",)})) for number in range(crowd)}
     connectors = Map({"/t": Connector("/t", at(5))})

@@ -9,17 +9,17 @@ from immutables import Map
 
 from midstride.model.best import best
 from midstride.model.component import (
-    Component,
+    ComponentSpec,
     Connector,
     Endpoint,
-    Functionality,
     FunctionalityRef,
+    FunctionalitySpec,
+    InputAlternatives,
     Mode,
-    NamedInputs,
-    Parameter,
+    ParameterSpec,
     PortRef,
 )
-from midstride.model.configuration import Instance, exact
+from midstride.model.configuration import Instance, to_fraction
 from midstride.model.diagnosis import reasons_against
 from midstride.model.document import specification_from_document
 from midstride.model.specification import Node, Order, initial, structure
@@ -58,7 +58,9 @@ def test_a_role_that_goes_takes_its_constraints_along() -> None:
 
 
 def test_an_instance_has_a_value_for_every_parameter() -> None:
-    tuned = component("Tuned", {}, [], [mode("m"), mode("n")], parameters={"a": Parameter(1), "b": Parameter("x")})
+    tuned = component(
+        "Tuned", {}, [], [mode("m"), mode("n")], parameters={"a": ParameterSpec(1), "b": ParameterSpec("x")}
+    )
     assert dict(Instance("t", "t", tuned, Map({"a": 2})).parameters) == {"a": 2, "b": "x"}
     assert SPECIFICATION.instance("talker", "talker_2") == Instance(
         "talker_2", "talker", SPECIFICATION.components["Talker"], Map({"volume": 0.5})
@@ -79,16 +81,16 @@ def test_a_component_is_its_body() -> None:
 
 def test_a_body_has_no_order_but_that_of_its_modes() -> None:
     left, right = at(5), at(10)
-    merge = Functionality("merge", (Mode("m", (NamedInputs(("l", "r")), left)), Mode("d")), ("l", "r"))
-    both = Component.of("C", inputs={"l": left, "r": right}, functionalities=(merge,))
-    turned = replace(merge, modes=(Mode("m", (left, NamedInputs(("r", "l")))), Mode("d")), inputs=("r", "l"))
-    assert both.same_body(Component.of("C", inputs={"r": right, "l": left}, functionalities=(turned,)))
+    merge = FunctionalitySpec("merge", (Mode("m", (InputAlternatives(("l", "r")), left)), Mode("d")), ("l", "r"))
+    both = ComponentSpec.of("C", inputs={"l": left, "r": right}, functionalities=(merge,))
+    turned = replace(merge, modes=(Mode("m", (left, InputAlternatives(("r", "l")))), Mode("d")), inputs=("r", "l"))
+    assert both.same_body(ComponentSpec.of("C", inputs={"r": right, "l": left}, functionalities=(turned,)))
     for other in (
         replace(merge, modes=merge.modes[::-1]),
-        replace(merge, modes=(Mode("m", (NamedInputs(("l",)), left)), Mode("d"))),
+        replace(merge, modes=(Mode("m", (InputAlternatives(("l",)), left)), Mode("d"))),
         replace(merge, inputs=("l",)),
     ):
-        assert not both.same_body(Component.of("C", inputs={"l": left, "r": right}, functionalities=(other,)))
+        assert not both.same_body(ComponentSpec.of("C", inputs={"l": left, "r": right}, functionalities=(other,)))
 
 
 def test_a_topic_is_its_contract() -> None:
@@ -106,8 +108,8 @@ def test_references_are_written_with_a_dot() -> None:
 
 
 def test_amounts_are_exact() -> None:
-    assert exact(0.1) + exact(0.2) == exact(0.3)
-    assert exact(8192) == exact(8192.0) == 8192
+    assert to_fraction(0.1) + to_fraction(0.2) == to_fraction(0.3)
+    assert to_fraction(8192) == to_fraction(8192.0) == 8192
 
 
 def test_reasons_in_a_cycle_end() -> None:

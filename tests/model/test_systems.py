@@ -10,7 +10,7 @@ from midstride.model.best import best, rebalanced
 from midstride.model.component import Assumption, EnvironmentGuarantee
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.diagnosis import reasons_against
-from midstride.model.rules import Judge, is_valid, violations
+from midstride.model.rules import Evaluator, is_valid, violations
 from tests.model.build import (
     at,
     component,
@@ -214,7 +214,7 @@ def test_environment_without_a_topic_satisfies_predicates_alone() -> None:
 def test_a_weak_environment_satisfies_nothing_but_counts_against_the_cap() -> None:
     weak = EnvironmentGuarantee("slow", at(1), "/t")
     s = system({"source": source(), "sink": sink()}, ["sink.in /t"], environment=[weak], caps={"/t": 1})
-    assert not Judge(s).connector_satisfied("/t")
+    assert not Evaluator(s).connector_satisfied("/t")
     (reason,) = Attach(port("source.out"), "/t").check(s)
     assert reason.precondition == "cap"
     assert "2 publishers (environment slow, source.out), at most 1 allowed" in reason.because

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from immutables import Map
 
-from midstride.model.component import Component, Functionality, Mode, NamedInputs
+from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Interval, Predicate, QoS
 from midstride.model.diagnostics import CATALOGUE, Problem, suggestion
 from midstride.model.document import specification_from_document
@@ -290,11 +290,13 @@ def test_m2_is_that_worse_is_nothing_or_better_satisfies_it(
 
 def test_components_made_by_hand_are_checked_as_well() -> None:
     """What a document could not say: numbers that are none, an assumption of nothing, names twice."""
-    odd = Component.of(
+    odd = ComponentSpec.of(
         "Odd",
         inputs={"in": Predicate(STRING, float("nan"), QoS(deadline=-1), (("x", Interval(float("nan"), 1)),))},
         functionalities=(
-            Functionality("f", (Mode("m", (NamedInputs(()), named("in", "in"))), Mode("m")), ("in",), weight=-1),
+            FunctionalitySpec(
+                "f", (Mode("m", (InputAlternatives(()), named("in", "in"))), Mode("m")), ("in",), weight=-1
+            ),
         ),
         holds={"gpu": 0},
         takes=-1,
@@ -316,7 +318,7 @@ def test_components_made_by_hand_are_checked_as_well() -> None:
 def test_two_functionalities_of_one_name() -> None:
     twice = source()
     (work,) = twice
-    problems = check_component(Component.of("Twice", outputs=("out",), functionalities=(work, work)))
+    problems = check_component(ComponentSpec.of("Twice", outputs=("out",), functionalities=(work, work)))
     assert ("E007", "/functionalities/work") in {(problem.code, problem.path) for problem in problems}
 
 

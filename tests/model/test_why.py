@@ -8,7 +8,7 @@ from hypothesis import given
 
 from midstride.lang import load_text
 from midstride.model.configuration import Configuration
-from midstride.model.diagnosis import Reasons, reasons_against
+from midstride.model.diagnosis import Diagnosis, reasons_against
 from midstride.model.specification import Specification, initial
 from midstride.testing.strategies import specifications
 from midstride.testing.systems import chain
@@ -17,7 +17,7 @@ from midstride.testing.systems import chain
 @given(specifications())
 def test_short_chains_begin_and_end_as_the_whole_ones(specification: Specification) -> None:
     s = initial(specification)
-    why = Reasons(s)
+    why = Diagnosis(s)
     for ref in s.modes:
         whole = reasons_against(s, ref)
         assert why.chain(ref, most=10_000) == whole
@@ -37,7 +37,7 @@ def dead(nodes: int) -> Configuration:
 def test_the_end_of_a_long_chain_is_told() -> None:
     s = dead(50)
     (last,) = (ref for ref in s.modes if ref.component == "n49")
-    told = Reasons(s).chain(last)
+    told = Diagnosis(s).chain(last)
     assert len(told) == 5
     assert told[0].startswith("n49.filter cannot be in mode normal: it assumes in: nobody satisfies /t49")
     assert told[-1].startswith("… in the end n0.filter cannot be in mode ")
@@ -48,7 +48,7 @@ def test_all_chains_together_cost_no_more_than_the_system() -> None:
     def seconds(nodes: int) -> float:
         s = dead(nodes)
         start = time.process_time()
-        why = Reasons(s)
+        why = Diagnosis(s)
         for ref in s.modes:
             why.chain(ref)
         return time.process_time() - start

@@ -19,7 +19,7 @@ from midstride import (
     between,
     guarantee,
 )
-from midstride.model.component import NamedInputs
+from midstride.model.component import InputAlternatives
 from midstride.model.contract import NOTHING, Interval, OneOf, Predicate
 from midstride.model.document import component_from_document, component_to_document
 
@@ -90,8 +90,8 @@ def test_a_whole_declaration() -> None:
     }
     assert dict(declared.inputs["right"].fields) == {"header.frame_id": OneOf.of(["base_link"])}
     normal, one_eyed, stop = declared.functionalities["fuse"].modes
-    assert normal.assumptions == (NamedInputs(("left",)), NamedInputs(("right",)))
-    assert one_eyed.assumptions == (NamedInputs(("left", "right")), NamedInputs(("odom",)))
+    assert normal.assumptions == (InputAlternatives(("left",)), InputAlternatives(("right",)))
+    assert one_eyed.assumptions == (InputAlternatives(("left", "right")), InputAlternatives(("odom",)))
     assert stop.name == "stop" and stop.assumptions == ()
     assert one_eyed.guarantee("out") == Predicate(
         "sensor_msgs/Image", 10, best_effort, (("width", OneOf.of([640, 1280])),)

@@ -8,13 +8,13 @@ from immutables import Map
 
 from midstride.model.component import (
     Assumption,
-    Component,
+    ComponentSpec,
     Connector,
     EnvironmentGuarantee,
-    Functionality,
+    FunctionalitySpec,
+    InputAlternatives,
     Mode,
-    NamedInputs,
-    Parameter,
+    ParameterSpec,
     Resource,
 )
 from midstride.model.contract import Predicate
@@ -45,31 +45,31 @@ def functionality(
     weight: float = 1.0,
     between: Iterable[Mode] = (),
     degraded: Mapping[str, Predicate] | None = None,
-) -> Functionality:
+) -> FunctionalitySpec:
     """Normal: assumes every input, guarantees NEED on every output. Degraded: nothing, unless said otherwise."""
     used, made = tuple(inputs), tuple(outputs)
-    assumed = tuple(NamedInputs((port,)) for port in used) if assumes is None else tuple(assumes)
+    assumed = tuple(InputAlternatives((port,)) for port in used) if assumes is None else tuple(assumes)
     modes = (
         Mode("normal", assumed, Map(dict.fromkeys(made, NEED))),
         *between,
         Mode("degraded", (), Map(degraded or {})),
     )
-    return Functionality(name, modes, used, made, weight)
+    return FunctionalitySpec(name, modes, used, made, weight)
 
 
 def component(
     name: str,
-    *functionalities: Functionality,
+    *functionalities: FunctionalitySpec,
     needs: Mapping[str, Predicate] | None = None,
     holds: Mapping[str, float] | None = None,
-    parameters: Mapping[str, Parameter] | None = None,
+    parameters: Mapping[str, ParameterSpec] | None = None,
     takes: float | None = None,
     run: str | None = None,
-) -> Component:
+) -> ComponentSpec:
     """A component of these functionalities; its ports are theirs, its inputs need NEED unless said otherwise."""
     inputs = {port: NEED for f in functionalities for port in f.inputs} | dict(needs or {})
     outputs = tuple(port for f in functionalities for port in f.outputs)
-    return Component.of(
+    return ComponentSpec.of(
         name,
         inputs=inputs,
         outputs=outputs,
@@ -81,13 +81,13 @@ def component(
     )
 
 
-def work(name: str, inputs: Iterable[str] = (), outputs: Iterable[str] = (), **others: object) -> Component:
+def work(name: str, inputs: Iterable[str] = (), outputs: Iterable[str] = (), **others: object) -> ComponentSpec:
     """A component of one functionality, ``work``."""
     return component(name, functionality("work", inputs, outputs), **others)  # type: ignore[arg-type]
 
 
 def system(
-    components: Iterable[Component],
+    components: Iterable[ComponentSpec],
     nodes: Mapping[str, tuple[str, Mapping[str, str | tuple[str, ...]]]],
     *,
     caps: Mapping[str, int] | None = None,

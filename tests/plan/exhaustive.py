@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from itertools import count
 
 from midstride.model.best import best
-from midstride.model.component import Functionality, FunctionalityRef, PortRef
+from midstride.model.component import FunctionalityRef, FunctionalitySpec, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
@@ -201,7 +201,7 @@ class Constrained(Exhaustive):
         for op in self.all:
             self.of_role.setdefault(change.role_of(op.name), set()).add(op)
 
-    def _chain(self, ref: FunctionalityRef) -> Functionality:
+    def _chain(self, ref: FunctionalityRef) -> FunctionalitySpec:
         return self.change.target.component_of(ref.component).functionalities[ref.functionality]
 
     def steps(self, state: State) -> Iterator[State]:

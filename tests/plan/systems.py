@@ -12,14 +12,14 @@ from immutables import Map
 
 from midstride.model.component import (
     Assumption,
-    Component,
+    ComponentSpec,
     Connector,
     EnvironmentGuarantee,
-    Functionality,
     FunctionalityRef,
+    FunctionalitySpec,
+    InputAlternatives,
     Mode,
-    NamedInputs,
-    Parameter,
+    ParameterSpec,
     Resource,
 )
 from midstride.model.contract import Interval, OneOf, Predicate, QoS, ValueSet, satisfies
@@ -59,7 +59,7 @@ def predicate(rng: Random, kind: str | None = None) -> Predicate:
     return weakened(rng, strong(rng, kind))
 
 
-def component(rng: Random, name: str, like: Component | None = None) -> Component:
+def component(rng: Random, name: str, like: ComponentSpec | None = None) -> ComponentSpec:
     """A component; ``like`` gives the ports, so that the one can take the other's place."""
     if like is None:
         inputs = {f"i{n}": weakened(rng, predicate(rng)) for n in range(rng.choice((0, 1, 1, 2, 3)))}
@@ -78,7 +78,7 @@ def component(rng: Random, name: str, like: Component | None = None) -> Componen
     for output in outputs:
         owned[rng.choice(owners)].append(output)
     functionalities = tuple(functionality(rng, owner, inputs, owned[owner], kinds) for owner in owners)
-    return Component.of(
+    return ComponentSpec.of(
         name,
         inputs=dict(sorted(inputs.items(), key=lambda _: rng.random())),
         outputs=outputs,
@@ -88,7 +88,7 @@ def component(rng: Random, name: str, like: Component | None = None) -> Componen
         else {"memory": float(rng.choice((1, 2)))}
         if rng.random() < 0.4
         else {},
-        parameters={"p": Parameter(1, changeable=rng.random() < 0.5)} if rng.random() < 0.4 else {},
+        parameters={"p": ParameterSpec(1, changeable=rng.random() < 0.5)} if rng.random() < 0.4 else {},
         run=f"python3 {name}.py",
         takes=rng.choice((None, 0.5, 2.0)),
     )
@@ -96,7 +96,7 @@ def component(rng: Random, name: str, like: Component | None = None) -> Componen
 
 def functionality(
     rng: Random, name: str, inputs: dict[str, Predicate], outputs: list[str], kinds: dict[str, str]
-) -> Functionality:
+) -> FunctionalitySpec:
     used = tuple(sorted(rng.sample(sorted(inputs), rng.randint(0, len(inputs)))))
     length = rng.choice((2, 2, 3, 4))
     chains = {output: guarantees(rng, kinds[output], length) for output in outputs}
@@ -107,11 +107,13 @@ def functionality(
         if place < length - 1:
             for _ in range(rng.choice((0, 1, 1, 2))):
                 if used and rng.random() < 0.7:
-                    assumptions.append(NamedInputs(tuple(sorted(rng.sample(used, rng.randint(1, min(2, len(used))))))))
+                    assumptions.append(
+                        InputAlternatives(tuple(sorted(rng.sample(used, rng.randint(1, min(2, len(used)))))))
+                    )
                 elif rng.random() < 0.8:
                     assumptions.append(predicate(rng))
         modes.append(Mode(f"m{place}", tuple(assumptions), Map(stated)))
-    return Functionality(name, tuple(modes), used, tuple(outputs), weight=float(rng.choice((1, 1, 2, 5))))
+    return FunctionalitySpec(name, tuple(modes), used, tuple(outputs), weight=float(rng.choice((1, 1, 2, 5))))
 
 
 def guarantees(rng: Random, kind: str, length: int) -> list[Predicate]:
@@ -124,7 +126,7 @@ def guarantees(rng: Random, kind: str, length: int) -> list[Predicate]:
     return chain
 
 
-def node(rng: Random, role: str, of: Component, connectors: Map[str, Connector], density: float = 0.6) -> Node:
+def node(rng: Random, role: str, of: ComponentSpec, connectors: Map[str, Connector], density: float = 0.6) -> Node:
     """A node of ``of``, attached wherever the contracts allow it and chance has it."""
     attachments: dict[str, tuple[str, ...]] = {}
     for port in of.ports():
@@ -138,7 +140,7 @@ def node(rng: Random, role: str, of: Component, connectors: Map[str, Connector],
     return Node(role, of.name, Map(attachments), Map(parameters))
 
 
-def fits(of: Component, port: str, connector: Connector) -> bool:
+def fits(of: ComponentSpec, port: str, connector: Connector) -> bool:
     if port in of.outputs:
         return satisfies(of.owner(port).modes[0].guarantee(port), connector.guarantee)
     return satisfies(connector.guarantee, of.inputs[port])

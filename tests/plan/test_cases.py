@@ -10,11 +10,11 @@ from immutables import Map
 from midstride.model.action import Create, Handover
 from midstride.model.component import (
     EnvironmentGuarantee,
-    Functionality,
     FunctionalityRef,
+    FunctionalitySpec,
+    InputAlternatives,
     Mode,
-    NamedInputs,
-    Parameter,
+    ParameterSpec,
 )
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
@@ -235,7 +235,7 @@ def test_diamond_minimal() -> None:
 
 def two_eyes(*, alternatives: bool) -> Specification:
     eyes = [work(name, outputs=["out"]) for name in ("Eye", "NewEye")]
-    assumes = [NamedInputs(("left", "right"))] if alternatives else None
+    assumes = [InputAlternatives(("left", "right"))] if alternatives else None
     see = component("Stereo", functionality("see", ["left", "right"], assumes=assumes))
     nodes = {
         "left": ("Eye", {"out": "/left"}),
@@ -355,7 +355,7 @@ def test_a_topic_that_nobody_uses_changes_its_contract_in_place() -> None:
 
 
 def tuned(value: float, *, changeable: bool) -> Specification:
-    parameter = Parameter(0.4, changeable=changeable)
+    parameter = ParameterSpec(0.4, changeable=changeable)
     one = work("Detector", outputs=["out"], parameters={"threshold": parameter})
     specification = system([one], {"detector": ("Detector", {"out": "/x"})})
     node = replace(specification.nodes["detector"], parameters=Map({"threshold": value}))
@@ -403,7 +403,7 @@ def test_namespaced_roles(strategy: str) -> None:
 def test_a_whole_system_is_brought_up_under_its_own_names(strategy: str) -> None:
     specification = diamond()
     empty = replace(initial(specification), instances=Map(), connectors_of=Map(), modes=Map())
-    empty = replace(empty, publishers=Map(), subscribers=Map(), held=Map(), players=Map())
+    empty = replace(empty, publishers=Map(), subscribers=Map(), held=Map(), instances_by_role=Map())
     plan = sound(STRATEGIES[strategy](Change.between(empty, specification, specification)))
     *_, last = plan.configurations()
     assert last == initial(specification)
@@ -435,7 +435,7 @@ def test_what_the_new_environment_keeps_down_is_told_as_fallen() -> None:
     """A camera has failed, the eye has gone down by itself; the target gives it up and adds another source."""
     image = Predicate("sensor_msgs/msg/Image", 30.0)
     see = component("Eye", functionality("see", ["in"], assumes=[Predicate(image.type, 15.0)]), needs={"in": image})
-    source = Functionality("work", (Mode("normal", (), Map({"out": image})), Mode("degraded")), (), ("out",))
+    source = FunctionalitySpec("work", (Mode("normal", (), Map({"out": image})), Mode("degraded")), (), ("out",))
     start = system(
         [see, component("Source", source)],
         {"eye": ("Eye", {"in": "/image"})},

@@ -9,7 +9,7 @@ import pytest
 from immutables import Map
 
 from midstride.errors import PlanRefused
-from midstride.model.component import Connector, EnvironmentGuarantee, Functionality, Mode, Parameter
+from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalitySpec, Mode, ParameterSpec
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change import Change
@@ -60,15 +60,15 @@ def test_a_first_instance_bears_its_role_s_name_unless_it_is_taken() -> None:
 
 def test_a_parameter_that_only_one_declares_asks_for_a_replacement() -> None:
     start = talker()
-    more = replace(start.components["Talker"], parameters=Map({"gain": Parameter(1.0, changeable=True)}))
+    more = replace(start.components["Talker"], parameters=Map({"gain": ParameterSpec(1.0, changeable=True)}))
     target = replace(start, components=start.components.set("Talker", more))
     assert Change.between(initial(start), start, target).leaving == ("talker",)
 
 
 def test_parameters_of_the_node_go_over_those_of_the_component() -> None:
-    one = work("One", parameters={"gain": Parameter(1.0, changeable=True)})
+    one = work("One", parameters={"gain": ParameterSpec(1.0, changeable=True)})
     start = system([one], {"n": ("One", {})})
-    default = replace(one, parameters=Map({"gain": Parameter(2.0, changeable=True)}))
+    default = replace(one, parameters=Map({"gain": ParameterSpec(2.0, changeable=True)}))
     target = replace(start, components=start.components.set("One", default))
     assert Change.between(initial(start), start, target).parameters == (("n", Map({"gain": 2.0})),)
     own = target.with_node(replace(target.nodes["n"], parameters=Map({"gain": 1.0})))
@@ -118,7 +118,7 @@ def test_unknown_names_are_suggested() -> None:
     assert planner() is STRATEGIES["minimal"]
 
 
-LAME = component("Lame", Functionality("f", (Mode("only"),)))
+LAME = component("Lame", FunctionalitySpec("f", (Mode("only"),)))
 
 
 @pytest.mark.parametrize(
@@ -161,7 +161,7 @@ def test_a_target_that_names_what_is_not_there(node: Node, words: str) -> None:
 
 def test_contracts_that_do_not_fit() -> None:
     start = talker()
-    talk = Functionality("talk", (Mode("normal", (), Map({"out": SLOW})), Mode("degraded")), (), ("out",))
+    talk = FunctionalitySpec("talk", (Mode("normal", (), Map({"out": SLOW})), Mode("degraded")), (), ("out",))
     start = replace(start, components=start.components.set("Weak", component("Weak", talk)))
     s = initial(start)
     with pytest.raises(PlanRefused) as caught:

@@ -8,7 +8,7 @@ import pytest
 from immutables import Map
 
 from midstride.model.action import Create, Handover, Remove
-from midstride.model.component import Functionality, Mode, NamedInputs
+from midstride.model.component import FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
 from tests.plan.cases import NEED, SLOW, changed, component, functionality, replaced, sound, system, told, work
@@ -128,7 +128,7 @@ def test_a_renamed_port_on_the_same_topic_is_handed_over() -> None:
 
 
 def test_a_finer_mode_is_used_by_minimal_and_passed_over_by_the_paper() -> None:
-    between = [Mode("by_odometry", (NamedInputs(("odom",)),), Map({"out": SLOW}))]
+    between = [Mode("by_odometry", (InputAlternatives(("odom",)),), Map({"out": SLOW}))]
     drive = functionality("drive", ["scan", "odom"], ["out"], between=between)
     parts = [work(name, outputs=["out"], holds={"lidar": 1.0}) for name in ("Lidar", "NewLidar")]
     nodes = {
@@ -215,9 +215,9 @@ def test_amounts_are_compared_as_they_are_written() -> None:
 def test_a_replacement_that_stands_only_by_itself_is_attached_beside_the_old_one() -> None:
     """The new one needs what it writes itself: worse than the old one before it is on its topic, and better then."""
     lamp, writes = Predicate(NEED.type, 20.0), Map({"out": NEED})  # nobody has a lamp
-    old = component("Old", Functionality("work", (Mode("m", (lamp,), writes), Mode("d")), (), ("out",)))
-    loop = (Mode("m", (NamedInputs(("in",)),), writes), Mode("w", (lamp,), writes))
-    new = component("New", Functionality("work", (*loop, Mode("d", (), writes)), ("in",), ("out",)))
+    old = component("Old", FunctionalitySpec("work", (Mode("m", (lamp,), writes), Mode("d")), (), ("out",)))
+    loop = (Mode("m", (InputAlternatives(("in",)),), writes), Mode("w", (lamp,), writes))
+    new = component("New", FunctionalitySpec("work", (*loop, Mode("d", (), writes)), ("in",), ("out",)))
     start = system([old, new], {"n": ("Old", {"out": "/x"})})
     target = start.with_node(Node("n", "New", Map({"out": ("/x",), "in": ("/x",)})))
     plan = sound(changed(start, target, "minimal"))

@@ -13,7 +13,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.registry import STRATEGIES
-from midstride.plan.validate import Finding, replay_document
+from midstride.plan.validate import ReplayFinding, replay_document
 from tests.plan.cases import component, functionality, replaced, system, talker, work
 
 Document = dict[str, Any]
@@ -27,7 +27,7 @@ def findings(spoilt: Document) -> str:
     verdict = replay_document(spoilt)
     assert verdict.outcome == "violated"
     assert not verdict.holds
-    assert all(isinstance(finding, Finding) for finding in verdict.findings)
+    assert all(isinstance(finding, ReplayFinding) for finding in verdict.findings)
     return str(verdict)
 
 
@@ -186,9 +186,9 @@ def test_parameters_that_were_not_set() -> None:
 
     from immutables import Map
 
-    from midstride.model.component import Parameter
+    from midstride.model.component import ParameterSpec
 
-    one = work("One", parameters={"gain": Parameter(1.0, changeable=True)})
+    one = work("One", parameters={"gain": ParameterSpec(1.0, changeable=True)})
     start = system([one], {"n": ("One", {})})
     target = start.with_node(replace(start.nodes["n"], parameters=Map({"gain": 2.0})))
     spoilt = STRATEGIES["minimal"](Change.between(initial(start), start, target)).to_document()

@@ -21,7 +21,7 @@ from midstride.runtime import reaper
 from midstride.runtime.logs import shorten, tail
 from midstride.runtime.orphans import end_strays
 from midstride.runtime.process import Process, find, spawn
-from midstride.runtime.reaper import Guardian, look, members
+from midstride.runtime.reaper import Reaper, look, members
 from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
 
 VARIABLE = "MIDSTRIDE_TOKEN"
@@ -383,7 +383,7 @@ def test_a_killed_manager_leaves_nothing_behind(tmp_path: Path, token: str) -> N
 
 def test_closing_the_guardian_ends_what_is_left(tmp_path: Path, token: str) -> None:
     async def run() -> tuple[int, int]:
-        with Guardian(VARIABLE, token) as watching:
+        with Reaper(VARIABLE, token) as watching:
             process = family(tmp_path, token, "stubborn")
             watching.watch(process.pid, process.started)
             child = await told(process)
@@ -404,7 +404,7 @@ def test_the_guardian_spares_a_later_process_of_the_same_number(tmp_path: Path, 
         process = spawn(
             [sys.executable, "-S", "-c", "import time; time.sleep(600)"], tmp_path, environment, tmp_path / "log.txt"
         )
-        with Guardian(VARIABLE, token) as watching:
+        with Reaper(VARIABLE, token) as watching:
             watching.watch(process.pid, process.started - 5.0)
         survived = alive(process.pid)
         await process.end(grace=5.0)

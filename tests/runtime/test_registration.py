@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from immutables import Map
 
-from midstride.model.component import Component, Endpoint, Functionality, Mode, NamedInputs
+from midstride.model.component import ComponentSpec, Endpoint, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Predicate, QoS
 from midstride.runtime.registration import mismatches, unexpected_endpoints
 
@@ -22,13 +22,15 @@ def controller(
     inputs: tuple[str, ...] = ("obstacles",),
     last: str = "stop",
     assumes: tuple[str, ...] | None = None,
-) -> Component:
-    normal = Mode("normal", (NamedInputs(assumes or inputs[:1]),), Map(cmd=Predicate(TWIST, promised, QoS(depth=5))))
-    return Component.of(
+) -> ComponentSpec:
+    normal = Mode(
+        "normal", (InputAlternatives(assumes or inputs[:1]),), Map(cmd=Predicate(TWIST, promised, QoS(depth=5)))
+    )
+    return ComponentSpec.of(
         "Controller",
         inputs={name: Predicate(RANGE, needed) for name in inputs},
         outputs=("cmd",),
-        functionalities=(Functionality("control", (normal, Mode(last)), inputs, ("cmd",)),),
+        functionalities=(FunctionalitySpec("control", (normal, Mode(last)), inputs, ("cmd",)),),
     )
 
 
@@ -51,7 +53,7 @@ def test_a_stronger_guarantee_and_a_weaker_assumption_match() -> None:
         (replace(controller(), outputs=("cmd", "extra")), "the node has output extra, which is not declared"),
     ],
 )
-def test_what_breaks_the_declaration_is_named(registered: Component, words: str) -> None:
+def test_what_breaks_the_declaration_is_named(registered: ComponentSpec, words: str) -> None:
     assert any(words in fault for fault in mismatches(controller(), registered))
 
 

@@ -18,6 +18,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 from midstride.plan.request import Request
+from midstride.runtime import runtime_verification
 from midstride.runtime.manager import Manager
 from midstride.runtime.runtime_verification import Verifier
 from midstride.verify.checking import Asking

@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Final
 
 from midstride.model.configuration import Configuration
-from midstride.verify.alloy_atoms import Universe
+from midstride.verify.alloy_atoms import AlloyAtoms
 from midstride.verify.formulas import Formula, NotInTheDump, formula
 from midstride.verify.library import carried
-from midstride.verify.run import Alloy, Outcome
-from midstride.verify.world_encoder import Scene
+from midstride.verify.run import Alloy, SolverOutcome
+from midstride.verify.world_encoder import WorldEncoder
 from tests.verify.walks import Claim, World, key
 
 ATOMS: Final = 1000  # a little less than one run may have
@@ -43,10 +43,10 @@ class Batch:
     """Worlds and claims in one universe, as Alloy text, and what the Analyzer says of them."""
 
     def __init__(self) -> None:
-        self.universe = Universe()
+        self.universe = AlloyAtoms()
         for name in _NAMES:
             self.universe.names.give(name, None)
-        self.scenes: dict[int, Scene] = {}
+        self.scenes: dict[int, WorldEncoder] = {}
         self.systems: dict[tuple[int, Hashable], str] = {}
         self.expected: dict[str, bool] = {}
         self.cases: list[tuple[Claim, str, Formula, str]] = []
@@ -54,7 +54,7 @@ class Batch:
         self._number: dict[str, int] = defaultdict(int)
 
     def add(self, number: int, world: World) -> None:
-        scene = self.scenes[number] = Scene(self.universe, world.claims[0].before.world, f"w{number}_")
+        scene = self.scenes[number] = WorldEncoder(self.universe, world.claims[0].before.world, f"w{number}_")
         for instance in world.instances:
             scene.instance(instance)
         scene.overloads()
@@ -133,7 +133,7 @@ class Batch:
         return found
 
 
-def _solved(alloy: Alloy, text: str, limit: float) -> dict[str, Outcome]:
+def _solved(alloy: Alloy, text: str, limit: float) -> dict[str, SolverOutcome]:
     with tempfile.TemporaryDirectory(prefix="midstride-conformance-") as folder:
         source = Path(folder) / "conformance.als"
         source.write_text(text, encoding="utf-8")

@@ -10,10 +10,10 @@ import pytest
 from immutables import Map
 
 from midstride.model import action as model
-from midstride.model.component import Component, PortRef
+from midstride.model.component import ComponentSpec, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Contract, satisfies
-from midstride.model.rules import Judge
+from midstride.model.rules import Evaluator
 
 Plant = Callable[[pytest.MonkeyPatch], None]
 
@@ -49,7 +49,7 @@ def _remove_forgets_attachments(patch: pytest.MonkeyPatch) -> None:
 
 
 def _attach_judges_by_the_last_mode(patch: pytest.MonkeyPatch) -> None:
-    def last(component: Component, output: str) -> Contract:
+    def last(component: ComponentSpec, output: str) -> Contract:
         return component.owner(output).modes[-1].guarantee(output)
 
     patch.setattr(model, "normal_guarantee", last)
@@ -128,23 +128,23 @@ def _handover_keeps_the_old(patch: pytest.MonkeyPatch) -> None:
 
 def _names_are_predicates(patch: pytest.MonkeyPatch) -> None:
     """An assumption that names one input is satisfied by any other of the functionality's."""
-    whole = Judge.input_satisfied
+    whole = Evaluator.input_satisfied
 
-    def any_input(self: Judge, port: PortRef) -> bool:
+    def any_input(self: Evaluator, port: PortRef) -> bool:
         others = {name for f in self.s.component(port.component) if port.port in f.inputs for name in f.inputs}
         return any(whole(self, PortRef(port.component, name)) for name in others)
 
-    patch.setattr(Judge, "input_satisfied", any_input)
+    patch.setattr(Evaluator, "input_satisfied", any_input)
 
 
 def _the_environment_counts_for_nothing(patch: pytest.MonkeyPatch) -> None:
     """A publisher out of scope does not satisfy its topic."""
 
-    def satisfied(self: Judge, name: str) -> bool:
+    def satisfied(self: Evaluator, name: str) -> bool:
         needed = self.s.world.connectors[name].guarantee
         return any(satisfies(self.guarantee(output), needed) for output in self.s.publishers_on(name))
 
-    patch.setattr(Judge, "connector_satisfied", satisfied)
+    patch.setattr(Evaluator, "connector_satisfied", satisfied)
 
 
 _ALLOWS, _REFUSES = "the code allows it, the specification refuses it", "the specification allows it"

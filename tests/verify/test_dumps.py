@@ -11,7 +11,7 @@ import pytest
 from immutables import Map
 
 from midstride.lang import load_text
-from midstride.model.component import Component, FunctionalityRef, NamedInputs, PortRef, Resource
+from midstride.model.component import ComponentSpec, FunctionalityRef, InputAlternatives, PortRef, Resource
 from midstride.model.configuration import Configuration
 from midstride.model.rules import capacity_violation
 from midstride.model.snapshot import configuration_from_document, configuration_to_document
@@ -48,7 +48,7 @@ def test_the_text_of_a_plan_is_readable_and_stays_as_it_is(name: str) -> None:
 @pytest.mark.parametrize(("amount", "too_much"), [(0.5, False), (0.5000000005, True)])
 def test_what_is_too_much_together_is_what_the_model_says(amount: float, too_much: bool) -> None:
     """Amounts are compared as they are written: half a part in a thousand million counts."""
-    holders = [Component.of(name, holds={"gpu": held}) for name, held in (("A", 0.5), ("B", amount))]
+    holders = [ComponentSpec.of(name, holds={"gpu": held}) for name, held in (("A", 0.5), ("B", amount))]
     s = structure(
         Specification(
             "full",
@@ -171,7 +171,7 @@ def many(count: int) -> Specification:
 def holding(count: int) -> Specification:
     large = many(count)
     known = large.components["Talker"]
-    talker = Component.of(
+    talker = ComponentSpec.of(
         known.name,
         inputs=known.inputs,
         outputs=known.outputs,
@@ -197,7 +197,7 @@ def test_what_is_too_large_for_alloy_is_unknown(large: Specification, words: str
 
 def test_the_chain_is_told_and_drawn() -> None:
     s = broken(initial(specification(ROVER)), "mode")
-    told = chain(s, FunctionalityRef("motor", "drive"), NamedInputs(("in",)))
+    told = chain(s, FunctionalityRef("motor", "drive"), InputAlternatives(("in",)))
     finding = Finding("assumption", None, "the configuration", "motor.drive", "it assumes in", "in", told)
     verdict = Verdict(Answer.VIOLATED, "the configuration", "exact", "Alloy", (finding,))
     assert list(chain_lines(told)) == [

@@ -11,8 +11,8 @@ import pytest
 from midstride.cli import main
 from midstride.errors import AlloyFailed, AlloyMissing
 from midstride.verify import library
-from midstride.verify.library import MODULES, PRINTED, Command, commands
-from midstride.verify.run import Alloy, Outcome, find
+from midstride.verify.library import MODULES, PRINTED, AlloyCommand, commands
+from midstride.verify.run import Alloy, SolverOutcome, find
 from midstride.verify.specification import Checked, Task, check_specification, tasks
 from midstride.verify.verdict import Answer
 
@@ -225,8 +225,8 @@ def test_the_command_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 def test_the_command_fails_where_a_check_comes_out_otherwise(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def solve(self: Alloy, source: Path, asked: str, **_: object) -> dict[str, Outcome]:
-        return {"ValidSystem": Outcome(True), "FinerModes": Outcome(False)}
+    def solve(self: Alloy, source: Path, asked: str, **_: object) -> dict[str, SolverOutcome]:
+        return {"ValidSystem": SolverOutcome(True), "FinerModes": SolverOutcome(False)}
 
     monkeypatch.setattr(Alloy, "solve", solve)
     monkeypatch.setattr("midstride.verify.run.find", lambda: Alloy("java", Path("no.jar"), "nobody"))
@@ -239,7 +239,7 @@ def test_the_command_fails_where_a_check_comes_out_otherwise(
 
 @pytest.mark.usefixtures("little")
 def test_a_command_that_alloy_skipped_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Alloy, "solve", lambda *_, **__: {"ValidSystem": Outcome(True)})
+    monkeypatch.setattr(Alloy, "solve", lambda *_, **__: {"ValidSystem": SolverOutcome(True)})
     (checked,) = check_specification(Alloy("java", Path("no.jar"), "nobody"), SMALL)
     assert checked.answer is Answer.UNKNOWN
     assert checked.because == "Alloy did not answer FinerModes"
@@ -260,7 +260,7 @@ def test_without_the_analyzer_the_command_fails_before_it_begins(
 
 def test_a_check_tells_what_it_asks() -> None:
     def told(kind: str, expected: bool) -> str:
-        command = Command("core", "X", "check" if kind == "check" else "run", expected, 5)
+        command = AlloyCommand("core", "X", "check" if kind == "check" else "run", expected, 5)
         return Checked(Task("core", (command,)), Answer.HOLDS, 0.0).told
 
     assert told("check", False) == "has no counterexample, to scope 5"

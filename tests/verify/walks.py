@@ -93,7 +93,7 @@ def walks(worlds: int, *, tries: int, configurations: int, start: int) -> list[W
     return found
 
 
-def set_piece() -> strategies.Scene:
+def set_piece() -> strategies.GeneratedSystem:
     """Seldom drawn: two that only work together, inputs that are not alternatives, a topic served from outside."""
     modes = [mode("both", [named("left"), named("right")]), mode("one", [named("left")]), mode("degraded")]
     stereo = component("Stereo", {"left": at(5.0), "right": at(5.0)}, [], modes)
@@ -103,10 +103,10 @@ def set_piece() -> strategies.Scene:
         environment=[EnvironmentGuarantee("camera", at(10.0), "/l")],
         modes={"n0.work": 0, "n1.work": 0, "eye.work": 1},
     )
-    return strategies.Scene(s, (filter_(), source()))
+    return strategies.GeneratedSystem(s, (filter_(), source()))
 
 
-def _walk(data: st.DataObject, number: int, scene: strategies.Scene, tries: int, most: int) -> World:
+def _walk(data: st.DataObject, number: int, scene: strategies.GeneratedSystem, tries: int, most: int) -> World:
     s = scene.configuration
     fresh = {component.name: Instance(f"new_{component.name}", "new", component) for component in scene.components[:2]}
     world = World([*s.instances.values(), *fresh.values()], {key(s): s}, [], [])

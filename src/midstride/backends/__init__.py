@@ -11,12 +11,12 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from midstride.runtime.backend import Backend
-    from midstride.runtime.reaper import Guardian
+    from midstride.runtime.reaper import Reaper
 
 NAMES: Final = ("ros2", "ros1", "sim")
 
 
-def make(name: str, *, logs: Path | None = None, guardian: Guardian | None = None) -> Backend:
+def make(name: str, *, logs: Path | None = None, guardian: Reaper | None = None) -> Backend:
     """The back end called ``name``. Raises BackendError where it is unknown or cannot be had here.
 
     ``logs`` is the folder of the components' logs, ``guardian`` ends what is started should this

@@ -17,7 +17,7 @@ from typing import Any, Final, TypeVar
 from midstride.errors import StartFailed, Unreachable
 from midstride.runtime.backend import Launch
 from midstride.runtime.process import Process
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.wire.messages import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
 
 T = TypeVar("T")
@@ -69,7 +69,7 @@ class Children:
     ``exited`` is told of each that ends by itself, once it is no longer among them.
     """
 
-    def __init__(self, guardian: Guardian | None, exited: Callable[[str, int | None, Process], None]) -> None:
+    def __init__(self, guardian: Reaper | None, exited: Callable[[str, int | None, Process], None]) -> None:
         self._guardian = guardian
         self._exited = exited
         self._processes: dict[str, Process] = {}

@@ -18,10 +18,10 @@ from pathlib import Path
 
 from midstride import backends
 from midstride.backends.simulator import Simulator
-from midstride.cli.example import Example, examples_folder
+from midstride.cli.example import Demo, examples_folder
 from midstride.runtime.backend import Backend
 from midstride.runtime.manager import Manager
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
 
 # What a real process of ROS 2 takes to start and to be found (s): the simulated ones shall not look better.
@@ -30,14 +30,14 @@ _MARK = "MIDSTRIDE_DEMO"
 
 
 @dataclass(frozen=True, slots=True)
-class Stage:
+class DemoEnvironment:
     manager: Manager
     backend: Backend
     workspace: Workspace
 
 
 @contextmanager
-def stage(example: Example, backend: str) -> Iterator[Stage]:
+def demo_environment(example: Demo, backend: str) -> Iterator[DemoEnvironment]:
     """Everything an example needs to run under a manager in this process. What is left at the end is ended."""
     token = secrets.token_hex(16)
     with ExitStack() as stack:
@@ -45,13 +45,13 @@ def stage(example: Example, backend: str) -> Iterator[Stage]:
         workspace = Workspace(folder)
         _own_network(folder, backend)
         os.environ[_MARK] = token
-        guardian = stack.enter_context(Guardian(_MARK, token)) if backend != "sim" else None
+        guardian = stack.enter_context(Reaper(_MARK, token)) if backend != "sim" else None
         platform: Backend = (
             Simulator(starting=COLD_START)
             if backend == "sim"
             else backends.make(backend, logs=workspace.logs, guardian=guardian)
         )
-        yield Stage(Manager(example.specification, platform, workspace, example.folder), platform, workspace)
+        yield DemoEnvironment(Manager(example.specification, platform, workspace, example.folder), platform, workspace)
 
 
 @contextmanager

@@ -15,9 +15,9 @@ from rich.text import Text
 
 from midstride.backends.simulator import Simulator
 from midstride.cli import render
-from midstride.cli.demo_environment import Stage, stage
-from midstride.cli.example import Act, Example
-from midstride.cli.log_excerpt import FileLog, Listening, Said, excerpt
+from midstride.cli.demo_environment import DemoEnvironment, demo_environment
+from midstride.cli.example import Demo, DemoStep
+from midstride.cli.log_excerpt import LogFile, LogFollower, LogLine, excerpt
 from midstride.cli.progress import Progress
 
 Document = dict[str, Any]
@@ -25,13 +25,13 @@ Document = dict[str, Any]
 ASIDE = 0.1
 
 
-async def perform(example: Example, backend: str, out: Console) -> list[Document]:
+async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
     """Play an example; what came of each act, as `replace --json` prints it. Stops at the first act that fails.
 
     Raises MidstrideError where the system does not come up, CancelledError on SIGINT and SIGTERM; in any
     case everything that was started has ended when this returns.
     """
-    with stage(example, backend) as scene, _cancelled_by_signals():
+    with demo_environment(example, backend) as scene, _cancelled_by_signals():
         try:
             out.print(f"[bold]{escape(example.title)}[/bold]  [dim](examples/{example.name}, on {backend})[/dim]")
             async with _shown(scene, example, out):
@@ -48,7 +48,7 @@ async def perform(example: Example, backend: str, out: Console) -> list[Document
             await _end(scene)
 
 
-async def _act(scene: Stage, example: Example, act: Act, out: Console) -> Document:
+async def _act(scene: DemoEnvironment, example: Demo, act: DemoStep, out: Console) -> Document:
     out.print(f"\n[bold]{escape(act.name)}[/bold]  {escape(act.says)}")
     plan = await scene.manager.plan(act.request)
     out.print(render.plan(plan.to_document(), "The plan"))
@@ -62,9 +62,9 @@ async def _act(scene: Stage, example: Example, act: Act, out: Console) -> Docume
 
 
 @asynccontextmanager
-async def _shown(scene: Stage, example: Example, out: Console) -> AsyncIterator[Listening]:
+async def _shown(scene: DemoEnvironment, example: Demo, out: Console) -> AsyncIterator[LogFollower]:
     """While inside: the events of the manager as they come, and the newest word of who is listened to."""
-    listening, beside = (Listening(_log_of(scene, example)) for _ in range(2))
+    listening, beside = (LogFollower(_log_of(scene, example)) for _ in range(2))
     listening.new()
     log = scene.manager.log()
     stream = scene.manager.subscribe(log[-1]["n"] if log else 0)
@@ -100,13 +100,13 @@ class _SimulatedLog:
         return self._simulator.log(self._instance) if self._instance in self._simulator.processes else ""
 
 
-def _log_of(scene: Stage, example: Example) -> FileLog | _SimulatedLog:
+def _log_of(scene: DemoEnvironment, example: Demo) -> LogFile | _SimulatedLog:
     if isinstance(scene.backend, Simulator):
         return _SimulatedLog(scene.backend, example.listen_to)
-    return FileLog(scene.workspace.logs / f"{example.listen_to}.log")
+    return LogFile(scene.workspace.logs / f"{example.listen_to}.log")
 
 
-def _print_excerpt(who: str, said: list[Said | None], out: Console) -> None:
+def _print_excerpt(who: str, said: list[LogLine | None], out: Console) -> None:
     if said:
         out.print(Text(f"{who} said meanwhile:", style="dim"))
     for line in said:
@@ -121,7 +121,7 @@ def _standing(status: Document) -> Iterator[Text]:
                 yield Text(f"Now {row['name']} is in mode {row['mode']}.", style="yellow")
 
 
-def _side_by_side(example: Example, outcomes: list[Document]) -> Table:
+def _side_by_side(example: Demo, outcomes: list[Document]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="dim")
     for name in ("", "fell, and for how long"):
         table.add_column(name)
@@ -143,7 +143,7 @@ def _figures(swap: Document) -> list[str]:
     return [render.seconds(swap["gap"]), render.UNKNOWN if periods is None else f"{periods:.2f}", *told]
 
 
-async def _end(scene: Stage) -> None:
+async def _end(scene: DemoEnvironment) -> None:
     """End the components in order; the simulator's threads with them."""
     try:
         await scene.manager.down()

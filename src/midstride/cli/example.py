@@ -18,7 +18,7 @@ from midstride.plan.request import Request
 
 
 @dataclass(frozen=True, slots=True)
-class Act:
+class DemoStep:
     """One change of an example: what it is called, what is said of it, what is asked for."""
 
     name: str
@@ -27,7 +27,7 @@ class Act:
 
 
 @dataclass(frozen=True, slots=True)
-class Example:
+class Demo:
     """``listen_to`` is the role whose log shows what the change looks like from a subscriber's side."""
 
     name: str
@@ -35,10 +35,10 @@ class Example:
     title: str
     specification: Specification
     listen_to: str
-    acts: tuple[Act, ...]
+    acts: tuple[DemoStep, ...]
 
 
-def find(name: str) -> Example:
+def find(name: str) -> Demo:
     """The example called ``name``, or in the folder ``name``. Raises UsageError where there is none."""
     root = examples_folder()
     known = {file.parent.name: file.parent for file in sorted(root.glob("*/demo.json"))} if root else {}
@@ -55,19 +55,19 @@ def examples_folder() -> Path | None:
     return folder if folder.is_dir() else None
 
 
-def read(folder: Path) -> Example:
+def read(folder: Path) -> Demo:
     """The example in ``folder``. Raises SpecificationError where its ``demo.json`` is none."""
     file = folder / "demo.json"
     document: Any = parse_json(file.read_text(encoding="utf-8"))
     try:
-        return Example(
+        return Demo(
             name=folder.name,
             folder=folder.resolve(),
             title=str(document["title"]),
             specification=load(folder / document["specification"]),
             listen_to=str(document["listen_to"]),
             acts=tuple(
-                Act(str(act["name"]), str(act["says"]), Request.from_document(act["request"]))
+                DemoStep(str(act["name"]), str(act["says"]), Request.from_document(act["request"]))
                 for act in document["acts"]
             ),
         )

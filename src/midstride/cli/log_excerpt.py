@@ -15,7 +15,7 @@ AROUND = 2
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class LogLine:
     at: float | None
     words: str
 
@@ -31,11 +31,11 @@ class Said:
         return re.sub(r"\d+", "#", self.words)
 
 
-class Log(Protocol):
+class LogSource(Protocol):
     def read(self) -> str: ...
 
 
-class FileLog:
+class LogFile:
     """The log of a process of its own."""
 
     def __init__(self, path: Path) -> None:
@@ -48,35 +48,35 @@ class FileLog:
             return ""
 
 
-class Listening:
+class LogFollower:
     """Reads a log piece by piece."""
 
-    def __init__(self, log: Log) -> None:
+    def __init__(self, log: LogSource) -> None:
         self._log = log
         self._seen = 0
 
-    def new(self) -> list[Said]:
+    def new(self) -> list[LogLine]:
         """What has been said since the last time."""
         lines = self._log.read().splitlines()
         fresh, self._seen = lines[self._seen :], len(lines)
         return [said for line in fresh if (said := parse(line)) is not None]
 
 
-def parse(line: str) -> Said | None:
+def parse(line: str) -> LogLine | None:
     """A line of a log; None for what was not said by a logger."""
     found = _LINE.match(line)
     if found is None:
         return None
-    return Said(float(found["at"]) if found["at"] else None, found["words"])
+    return LogLine(float(found["at"]) if found["at"] else None, found["words"])
 
 
-def excerpt(said: list[Said]) -> list[Said | None]:
+def excerpt(said: list[LogLine]) -> list[LogLine | None]:
     """The lines around each change of what is said; None stands for those left out."""
     shown: set[int] = set()
     for index in range(1, len(said)):
         if said[index].kind != said[index - 1].kind:
             shown.update(range(max(0, index - AROUND), min(len(said), index + AROUND)))
-    lines: list[Said | None] = []
+    lines: list[LogLine | None] = []
     last = -1
     for index in sorted(shown):
         if lines and index != last + 1:

@@ -12,8 +12,8 @@ from pygls.lsp.server import LanguageServer
 
 from midstride import __version__
 from midstride.lang.diagnostics import Diagnostic
-from midstride.lang.message_types import Messages, installed
-from midstride.lang.service import Service
+from midstride.lang.message_types import MessageTypes, installed
+from midstride.lang.service import LanguageService
 from midstride.lang.source import Source, Span
 
 _KINDS = {
@@ -33,14 +33,14 @@ _KINDS = {
 def make_server() -> LanguageServer:
     """A server that has not been started; ``start_io`` runs it on standard input and output."""
     server = LanguageServer("midstride", __version__)
-    known: list[Messages] = []
+    known: list[MessageTypes] = []
 
-    def messages() -> Messages:
+    def messages() -> MessageTypes:
         if not known:
             known.append(installed())
         return known[0]
 
-    service = Service(messages=messages)
+    service = LanguageService(messages=messages)
     shown: dict[Path, set[Path]] = {}  # the files that diagnostics were last shown in, by the file that asked for them
 
     def publish(path: Path) -> None:

@@ -6,7 +6,7 @@ import re
 from html import escape
 from typing import Final
 
-from midstride.generate.layout import Layout, layout
+from midstride.generate.layout import GraphLayout, layout
 from midstride.generate.view import Box, Edge, Port, View
 
 _WHOLE: Final = re.compile(r"(?<=@) | (?=k?Hz)| (?==)|(?<==) ")
@@ -39,7 +39,7 @@ def to_dot(view: View) -> str:
     return "\n".join([*lines, "}", ""])
 
 
-def _dot_edge(edge: Edge, ids: dict[str, str], laid: Layout) -> str:
+def _dot_edge(edge: Edge, ids: dict[str, str], laid: GraphLayout) -> str:
     """An edge; one that goes back is drawn as one that comes, so that it does not turn the drawing round."""
     out, into = ("s", "n") if laid.down else ("e", "w")
     start = ids[edge.start] + (f":{_quoted('out ' + edge.start_port)}:{out}" if edge.start_port else "")
@@ -49,7 +49,7 @@ def _dot_edge(edge: Edge, ids: dict[str, str], laid: Layout) -> str:
     return (f"{end} -> {start}" if back else f"{start} -> {end}") + (f" [{', '.join(looks)}]" if looks else "")
 
 
-def _table(box: Box, laid: Layout) -> str:
+def _table(box: Box, laid: GraphLayout) -> str:
     """A box as a table: inputs, then its title and functionalities, then outputs; across, or down."""
     border = 'style="dashed"' if box.kind == "environment" else 'style="rounded"'
     lines = box.lines if box.kind == "node" else [f"  {line}" for line in box.lines]

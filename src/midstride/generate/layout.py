@@ -20,7 +20,7 @@ _TRIED: Final = 120
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class GraphLayout:
     """``order``: the ids of boxes and topics, sources first. ``back``: the edges against it. ``down``: the drawing is
     better read downwards."""
 
@@ -29,7 +29,7 @@ class Layout:
     down: bool
 
 
-def layout(view: View) -> Layout:
+def layout(view: View) -> GraphLayout:
     """The layout of a view; the same for the same view."""
     ids = [*(box.id for box in view.boxes), *(topic.id for topic in view.topics)]
     pairs = list(dict.fromkeys((edge.start, edge.end) for edge in view.edges if edge.start != edge.end))
@@ -41,7 +41,7 @@ def layout(view: View) -> Layout:
         )
     back = _back(order, pairs)
     across = ACROSS_ANNOTATED if any(topic.note for topic in view.topics) else ACROSS
-    return Layout(
+    return GraphLayout(
         tuple(order),
         frozenset(edge for edge in view.edges if (edge.start, edge.end) in back),
         _boxes_in_a_row(view, order, [pair for pair in pairs if pair not in back]) > across,

@@ -13,7 +13,7 @@ _INTERPRETER: Final = re.compile(r"(/usr/bin/(env )?)?python3?(\.\d+)?")
 _WORD: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
-class Program(NamedTuple):
+class ProgramFile(NamedTuple):
     """The file that a command runs, relative to the system's folder; ``packaged``: it is found in its package, not
     by its place."""
 
@@ -21,7 +21,7 @@ class Program(NamedTuple):
     packaged: bool
 
 
-def program(run: str) -> Program | None:
+def program(run: str) -> ProgramFile | None:
     """What a command runs; None for what is no Python program of the system's folder.
 
     ``python3 -m patrol.detector`` runs ``patrol/detector.py``, ``python3 talker.py`` runs ``talker.py``.
@@ -39,11 +39,11 @@ def program(run: str) -> Program | None:
         parts = words[1].split(".")
         if not all(_WORD.fullmatch(part) and not keyword.iskeyword(part) for part in parts):
             return None
-        return Program(PurePosixPath(*parts[:-1], f"{parts[-1]}.py"), len(parts) > 1)
+        return ProgramFile(PurePosixPath(*parts[:-1], f"{parts[-1]}.py"), len(parts) > 1)
     path = PurePosixPath(words[0]) if words else PurePosixPath()
     if path.suffix != ".py" or path.is_absolute() or ".." in path.parts:
         return None
-    return Program(path, False)
+    return ProgramFile(path, False)
 
 
 def snake(name: str) -> str:

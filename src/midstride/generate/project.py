@@ -10,9 +10,9 @@ from typing import Any, Final, Literal
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from midstride.generate.merge import BEGIN, END, marked
-from midstride.generate.names import Program, program, snake
+from midstride.generate.names import ProgramFile, program, snake
 from midstride.generate.skeleton import Skeleton, skeleton
-from midstride.model.component import Component
+from midstride.model.component import ComponentSpec
 from midstride.model.specification import Specification
 
 Kind = Literal["component", "whole", "copy", "empty"]
@@ -55,7 +55,7 @@ class _Project:
         self.sources = sources
         self.ros = ros
         self.result = Project()
-        self.programs: dict[PurePosixPath, tuple[Program, str]] = {}  # with the component that each is of
+        self.programs: dict[PurePosixPath, tuple[ProgramFile, str]] = {}  # with the component that each is of
         self.packages: set[str] = set()
         self.templates = Environment(
             loader=PackageLoader("midstride.generate"),
@@ -75,7 +75,7 @@ class _Project:
         self._package_files()
         return self.result
 
-    def _component(self, component: Component) -> None:
+    def _component(self, component: ComponentSpec) -> None:
         run = None if component.run is None else program(component.run)
         if component.run is None:
             self.result.skipped[component.name] = "it has no `run`: it is started elsewhere"

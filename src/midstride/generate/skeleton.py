@@ -9,8 +9,8 @@ from typing import Final
 
 from midstride.errors import SpecificationError
 from midstride.generate.names import Attributes
-from midstride.model.component import Component, EnvironmentGuarantee, Functionality, Mode, NamedInputs
-from midstride.model.contract import Interval, OneOf, Predicate, QoS, Scalar, ValueSet, figure, satisfies
+from midstride.model.component import ComponentSpec, EnvironmentGuarantee, FunctionalitySpec, InputAlternatives, Mode
+from midstride.model.contract import Interval, OneOf, Predicate, QoS, Scalar, ValueSet, format_number, satisfies
 
 # Attributes of the skeleton's own.
 _OWN: Final = ("component", "wire", "start")
@@ -42,7 +42,7 @@ class Skeleton:
     packages: list[str] = field(default_factory=list)
 
 
-def skeleton(component: Component, node: str, environment: tuple[EnvironmentGuarantee, ...] = ()) -> Skeleton:
+def skeleton(component: ComponentSpec, node: str, environment: tuple[EnvironmentGuarantee, ...] = ()) -> Skeleton:
     """The skeleton of ``component``, whose node is called ``node`` where nobody names it.
 
     Raises SpecificationError for an output that no mode gives a type.
@@ -51,7 +51,7 @@ def skeleton(component: Component, node: str, environment: tuple[EnvironmentGuar
 
 
 class _Builder:
-    def __init__(self, component: Component, node: str, environment: tuple[EnvironmentGuarantee, ...]) -> None:
+    def __init__(self, component: ComponentSpec, node: str, environment: tuple[EnvironmentGuarantee, ...]) -> None:
         self.component = component
         self.environment = environment
         name = f"{component.name}Node" if component.name in _IMPORTED else component.name
@@ -113,7 +113,7 @@ class _Builder:
         """An input's assumption as arguments."""
         yield self.classes[predicate.type]
         if predicate.rate is not None:
-            yield f"rate={figure(predicate.rate)}"
+            yield f"rate={format_number(predicate.rate)}"
         yield from self._qos(predicate.qos)
         if predicate.fields:
             yield f"where={self._where(predicate.fields)}"
@@ -139,7 +139,11 @@ class _Builder:
             return f"Interval({ends[0]}, {ends[1]}, low_open={values.low_open}, high_open={values.high_open})"
         helper = "at_most" if math.isinf(low) else "at_least" if math.isinf(high) else "between"
         self.used.add(helper)
-        told = {"at_most": figure(high), "at_least": figure(low), "between": f"{figure(low)}, {figure(high)}"}
+        told = {
+            "at_most": format_number(high),
+            "at_least": format_number(low),
+            "between": f"{format_number(low)}, {format_number(high)}",
+        }
         return f"{helper}({told[helper]})"
 
     # -- parameters ------------------------------------------------------------------------------------------
@@ -158,7 +162,7 @@ class _Builder:
 
     # -- functionalities ---------------------------------------------------------------------------------------
 
-    def _functionality(self, functionality: Functionality) -> None:
+    def _functionality(self, functionality: FunctionalitySpec) -> None:
         attribute = self.functionalities[functionality.name] = self.names.take(functionality.name, "functionality")
         arguments = [repr(functionality.name)]
         if functionality.inputs:
@@ -166,7 +170,7 @@ class _Builder:
         if functionality.outputs:
             arguments.append(f"outputs={self._ports(functionality.outputs)}")
         if functionality.weight not in {0, 1}:  # the author's API knows no weight of 0, and the manager takes its own
-            arguments.append(f"weight={figure(functionality.weight)}")
+            arguments.append(f"weight={format_number(functionality.weight)}")
         created = f"self.component.create_functionality({', '.join(arguments)})"
         self.result.declarations.append(f"{attribute} = {created}")
         for index, mode in enumerate(functionality.modes):
@@ -175,7 +179,7 @@ class _Builder:
     def _ports(self, names: tuple[str, ...]) -> str:
         return "[" + ", ".join(f"self.{self.ports[name]}" for name in names) + "]"
 
-    def _mode(self, functionality: Functionality, attribute: str, index: int, mode: Mode) -> None:
+    def _mode(self, functionality: FunctionalitySpec, attribute: str, index: int, mode: Mode) -> None:
         guarantees = [(name, mode.guarantees[name]) for name in functionality.outputs if name in mode.guarantees]
         rates = [guarantee.rate for _, guarantee in guarantees if guarantee.rate is not None]
         assumed = list(self._assumed(functionality, mode))
@@ -200,7 +204,7 @@ class _Builder:
             called = "{" + ", ".join(entries) + "}"
         arguments = [called]
         if rates:
-            arguments.append(f"rate={figure(max(rates))}")
+            arguments.append(f"rate={format_number(max(rates))}")
         if assumed:
             arguments.append(f"inputs=[{', '.join(self._alternatives(names) for names in assumed)}]")
         if guarantees:
@@ -212,7 +216,9 @@ class _Builder:
             arguments.append(f"guarantees={{{', '.join(entries)}}}")
         self.result.wiring.append(self._set(attribute, functionality, index, mode, arguments))
 
-    def _set(self, attribute: str, functionality: Functionality, index: int, mode: Mode, arguments: list[str]) -> str:
+    def _set(
+        self, attribute: str, functionality: FunctionalitySpec, index: int, mode: Mode, arguments: list[str]
+    ) -> str:
         target = f"self.{attribute}"
         if index == functionality.last_mode:
             named = [] if mode.name == "degraded" else [f"name={mode.name!r}"]
@@ -222,10 +228,10 @@ class _Builder:
             return f"{target}.set_normal_mode({', '.join([*arguments, *named])})"
         return f"{target}.set_mode({', '.join([repr(mode.name), *arguments])})"
 
-    def _assumed(self, functionality: Functionality, mode: Mode) -> Iterator[tuple[str, ...]]:
+    def _assumed(self, functionality: FunctionalitySpec, mode: Mode) -> Iterator[tuple[str, ...]]:
         """The inputs of each assumption. What the environment gives is no one's input."""
         for assumption in mode.assumptions:
-            if isinstance(assumption, NamedInputs):
+            if isinstance(assumption, InputAlternatives):
                 yield assumption.inputs
                 continue
             if any(offer.topic is None and satisfies(offer.guarantee, assumption) for offer in self.environment):
@@ -240,7 +246,7 @@ class _Builder:
         self.used.add("any_of")
         return f"any_of({', '.join(f'self.{self.ports[name]}' for name in names)})"
 
-    def _about(self, functionality: Functionality, mode: Mode) -> str:
+    def _about(self, functionality: FunctionalitySpec, mode: Mode) -> str:
         assumed = ", ".join(str(assumption) for assumption in mode.assumptions) or "nothing"
         text = f"{mode.name}, of {functionality.name}: assumes {assumed}."
         return text.replace("\\", "/").replace('"', "'")

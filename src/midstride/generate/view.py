@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
-from midstride.model.component import Component, Functionality, Mode
+from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, satisfies
 from midstride.model.specification import Specification
 
@@ -39,7 +39,7 @@ class Box:
 
 
 @dataclass(frozen=True, slots=True)
-class Topic:
+class TopicNode:
     id: str
     name: str
     note: str = ""
@@ -62,7 +62,7 @@ class View:
 
     title: str
     boxes: list[Box] = field(default_factory=list)
-    topics: list[Topic] = field(default_factory=list)
+    topics: list[TopicNode] = field(default_factory=list)
     edges: list[Edge] = field(default_factory=list)
 
 
@@ -116,15 +116,15 @@ class _Builder:
             lines=tuple(line for functionality in component for line in self._functionality(functionality)),
         )
 
-    def _input(self, component: Component, name: str) -> Port:
+    def _input(self, component: ComponentSpec, name: str) -> Port:
         return Port(name, told(component.inputs[name]) if self.annotate else "")
 
-    def _output(self, component: Component, name: str) -> Port:
+    def _output(self, component: ComponentSpec, name: str) -> Port:
         owner = component.find_owner(name)
         guarantee = owner.modes[0].guarantee(name) if owner is not None and owner.modes else None
         return Port(name, told(guarantee) if self.annotate and isinstance(guarantee, Predicate) else "")
 
-    def _functionality(self, functionality: Functionality) -> Iterable[str]:
+    def _functionality(self, functionality: FunctionalitySpec) -> Iterable[str]:
         yield functionality.name
         if self.annotate:
             for mode in functionality.modes:
@@ -150,7 +150,7 @@ class _Builder:
             note = told(connector.guarantee) if self.annotate else ""
             if self.annotate and connector.cap is not None:
                 note += f", at most {connector.cap} publisher{'' if connector.cap == 1 else 's'}"
-            self.view.topics.append(Topic(f"topic {name}", name, note))
+            self.view.topics.append(TopicNode(f"topic {name}", name, note))
             for box, name_of_port, is_output in attached:
                 shown = "" if box.startswith("group ") else name_of_port
                 if is_output:
@@ -184,7 +184,7 @@ def _shared_namespace(roles: Iterable[str]) -> tuple[str, ...]:
     return tuple(shared)
 
 
-def _relies(component: Component, guarantee: Predicate) -> bool:
+def _relies(component: ComponentSpec, guarantee: Predicate) -> bool:
     """Whether a mode of the component assumes something that the guarantee satisfies."""
     return any(
         isinstance(assumption, Predicate) and satisfies(guarantee, assumption)

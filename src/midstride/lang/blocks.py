@@ -12,12 +12,12 @@ from collections.abc import Callable, Mapping
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.lexer import Tokens
 from midstride.lang.near_miss import nearest
-from midstride.lang.token_stream import BELONGS, RESERVED, Cursor, Panic
+from midstride.lang.token_stream import BELONGS, RESERVED, Panic, TokenStream
 
 Handlers = Mapping[str, Callable[[], None]]
 
 
-class BlockParser(Cursor):
+class BlockParser(TokenStream):
     """The part of the parser that reads blocks."""
 
     def __init__(self, tokens: Tokens, reporter: Reporter) -> None:

@@ -20,7 +20,7 @@ from midstride.model.diagnostics import CATALOGUE as MODEL_KINDS
 
 
 @dataclass(frozen=True, slots=True)
-class Example:
+class CatalogueExample:
     """An input that triggers a diagnostic. ``files`` lie beside it; what is in bytes is no text."""
 
     text: str | bytes
@@ -35,7 +35,7 @@ class Entry:
     code: str
     title: str
     explanation: str
-    examples: tuple[Example, ...]
+    examples: tuple[CatalogueExample, ...]
 
     @property
     def severity(self) -> Severity:
@@ -56,9 +56,9 @@ def _entries() -> dict[str, Entry]:
     for code, (explanation, examples) in MODEL.items():
         kind = MODEL_KINDS[code]
         told = f"{explanation}\n\nWhat to do: {kind.advice}."
-        entries[code] = Entry(code, kind.title, told, tuple(Example(*example) for example in examples))
+        entries[code] = Entry(code, kind.title, told, tuple(CatalogueExample(*example) for example in examples))
     for code, (title, explanation, examples) in TEXT.items():
-        entries[code] = Entry(code, title, explanation, tuple(Example(*example) for example in examples))
+        entries[code] = Entry(code, title, explanation, tuple(CatalogueExample(*example) for example in examples))
     return entries
 
 

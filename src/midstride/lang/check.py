@@ -17,15 +17,15 @@ from midstride.lang.contracts import Contracts
 from midstride.lang.declarations import Declarations, collect, topic_name
 from midstride.lang.diagnostics import Diagnostic, Note, Reporter, in_order
 from midstride.lang.files import Loader, Read, join
-from midstride.lang.hints import Advice
-from midstride.lang.impact_notes import Consequences
+from midstride.lang.hints import Hints
+from midstride.lang.impact_notes import ImpactNotes
 from midstride.lang.lexer import is_topic_name
-from midstride.lang.message_types import Messages
+from midstride.lang.message_types import MessageTypes
 from midstride.lang.nodes import Nodes
 from midstride.lang.source import Source, Span
-from midstride.lang.source_map import Places
+from midstride.lang.source_map import SourceMap
 from midstride.lang.syntax import KeepStatement, LimitStatement
-from midstride.model.component import Component, Connector, EnvironmentGuarantee, FunctionalityRef, Resource
+from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.diagnostics import Problem
 from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification
 from midstride.model.specification_checks import check as check_specification
@@ -52,7 +52,7 @@ class Resolved:
 
 
 def check_files(
-    source: Source, read: Read, messages: Messages | None
+    source: Source, read: Read, messages: MessageTypes | None
 ) -> tuple[Specification | None, tuple[Diagnostic, ...], tuple[Source, ...], Resolved]:
     """The specification that ``source`` and its includes say, or None where they are in error; the diagnostics; the
     sources."""
@@ -80,7 +80,7 @@ class _Building:
         self,
         declarations: Declarations,
         lost: frozenset[str],
-        messages: Messages | None,
+        messages: MessageTypes | None,
         read: Read,
         reporter: Reporter,
     ) -> None:
@@ -90,7 +90,7 @@ class _Building:
         self.contracts = Contracts(declarations.contracts, lost, messages, reporter)
         self.components = Components(declarations.components, self.contracts, lost, reporter)
         self.contracts.resolve_all()
-        self.built: dict[str, Component] = self.components.build()
+        self.built: dict[str, ComponentSpec] = self.components.build()
         self.nodes = Nodes(declarations, self.built, self.components.merged, read, reporter)
         self.doubtful_topics: set[str] = set()
 
@@ -150,12 +150,12 @@ class _Building:
 
     def judge(self, specification: Specification, incomplete: bool) -> None:
         """Report what is wrong with the specification, save what follows from what has been reported."""
-        places = Places(self.declarations, self.components.merged, self.nodes.places)
+        places = SourceMap(self.declarations, self.components.merged, self.nodes.places)
         faulty = self.reporter.has_errors
         problems = check_specification(specification)
         unfit_alone = not faulty and {p.code for p in problems if p.severity == "error"} == {"E020"}
-        consequences = Consequences(specification) if unfit_alone else None
-        advice = Advice(specification)
+        consequences = ImpactNotes(specification) if unfit_alone else None
+        advice = Hints(specification)
         for problem in problems:
             if problem.code in _OURS or (faulty and problem.code in _CONSEQUENCES) or not problem.subject:
                 continue

@@ -27,7 +27,15 @@ from midstride.lang.syntax import (
     NamedAssumption,
 )
 from midstride.lang.token_stream import RESERVED
-from midstride.model.component import Assumption, Component, Endpoint, Functionality, Mode, NamedInputs, Parameter
+from midstride.model.component import (
+    Assumption,
+    ComponentSpec,
+    Endpoint,
+    FunctionalitySpec,
+    InputAlternatives,
+    Mode,
+    ParameterSpec,
+)
 from midstride.model.contract import NOTHING, Predicate
 
 T = TypeVar("T")
@@ -79,7 +87,7 @@ class Components:
         self.doubts: dict[str, Doubts] = {}
         self._depths: dict[str, int] = {}
 
-    def build(self) -> dict[str, Component]:
+    def build(self) -> dict[str, ComponentSpec]:
         """Every component declared, as far as it can be told."""
         for name in self.declared:
             self._merge(name)
@@ -183,7 +191,7 @@ class Components:
 
     # -- building ------------------------------------------------------------------------------------------
 
-    def _component(self, declaration: ComponentDeclaration) -> Component:
+    def _component(self, declaration: ComponentDeclaration) -> ComponentSpec:
         doubts = self.doubts[declaration.name.text]
         inputs: dict[str, Predicate] = {}
         for declared in declaration.inputs:
@@ -200,7 +208,7 @@ class Components:
             self._functionality(f, declaration, inputs, doubts) for f in declaration.functionalities
         )
         run = declaration.runs[0] if declaration.runs else None
-        return Component.of(
+        return ComponentSpec.of(
             declaration.name.text,
             inputs=inputs,
             outputs=tuple(output.text for output in declaration.outputs),
@@ -211,7 +219,7 @@ class Components:
                 for held in statement
             },
             parameters={
-                entry.name.text: Parameter(entry.value.value, entry.changeable) for entry in declaration.parameters
+                entry.name.text: ParameterSpec(entry.value.value, entry.changeable) for entry in declaration.parameters
             },
             allows=tuple(dict.fromkeys(_endpoint(allowed) for allowed in declaration.allows)),
             run=None if run is None else run.command.text,
@@ -224,14 +232,14 @@ class Components:
         owner: ComponentDeclaration,
         inputs: Mapping[str, Predicate],
         doubts: Doubts,
-    ) -> Functionality:
+    ) -> FunctionalitySpec:
         name = declared.name.text
         if declared.broken:
             doubts.broken.add(name)
             if not any(mode.broken for mode in declared.modes[1:]):
                 doubts.normal.add(name)
         modes = tuple(self._mode(mode, name, owner, inputs, doubts) for mode in declared.modes)
-        return Functionality(
+        return FunctionalitySpec(
             name,
             modes,
             inputs=tuple(used.text for used in declared.uses),
@@ -269,7 +277,7 @@ class Components:
         self, assumed: Assumed, owner: ComponentDeclaration, inputs: Mapping[str, Predicate]
     ) -> Assumption | None:
         if isinstance(assumed, NamedAssumption):
-            return NamedInputs(tuple(name.text for name in assumed.inputs))
+            return InputAlternatives(tuple(name.text for name in assumed.inputs))
         if (
             assumed.base is not None
             and "/" not in assumed.base.text
@@ -277,7 +285,7 @@ class Components:
         ):
             return self._named_input(assumed, assumed.base, owner, inputs)
         if assumed.is_bare_name and assumed.base is not None and assumed.base.text in inputs:
-            return NamedInputs((assumed.base.text,))  # a contract of that name is an error, which has been told
+            return InputAlternatives((assumed.base.text,))  # a contract of that name is an error, which has been told
         return self.contracts.predicate(assumed, "an assumption")
 
     def _named_input(
@@ -285,7 +293,7 @@ class Components:
     ) -> Assumption | None:
         if base.text in inputs:
             if assumed.is_bare_name:
-                return NamedInputs((base.text,))
+                return InputAlternatives((base.text,))
             message = f"`{base.text}` is an input, whose own assumption says what is needed of it"
             self.reporter.report(
                 "E142",

@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any, Final, get_args
 
 from midstride.lang.diagnostics import Reporter
-from midstride.lang.message_types import Message, Messages, Missing, field_kind
+from midstride.lang.message_types import MessageDefinition, MessageTypes, Missing, field_kind
 from midstride.lang.near_miss import did_you_mean
 from midstride.lang.parse_contract import SECONDS
 from midstride.lang.source import Span
@@ -49,7 +49,7 @@ class Contracts:
         self,
         declared: Mapping[str, ContractDeclaration],
         lost: frozenset[str],
-        messages: Messages | None,
+        messages: MessageTypes | None,
         reporter: Reporter,
     ) -> None:
         self.declared = declared
@@ -57,7 +57,7 @@ class Contracts:
         self.messages = messages
         self.reporter = reporter
         self._resolved: dict[str, Contract | None] = {}
-        self._types: dict[str, Message | bool | None] = {}
+        self._types: dict[str, MessageDefinition | bool | None] = {}
         self._cache: dict[tuple[str, float | None], Predicate] = {}
 
     def resolve_all(self) -> None:
@@ -175,7 +175,7 @@ class Contracts:
         self.reporter.report("E130", name.span, f"package `{package}` has no message type `{rest}`", help=help)
         return False
 
-    def _known(self, name: str) -> Message | bool:
+    def _known(self, name: str) -> MessageDefinition | bool:
         """The message type; True where its package is not known; False where the package has no such type."""
         if self.messages is None:
             return True
@@ -258,7 +258,7 @@ class Contracts:
         if known is None and self.messages is not None:
             known = self._known(type_)
             self._types[type_] = known
-        if not isinstance(known, Message) or self.messages is None:
+        if not isinstance(known, MessageDefinition) or self.messages is None:
             return True
         path = constraint.path
         kind = field_kind(self.messages, known, path.text)
@@ -290,7 +290,7 @@ def _shortened(names: list[str]) -> list[str]:
 _TOLD: Final = {"number": "a number", "text": "a text", "boolean": "true or false"}
 
 
-def _by_value(message: Message, constraint: FieldConstraint) -> str | None:
+def _by_value(message: MessageDefinition, constraint: FieldConstraint) -> str | None:
     """How the constraint reads with the value of the constant that it names."""
     for value in constraint.values:
         if isinstance(value.value, str) and value.value in message.constants:

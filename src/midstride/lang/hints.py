@@ -24,7 +24,7 @@ _DECLARATIONS: Final = {
 }
 
 
-class Advice:
+class Hints:
     """Advice on the problems of one specification."""
 
     def __init__(self, specification: Specification) -> None:

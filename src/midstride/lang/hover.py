@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from midstride.lang.index import Symbol
-from midstride.model.component import Component, Functionality, FunctionalityRef, NamedInputs
+from midstride.model.component import ComponentSpec, FunctionalityRef, FunctionalitySpec, InputAlternatives
 from midstride.model.configuration import Configuration
-from midstride.model.contract import NOTHING, figure
+from midstride.model.contract import NOTHING, format_number
 from midstride.model.diagnosis import reasons_against
-from midstride.model.rules import Judge
+from midstride.model.rules import Evaluator
 from midstride.model.specification import Specification, initial
 
 
-def tell(symbol: Symbol, specification: Specification, *, runnable: bool) -> str | None:
+def hover(symbol: Symbol, specification: Specification, *, runnable: bool) -> str | None:
     """A symbol in words. ``runnable``: the specification has no errors, so that it is known what will be in which
     mode."""
-    told = _Teller(specification, initial(specification) if runnable else None)
+    told = _Hover(specification, initial(specification) if runnable else None)
     writers: dict[str, Callable[[Symbol], Iterator[str]]] = {
         "topic": told.topic,
         "component": told.component,
@@ -32,7 +32,7 @@ def tell(symbol: Symbol, specification: Specification, *, runnable: bool) -> str
     return "\n\n".join([f"**{symbol.kind}** `{symbol.name}`", *lines])
 
 
-class _Teller:
+class _Hover:
     def __init__(self, specification: Specification, configuration: Configuration | None) -> None:
         self.specification = specification
         self.s = configuration
@@ -48,7 +48,7 @@ class _Teller:
         for what, ports in (("from", self.s.publishers_on(symbol.name)), ("to", self.s.subscribers_on(symbol.name))):
             if ports:
                 yield f"{what} {', '.join(f'`{port}`' for port in sorted(ports))}"
-        judge = Judge(self.s)
+        judge = Evaluator(self.s)
         yield "satisfied" if judge.connector_satisfied(symbol.name) else judge.why_connector_unsatisfied(symbol.name)
 
     def component(self, symbol: Symbol) -> Iterator[str]:
@@ -92,7 +92,7 @@ class _Teller:
         found = self._declared(symbol.owner, symbol.name)
         if found is None:
             return
-        yield f"modes: {', '.join(mode.name for mode in found.modes)}; weight {figure(found.weight)}"
+        yield f"modes: {', '.join(mode.name for mode in found.modes)}; weight {format_number(found.weight)}"
         for role in self.specification.roles():
             if self.specification.nodes[role].component == symbol.owner:
                 yield from self._stands(FunctionalityRef(role, symbol.name))
@@ -102,7 +102,7 @@ class _Teller:
         found = self._declared(component, name)
         for mode in found.modes if found is not None else ():
             if mode.name == symbol.name:
-                names = [str(a) if isinstance(a, NamedInputs) else f"`{a}`" for a in mode.assumptions]
+                names = [str(a) if isinstance(a, InputAlternatives) else f"`{a}`" for a in mode.assumptions]
                 yield f"assumes {', '.join(names) or 'nothing'}"
                 for output, given in sorted(mode.guarantees.items()):
                     yield f"guarantees `{output} : {given}`"
@@ -110,9 +110,9 @@ class _Teller:
     def resource(self, symbol: Symbol) -> Iterator[str]:
         declared = self.specification.resources.get(symbol.name)
         if declared is not None:
-            yield f"capacity {figure(declared.capacity)}"
+            yield f"capacity {format_number(declared.capacity)}"
             held = 0.0 if self.s is None else float(self.s.held.get(symbol.name, 0))
-            yield f"held at first: {figure(held)}"
+            yield f"held at first: {format_number(held)}"
 
     def guarantee(self, symbol: Symbol) -> Iterator[str]:
         for offer in self.specification.environment:
@@ -125,12 +125,12 @@ class _Teller:
         if declared is not None:
             yield f"`{declared.value!r}`" + (", changeable in place" if declared.changeable else "")
 
-    def _declared(self, component: str, functionality: str) -> Functionality | None:
+    def _declared(self, component: str, functionality: str) -> FunctionalitySpec | None:
         found = self.specification.components.get(component)
         return None if found is None else found.functionalities.get(functionality)
 
 
-def _normally(component: Component, output: str) -> str:
+def _normally(component: ComponentSpec, output: str) -> str:
     owner = component.find_owner(output)
     if owner is None or not owner.modes:
         return "nothing"

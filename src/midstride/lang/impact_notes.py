@@ -13,7 +13,7 @@ from midstride.model.specification import Specification, initial
 _SHOWN = 8
 
 
-class Consequences:
+class ImpactNotes:
     """Tells what follows in one specification. Meaningful where nothing else is wrong with it."""
 
     def __init__(self, specification: Specification) -> None:

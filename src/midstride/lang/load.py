@@ -10,7 +10,7 @@ from midstride.lang.check import Resolved, check_files
 from midstride.lang.diagnostics import Diagnostic, has_errors
 from midstride.lang.files import Read, Unreadable, read_source, read_text
 from midstride.lang.json_form import check_json
-from midstride.lang.message_types import Messages
+from midstride.lang.message_types import MessageTypes
 from midstride.lang.source import Source
 from midstride.model.specification import Specification
 
@@ -38,7 +38,7 @@ class Loaded:
         return self.specification
 
 
-def load(path: Path | str, *, read: Read = read_text, messages: Messages | None = None) -> Loaded:
+def load(path: Path | str, *, read: Read = read_text, messages: MessageTypes | None = None) -> Loaded:
     """The system that a file declares: JSON where its name ends in ``.json``, else the Stride language.
 
     ``read`` gives the text of each file; ``messages`` knows message types (None: types and fields are not checked).
@@ -58,13 +58,13 @@ def load_text(
     *,
     path: Path | None = None,
     read: Read = read_text,
-    messages: Messages | None = None,
+    messages: MessageTypes | None = None,
 ) -> Loaded:
     """The system that a text declares. Includes are relative to ``path``, or to ``name`` where that is None."""
     return _loaded(Source(name, text, path or Path(name)), read, messages)
 
 
-def _loaded(source: Source, read: Read, messages: Messages | None) -> Loaded:
+def _loaded(source: Source, read: Read, messages: MessageTypes | None) -> Loaded:
     if source.name.endswith(".json"):
         specification, diagnostics = check_json(source)
         return Loaded(specification, diagnostics, (source,))

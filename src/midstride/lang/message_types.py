@@ -1,6 +1,6 @@
 """Message types that are known here, so that a misspelt type or field is found before anything runs.
 
-``Messages`` is what the checker asks; :func:`installed` answers from the interface files of installed
+``MessageTypes`` is what the checker asks; :func:`installed` answers from the interface files of installed
 message packages (``share/<package>/msg``, as ROS 2 and ROS 1 lay them out), and, for packages that are not
 there, from the type store of ``rosbags``. Nothing of ROS is imported.
 """
@@ -27,7 +27,7 @@ _LARGEST: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
-class Message:
+class MessageDefinition:
     """The fields of a message type. The type of a field: ``number``, ``text``, ``boolean``, ``list``, or a message
     type. ``constants`` have their values as they are written."""
 
@@ -36,10 +36,10 @@ class Message:
     constants: Mapping[str, str] = field(default_factory=dict)
 
 
-class Messages(Protocol):
+class MessageTypes(Protocol):
     """What is known of message types."""
 
-    def message(self, name: str) -> Message | None:
+    def message(self, name: str) -> MessageDefinition | None:
         """The type of that canonical name; None where it is not known."""
 
     def types(self, package: str) -> Iterable[str]:
@@ -54,7 +54,7 @@ class Missing(NamedTuple):
     known: tuple[str, ...]
 
 
-def field_kind(messages: Messages, message: Message, path: str) -> str | Missing:
+def field_kind(messages: MessageTypes, message: MessageDefinition, path: str) -> str | Missing:
     """What the field at the dotted ``path`` is; ``unknown`` where the way leads through a type that is not known."""
     kind = message.name
     for name in path.split("."):
@@ -72,14 +72,14 @@ def field_kind(messages: Messages, message: Message, path: str) -> str | Missing
 class Installed:
     """The message types of the packages installed under ``folders``, and those of ``fallback`` for other packages."""
 
-    def __init__(self, folders: Iterable[Path], fallback: Callable[[], Messages | None] | None = None) -> None:
+    def __init__(self, folders: Iterable[Path], fallback: Callable[[], MessageTypes | None] | None = None) -> None:
         self._folders = tuple(folders)
         self._load_fallback = fallback
-        self._fallback: Messages | None = None
+        self._fallback: MessageTypes | None = None
         self._packages: dict[str, Path | None] = {}
-        self._messages: dict[str, Message | None] = {}
+        self._messages: dict[str, MessageDefinition | None] = {}
 
-    def message(self, name: str) -> Message | None:
+    def message(self, name: str) -> MessageDefinition | None:
         if name not in self._messages:
             self._messages[name] = self._find(name)
         return self._messages[name]
@@ -97,7 +97,7 @@ class Installed:
             self._packages[package] = next((folder for folder in candidates if _has_messages(folder)), None)
         return self._packages[package]
 
-    def _find(self, name: str) -> Message | None:
+    def _find(self, name: str) -> MessageDefinition | None:
         package, _, rest = canonical_type(name).partition("/msg/")
         folder = self._folder(package)
         if folder is None:
@@ -108,9 +108,9 @@ class Installed:
                 text = stream.read(_LARGEST)
         except OSError:
             return None
-        return Message(name, parse_fields(text, package), parse_constants(text))
+        return MessageDefinition(name, parse_fields(text, package), parse_constants(text))
 
-    def _other(self) -> Messages | None:
+    def _other(self) -> MessageTypes | None:
         if self._load_fallback is not None:
             self._fallback, self._load_fallback = self._load_fallback(), None
         return self._fallback
@@ -163,12 +163,12 @@ class _Rosbags:
 
         self._fields = get_typestore(Stores.ROS2_KILTED).fielddefs
 
-    def message(self, name: str) -> Message | None:
+    def message(self, name: str) -> MessageDefinition | None:
         definition = self._fields.get(name)
         if definition is None:
             return None
         constants, fields = definition
-        return Message(
+        return MessageDefinition(
             name, {field: _rosbags_kind(kind) for field, kind in fields}, {c: str(value) for c, _, value in constants}
         )
 
@@ -185,7 +185,7 @@ def _rosbags_kind(kind: object) -> str:
     return _kind(detail[0], "") if label == "BASE" else "list"  # type: ignore[has-type]
 
 
-def _rosbags() -> Messages | None:
+def _rosbags() -> MessageTypes | None:
     try:
         return _Rosbags()
     except ImportError:
@@ -201,6 +201,6 @@ def share_folders(environment: Mapping[str, str]) -> list[Path]:
     return list(dict.fromkeys(folders))
 
 
-def installed(environment: Mapping[str, str] | None = None) -> Messages:
+def installed(environment: Mapping[str, str] | None = None) -> MessageTypes:
     """The message types installed here; ``environment`` stands for that of the process."""
     return Installed(share_folders(os.environ if environment is None else environment), _rosbags)

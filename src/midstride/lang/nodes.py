@@ -16,7 +16,7 @@ from midstride.lang.near_miss import did_you_mean
 from midstride.lang.parameter_files import Given, Section, read_sections
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import ComponentDeclaration, Name
-from midstride.model.component import Component, Parameter, ParameterValue
+from midstride.model.component import ComponentSpec, ParameterSpec, ParameterValue
 from midstride.model.specification import Node
 
 
@@ -26,7 +26,7 @@ class Nodes:
     def __init__(
         self,
         declarations: Declarations,
-        components: dict[str, Component],
+        components: dict[str, ComponentSpec],
         merged: Mapping[str, ComponentDeclaration],
         read: Read,
         reporter: Reporter,
@@ -150,7 +150,7 @@ class Nodes:
             if name not in self.components:
                 continue
             declared = self.components[name].parameters
-            added: dict[str, Parameter] = {}
+            added: dict[str, ParameterSpec] = {}
             partly: dict[tuple[str, str], list[tuple[str, Span]]] = {}
             for role in roles:
                 for parameter, (value, span) in from_files[role].items():
@@ -159,7 +159,7 @@ class Nodes:
                     lacking = next((other for other in roles if parameter not in from_files[other]), None)
                     if lacking is not None:
                         partly.setdefault((role, lacking), []).append((parameter, span))
-                    added[parameter] = Parameter(value)
+                    added[parameter] = ParameterSpec(value)
             for (role, lacking), given in partly.items():
                 self._given_to_some(name, role, lacking, given)
             if added:
@@ -174,7 +174,7 @@ class Nodes:
         message = f"{some}, and {name} declares no value for {it}"
         self.reporter.report("E151", span, message, help=f"declare {it} in component {name}, or give {it} to {lacking}")
 
-    def _extend(self, name: str, added: Mapping[str, Parameter]) -> None:
+    def _extend(self, name: str, added: Mapping[str, ParameterSpec]) -> None:
         """Components that are like ``name`` take the parameters over, as they take over declared ones."""
         for other, declaration in self.merged.items():
             if other == name or self._is_like(declaration, name):

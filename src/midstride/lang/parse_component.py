@@ -9,7 +9,7 @@ from midstride.lang.syntax import (
     ComponentDeclaration,
     ContractExpression,
     FunctionalityDeclaration,
-    Guarantee,
+    GuaranteeStatement,
     Held,
     InputDeclaration,
     ModeDeclaration,
@@ -190,7 +190,7 @@ class ComponentParser(ContractParser):
         name = self.name("the name of a mode", ("{",))
         self.layout.marks[self.i] = "mode {"
         assumptions: list[Assumed] = []
-        guarantees: list[Guarantee] = []
+        guarantees: list[GuaranteeStatement] = []
         lost = self.block(
             f"mode `{name.text}`",
             first,
@@ -211,10 +211,10 @@ class ComponentParser(ContractParser):
             inputs.append(self.name("the name of an input after `or`"))
         return NamedAssumption(tuple(inputs), self.since(start))
 
-    def _guarantee(self) -> Guarantee:
+    def _guarantee(self) -> GuaranteeStatement:
         start = self.i
         self.i += 1
         output = self.name("the name of an output", (":",))
         self.expect(":", f"after `{output.text}`", ("path",))
         contract: ContractExpression | None = self.contract(f"for output `{output.text}`")
-        return Guarantee(output, contract, self.since(start))
+        return GuaranteeStatement(output, contract, self.since(start))

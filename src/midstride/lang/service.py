@@ -16,11 +16,11 @@ from typing import Final
 from midstride.lang.completion import Completion, complete
 from midstride.lang.diagnostics import Diagnostic
 from midstride.lang.files import Read, Unreadable, join, read_text
-from midstride.lang.hover import tell
+from midstride.lang.hover import hover
 from midstride.lang.index import Index, Occurrence
 from midstride.lang.lexer import is_topic_name
 from midstride.lang.load import Loaded, load
-from midstride.lang.message_types import Messages
+from midstride.lang.message_types import MessageTypes
 from midstride.lang.printer import format_text
 from midstride.lang.source import Source, Span
 
@@ -41,14 +41,14 @@ class Analysis:
         return next((s for s in self.loaded.files if s.path is not None and os.path.normpath(s.path) == wanted), None)
 
 
-class Service:
+class LanguageService:
     """Holds the buffers of open files. ``roots`` are folders in which systems are looked for."""
 
     def __init__(
         self,
         roots: Iterable[Path] = (),
         read: Read = read_text,
-        messages: Callable[[], Messages | None] = lambda: None,
+        messages: Callable[[], MessageTypes | None] = lambda: None,
     ) -> None:
         self.roots = list(roots)
         self.buffers: dict[str, str] = {}
@@ -136,7 +136,7 @@ class Service:
         if found.symbol.kind == "contract":
             contract = analysis.loaded.resolved.contracts.named(found.symbol.name)
             return f"**contract** `{found.symbol.name}`\n\n`{contract}`" if contract is not None else None
-        return tell(found.symbol, analysis.loaded.resolved.specification, runnable=specification is not None)
+        return hover(found.symbol, analysis.loaded.resolved.specification, runnable=specification is not None)
 
     def definition(self, path: Path, line: int, column: int) -> Span | None:
         """Where what is named at a place is declared."""

@@ -26,7 +26,7 @@ from midstride.model.diagnostics import Problem
 Subject = Sequence[str]
 
 
-class Places:
+class SourceMap:
     """Finds the place of a problem's subject; None where it is in no text."""
 
     def __init__(

@@ -115,7 +115,7 @@ class NamedAssumption(NamedTuple):
     span: Span
 
 
-class Guarantee(NamedTuple):
+class GuaranteeStatement(NamedTuple):
     output: Name
     contract: ContractExpression | None
     span: Span
@@ -128,7 +128,7 @@ class ModeDeclaration(NamedTuple):
     span: Span
     name: Name
     assumptions: tuple[Assumed, ...]
-    guarantees: tuple[Guarantee, ...]
+    guarantees: tuple[GuaranteeStatement, ...]
     broken: bool
 
 
@@ -274,7 +274,7 @@ Item: TypeAlias = (
 
 
 @dataclass(frozen=True, slots=True)
-class Layout:
+class SourceLayout:
     """What the printer must know of the tokens beside their text, by index.
 
     ``statements``: the first token of each statement, with what separates it from one before it on its line.
@@ -292,7 +292,7 @@ class File(NamedTuple):
     """A whole file. ``lost`` holds the words of the parts that could not be read: one of them may be a declaration."""
 
     tokens: Tokens
-    layout: Layout
+    layout: SourceLayout
     system: Name | None
     items: tuple[Item, ...]
     lost: frozenset[str]

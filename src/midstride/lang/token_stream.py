@@ -12,7 +12,7 @@ from midstride.lang.diagnostics import Reporter
 from midstride.lang.lexer import Tokens, string_value
 from midstride.lang.near_miss import nearest
 from midstride.lang.source import Span
-from midstride.lang.syntax import Layout, Name, Number
+from midstride.lang.syntax import Name, Number, SourceLayout
 
 # The words that begin a statement, with the block they belong to. No declared name may be one: lists need no comma, so
 # the next statement must be told from the next name.
@@ -41,7 +41,7 @@ class Panic(Exception):
     """The statement at hand cannot be read on; its error has been reported."""
 
 
-class Cursor:
+class TokenStream:
     """A place in the tokens, and how to move on from it."""
 
     def __init__(self, tokens: Tokens, reporter: Reporter) -> None:
@@ -50,7 +50,7 @@ class Cursor:
         self.kinds = tokens.kinds
         self.texts = tokens.texts
         self.i = 0
-        self.layout = Layout()
+        self.layout = SourceLayout()
 
     # -- looking -------------------------------------------------------------------------------------
 

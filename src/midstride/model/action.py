@@ -19,7 +19,7 @@ from midstride.errors import ActionRefused
 from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef, value_fits, value_kind
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import explain, satisfies
-from midstride.model.rules import Judge, cap_violation, capacity_violation, normal_guarantee
+from midstride.model.rules import Evaluator, cap_violation, capacity_violation, normal_guarantee
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +209,7 @@ class Detach(Action):
         after = self.effect(s)
         if s.is_output(self.port):
             # Only a topic that this output alone satisfied can be missed by anyone.
-            if Judge(after).connector_satisfied(self.connector):
+            if Evaluator(after).connector_satisfied(self.connector):
                 return ()
             affected: Iterable[FunctionalityRef] = s.consumers(self.connector)
         else:
@@ -230,7 +230,7 @@ def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], when: s
     """One reason for each assumption of ``refs`` that would not hold; ``others`` are subjects besides them."""
     return tuple(
         Reason("satisfied", tuple(dict.fromkeys((*violation.names, *others))), f"{when}, {violation}")
-        for violation in Judge(after).violations_of(refs)
+        for violation in Evaluator(after).violations_of(refs)
     )
 
 
@@ -274,7 +274,7 @@ class Degrade(Action):
         if reasons := tuple(_mode_reasons(s, self.modes, "worse")):
             return reasons
         after = self.effect(s)
-        judge, was = Judge(after), Judge(s)
+        judge, was = Evaluator(after), Evaluator(s)
         affected: dict[FunctionalityRef, None] = dict.fromkeys(self.modes)
         for ref in self.modes:
             for output in s.functionality(ref).outputs:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import satisfies
-from midstride.model.rules import Judge
+from midstride.model.rules import Evaluator
 
 
 def best(s: Configuration) -> Configuration:
@@ -36,7 +36,7 @@ def rebalanced(
     Where a ``ceiling`` is given, nobody is raised above it, and "best" means the best below it.
     """
     overlay: dict[FunctionalityRef, int] = {}
-    judge = Judge(s, overlay)
+    judge = Evaluator(s, overlay)
     pending = list(seeds)
     touched: dict[FunctionalityRef, None] = dict.fromkeys(pending)
     settled: set[str] = set()  # connectors that are satisfied: a further publisher changes nothing for anyone
@@ -45,7 +45,7 @@ def rebalanced(
         before, highest = judge.mode_index(ref), 0 if ceiling is None else ceiling(ref)
         if before <= highest:
             continue
-        gained = [name for name in _swayed(s, ref, before, highest) if name not in settled]
+        gained = [name for name in affected_connectors(s, ref, before, highest) if name not in settled]
         settled.update(gained)
         gained = [name for name in gained if not judge.connector_satisfied(name)]
         overlay[ref] = highest
@@ -72,7 +72,7 @@ def consumers_of(s: Configuration, port: PortRef, connector: str) -> list[Functi
     return list(s.consumers(connector)) if s.is_output(port) else s.users(port)
 
 
-class _Falling(Judge):
+class MonotoneEvaluator(Evaluator):
     """A judge for modes that only ever get worse.
 
     For each connector it keeps one publisher that satisfies it and looks for the next when that one falls; it
@@ -105,7 +105,7 @@ class _Falling(Judge):
 
 def _lower(s: Configuration, overlay: dict[FunctionalityRef, int], pending: list[FunctionalityRef]) -> None:
     """Lower in ``overlay`` whatever is unsatisfied, and whatever is so in turn. All that may be is in ``pending``."""
-    judge = _Falling(s, overlay)
+    judge = MonotoneEvaluator(s, overlay)
     waiting = set(pending)
     fallen: set[str] = set()
     while pending:
@@ -116,7 +116,7 @@ def _lower(s: Configuration, overlay: dict[FunctionalityRef, int], pending: list
         if after == before:
             continue
         overlay[ref] = after
-        for name in _swayed(s, ref, before, after):
+        for name in affected_connectors(s, ref, before, after):
             if name in fallen or judge.connector_satisfied(name):
                 continue
             fallen.add(name)
@@ -126,7 +126,7 @@ def _lower(s: Configuration, overlay: dict[FunctionalityRef, int], pending: list
                     pending.append(consumer)
 
 
-def _swayed(s: Configuration, ref: FunctionalityRef, before: int, after: int) -> Iterator[str]:
+def affected_connectors(s: Configuration, ref: FunctionalityRef, before: int, after: int) -> Iterator[str]:
     """The connectors that ``ref`` satisfies in one of the two modes and not in the other."""
     functionality = s.functionality(ref)
     for output in functionality.outputs:

@@ -66,7 +66,7 @@ class FunctionalityRef(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class NamedInputs:
+class InputAlternatives:
     """An assumption that names its inputs: one of them is satisfied, each by its own assumption."""
 
     inputs: tuple[str, ...]
@@ -75,7 +75,7 @@ class NamedInputs:
         return " or ".join(self.inputs)
 
 
-Assumption: TypeAlias = NamedInputs | Predicate
+Assumption: TypeAlias = InputAlternatives | Predicate
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +92,11 @@ class Mode:
 
     def needs(self) -> frozenset[Predicate | frozenset[str]]:
         """What it assumes, whatever the order in which it is written: predicates, and inputs that are alternatives."""
-        return frozenset(frozenset(a.inputs) if isinstance(a, NamedInputs) else a for a in self.assumptions)
+        return frozenset(frozenset(a.inputs) if isinstance(a, InputAlternatives) else a for a in self.assumptions)
 
 
 @dataclass(frozen=True, slots=True)
-class Functionality:
+class FunctionalitySpec:
     """A computation from associated inputs to associated outputs, with its chain of modes, best first.
 
     ``modes[0]`` is the normal mode, ``modes[-1]`` the degraded one. ``weight`` says how much its
@@ -127,7 +127,7 @@ class Functionality:
 
 
 @dataclass(frozen=True, slots=True)
-class Parameter:
+class ParameterSpec:
     """A parameter's value, and whether it may be set in place or asks for a replacement."""
 
     value: ParameterValue
@@ -146,7 +146,7 @@ class Endpoint:
 
 
 @dataclass(frozen=True, slots=True)
-class Component:
+class ComponentSpec:
     """A component type. Two are the same implementation iff their *bodies* are equal, whatever the names.
 
     ``run`` is the process that is this component (None: started elsewhere), ``takes`` how long its
@@ -156,21 +156,21 @@ class Component:
     name: str
     inputs: Map[str, Predicate] = field(default_factory=Map)
     outputs: tuple[str, ...] = ()
-    functionalities: Map[str, Functionality] = field(default_factory=Map)
+    functionalities: Map[str, FunctionalitySpec] = field(default_factory=Map)
     input_order: tuple[str, ...] = ()
     functionality_order: tuple[str, ...] = ()
     holds: Map[str, float] = field(default_factory=Map)
-    parameters: Map[str, Parameter] = field(default_factory=Map)
+    parameters: Map[str, ParameterSpec] = field(default_factory=Map)
     allows: tuple[Endpoint, ...] = ()
     run: str | None = None
     takes: float | None = None
-    _owners: dict[str, Functionality] = field(init=False, compare=False, repr=False)
-    _users: dict[str, list[Functionality]] = field(init=False, compare=False, repr=False)
+    _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
+    _users: dict[str, list[FunctionalitySpec]] = field(init=False, compare=False, repr=False)
     _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        owners: dict[str, Functionality] = {}
-        users: dict[str, list[Functionality]] = {}
+        owners: dict[str, FunctionalitySpec] = {}
+        users: dict[str, list[FunctionalitySpec]] = {}
         for functionality in self:
             for output in functionality.outputs:
                 owners.setdefault(output, functionality)
@@ -187,13 +187,13 @@ class Component:
         *,
         inputs: Mapping[str, Predicate] | None = None,
         outputs: tuple[str, ...] = (),
-        functionalities: tuple[Functionality, ...] = (),
+        functionalities: tuple[FunctionalitySpec, ...] = (),
         holds: Mapping[str, float] | None = None,
-        parameters: Mapping[str, Parameter] | None = None,
+        parameters: Mapping[str, ParameterSpec] | None = None,
         allows: tuple[Endpoint, ...] = (),
         run: str | None = None,
         takes: float | None = None,
-    ) -> Component:
+    ) -> ComponentSpec:
         """Build one from plain values, keeping the order of declaration."""
         inputs = inputs or {}
         return cls(
@@ -210,22 +210,22 @@ class Component:
             takes=takes,
         )
 
-    def __iter__(self) -> Iterator[Functionality]:
+    def __iter__(self) -> Iterator[FunctionalitySpec]:
         """The functionalities, in order of declaration."""
         return (self.functionalities[name] for name in self.functionality_order)
 
     def has_output(self, name: str) -> bool:
         return name in self._outputs
 
-    def owner(self, output: str) -> Functionality:
+    def owner(self, output: str) -> FunctionalitySpec:
         """The one functionality that owns ``output``. Raises KeyError where there is none."""
         return self._owners[output]
 
-    def find_owner(self, output: str) -> Functionality | None:
+    def find_owner(self, output: str) -> FunctionalitySpec | None:
         """The same, or None: for declarations not checked yet."""
         return self._owners.get(output)
 
-    def users(self, input_name: str) -> list[Functionality]:
+    def users(self, input_name: str) -> list[FunctionalitySpec]:
         """The functionalities associated with ``input_name``, in order of declaration."""
         return self._users.get(input_name, [])
 
@@ -244,7 +244,7 @@ class Component:
         """Every port, outputs first, in order of declaration."""
         return [*self.outputs, *self.input_order]
 
-    def same_body(self, other: Component) -> bool:
+    def same_body(self, other: ComponentSpec) -> bool:
         """Whether both are one declaration but for the name and the parameters (semantics.md section 6).
 
         In what order ports, assumptions and endpoints are written makes no difference; that of modes does.
@@ -304,15 +304,15 @@ class Resource:
 __all__ = [
     "DEFAULT_QOS",
     "Assumption",
-    "Component",
+    "ComponentSpec",
     "Connector",
     "Endpoint",
     "EnvironmentGuarantee",
-    "Functionality",
+    "FunctionalitySpec",
     "FunctionalityRef",
     "Mode",
-    "NamedInputs",
-    "Parameter",
+    "InputAlternatives",
+    "ParameterSpec",
     "ParameterValue",
     "PortRef",
     "Resource",

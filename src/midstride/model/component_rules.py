@@ -10,8 +10,8 @@ from collections.abc import Generator, Iterator
 from dataclasses import replace
 from itertools import pairwise
 
-from midstride.model.component import Component, Functionality, Mode, NamedInputs
-from midstride.model.contract import OneOf, Predicate, QoS, ValueSet, explain, figure
+from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
+from midstride.model.contract import OneOf, Predicate, QoS, ValueSet, explain, format_number
 from midstride.model.diagnostics import Problem
 
 Path = tuple[str, ...]
@@ -21,7 +21,7 @@ def number_problems(value: float | None, what: str, path: Path, *, zero: bool = 
     """``value``, where it is stated, must be finite and positive (or zero, where that has a meaning)."""
     if value is not None and not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
         least = "at least" if zero else "more than"
-        yield Problem("E004", path, f"{what} must be finite and {least} 0, it is {figure(value)}")
+        yield Problem("E004", path, f"{what} must be finite and {least} 0, it is {format_number(value)}")
 
 
 def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
@@ -48,7 +48,7 @@ def _numbers(values: ValueSet) -> list[float]:
     return [values.low, values.high]
 
 
-def component_rules(component: Component, path: Path) -> Iterator[Problem]:
+def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     """Ownership of outputs, M1, M2, M3, and the predicates and numbers of one component."""
     for name in component.input_order:
         yield from predicate_problems(component.inputs[name], (*path, "inputs", name))
@@ -60,7 +60,7 @@ def component_rules(component: Component, path: Path) -> Iterator[Problem]:
         yield from _functionality_rules(functionality, (*path, "functionalities", functionality.name))
 
 
-def _ownership(component: Component, path: Path) -> Iterator[Problem]:
+def _ownership(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     misspelt = any(name not in component.outputs for f in component for name in f.outputs)
     guaranteed = {name for f in component for mode in f.modes for name in mode.guarantees}
     for index, output in enumerate(component.outputs):
@@ -76,7 +76,7 @@ def _ownership(component: Component, path: Path) -> Iterator[Problem]:
             yield Problem("E013", where, f"output {output} is owned by no functionality", help)
 
 
-def _functionality_rules(functionality: Functionality, path: Path) -> Iterator[Problem]:
+def _functionality_rules(functionality: FunctionalitySpec, path: Path) -> Iterator[Problem]:
     name, modes = functionality.name, functionality.modes
     yield from number_problems(functionality.weight, f"the weight of {name}", (*path, "weight"), zero=True)
     if len(modes) < 2:
@@ -94,7 +94,7 @@ def _functionality_rules(functionality: Functionality, path: Path) -> Iterator[P
     for mode in modes:
         where = (*path, "modes", mode.name)
         for index, assumption in enumerate(mode.assumptions):
-            if not isinstance(assumption, NamedInputs):
+            if not isinstance(assumption, InputAlternatives):
                 yield from predicate_problems(assumption, (*where, "assumes", str(index)))
             elif not assumption.inputs:
                 message = f"an assumption of mode {mode.name} of {name} names no input"
@@ -107,7 +107,7 @@ def _functionality_rules(functionality: Functionality, path: Path) -> Iterator[P
             yield from _no_better(functionality, output, better, worse, split, path)
 
 
-def _one_endpoint(functionality: Functionality, output: str, path: Path) -> Generator[Problem, None, bool]:
+def _one_endpoint(functionality: FunctionalitySpec, output: str, path: Path) -> Generator[Problem, None, bool]:
     """M3, told at the first mode that disagrees. Returns whether there is one."""
     first: tuple[Mode, Predicate] | None = None
     for mode in functionality.modes:
@@ -140,7 +140,7 @@ def _told(qos: QoS) -> str:
 
 
 def _no_better(
-    functionality: Functionality, output: str, better: Mode, worse: Mode, split: bool, path: Path
+    functionality: FunctionalitySpec, output: str, better: Mode, worse: Mode, split: bool, path: Path
 ) -> Iterator[Problem]:
     """M2 for two neighbours of the chain; for all pairs it follows, since ⊨ is transitive.
 

@@ -15,11 +15,11 @@ from functools import lru_cache
 from immutables import Map
 
 from midstride.model.component import (
-    Component,
+    ComponentSpec,
     Connector,
     EnvironmentGuarantee,
-    Functionality,
     FunctionalityRef,
+    FunctionalitySpec,
     Mode,
     ParameterValue,
     PortRef,
@@ -35,7 +35,7 @@ _NONE_HELD = Fraction()
 
 
 @dataclass(frozen=True, slots=True)
-class World:
+class SystemContext:
     """What a configuration lives in: the connectors, the environment, the resources."""
 
     connectors: Map[str, Connector] = field(default_factory=Map)
@@ -64,7 +64,7 @@ class World:
 
 
 @lru_cache(maxsize=4096)
-def exact(amount: float) -> Fraction:
+def to_fraction(amount: float) -> Fraction:
     """The number as it is written: sums of such do not depend on their order, and 0.1 + 0.2 is 0.3."""
     return Fraction(repr(amount))
 
@@ -78,7 +78,7 @@ class Instance:
 
     name: str
     role: str
-    component: Component
+    component: ComponentSpec
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
 
     def __post_init__(self) -> None:
@@ -102,7 +102,7 @@ class Configuration:
     kept, so that equal configurations are equal values, by whatever way they were reached.
     """
 
-    world: World = field(default_factory=World)
+    world: SystemContext = field(default_factory=SystemContext)
     instances: Map[str, Instance] = field(default_factory=Map)
     connectors_of: Map[PortRef, NameSet] = field(default_factory=Map)
     modes: Map[FunctionalityRef, int] = field(default_factory=Map)
@@ -110,15 +110,15 @@ class Configuration:
     subscribers: Map[str, PortSet] = field(default_factory=Map)
     held: Map[str, Fraction] = field(default_factory=Map)
     holders: Map[str, NameSet] = field(default_factory=Map)
-    players: Map[str, NameSet] = field(default_factory=Map)
+    instances_by_role: Map[str, NameSet] = field(default_factory=Map)
 
     # -- reading ---------------------------------------------------------------------------------
 
-    def component(self, instance: str) -> Component:
+    def component(self, instance: str) -> ComponentSpec:
         """The component that ``instance`` is one of. Raises KeyError where it is not live."""
         return self.instances[instance].component
 
-    def functionality(self, ref: FunctionalityRef) -> Functionality:
+    def functionality(self, ref: FunctionalityRef) -> FunctionalitySpec:
         return self.component(ref.component).functionalities[ref.functionality]
 
     def mode(self, ref: FunctionalityRef) -> Mode:
@@ -176,7 +176,7 @@ class Configuration:
 
     def instances_of(self, role: str) -> list[Instance]:
         """The live instances of a role, sorted by name."""
-        return [self.instances[name] for name in sorted(self.players.get(role, _NO_NAMES))]
+        return [self.instances[name] for name in sorted(self.instances_by_role.get(role, _NO_NAMES))]
 
     # -- changing: each yields a new configuration, and judges nothing ------------------------------
 
@@ -184,12 +184,16 @@ class Configuration:
         """``instance`` live and isolated, every functionality in its last mode."""
         held, holders = self.held, self.holders
         for resource, amount in instance.component.holds.items():
-            held = held.set(resource, held.get(resource, _NONE_HELD) + exact(amount))
+            held = held.set(resource, held.get(resource, _NONE_HELD) + to_fraction(amount))
             holders = holders.set(resource, holders.get(resource, _NO_NAMES).set(instance.name, None))
         modes = self.modes.update({FunctionalityRef(instance.name, f.name): f.last_mode for f in instance.component})
-        players = self.players.set(instance.role, self.players.get(instance.role, _NO_NAMES).set(instance.name, None))
+        instances_by_role = self.instances_by_role.set(
+            instance.role, self.instances_by_role.get(instance.role, _NO_NAMES).set(instance.name, None)
+        )
         instances = self.instances.set(instance.name, instance)
-        return replace(self, instances=instances, modes=modes, held=held, holders=holders, players=players)
+        return replace(
+            self, instances=instances, modes=modes, held=held, holders=holders, instances_by_role=instances_by_role
+        )
 
     def without_instance(self, name: str) -> Configuration:
         """``name`` no longer live, nor any of its attachments."""
@@ -201,17 +205,23 @@ class Configuration:
         for resource, amount in instance.component.holds.items():
             rest = holders[resource].delete(name)
             if rest:
-                held = held.set(resource, held[resource] - exact(amount))
+                held = held.set(resource, held[resource] - to_fraction(amount))
                 holders = holders.set(resource, rest)
             else:
                 held, holders = held.delete(resource), holders.delete(resource)
         modes = bare.modes
         for ref in instance.functionality_refs():
             modes = modes.delete(ref)
-        others = bare.players[instance.role].delete(name)
-        players = bare.players.set(instance.role, others) if others else bare.players.delete(instance.role)
+        others = bare.instances_by_role[instance.role].delete(name)
+        instances_by_role = (
+            bare.instances_by_role.set(instance.role, others)
+            if others
+            else bare.instances_by_role.delete(instance.role)
+        )
         instances = bare.instances.delete(name)
-        return replace(bare, instances=instances, modes=modes, held=held, holders=holders, players=players)
+        return replace(
+            bare, instances=instances, modes=modes, held=held, holders=holders, instances_by_role=instances_by_role
+        )
 
     def with_attachment(self, port: PortRef, connector: str) -> Configuration:
         index, ports = self._index(port, connector)
@@ -240,7 +250,7 @@ class Configuration:
         changed = replace(instance, parameters=instance.parameters.update(parameters))
         return replace(self, instances=self.instances.set(name, changed))
 
-    def with_world(self, world: World) -> Configuration:
+    def with_context(self, world: SystemContext) -> Configuration:
         return replace(self, world=world)
 
     def _index(self, port: PortRef, connector: str) -> tuple[str, PortSet]:
@@ -250,7 +260,7 @@ class Configuration:
 
 
 def configure(
-    world: World,
+    world: SystemContext,
     instances: Iterable[Instance],
     attachments: Iterable[tuple[PortRef, str]],
     modes: Mapping[FunctionalityRef, int] | None = None,
@@ -263,13 +273,13 @@ def configure(
     standing: dict[FunctionalityRef, int] = {}
     held: dict[str, Fraction] = {}
     holders: dict[str, dict[str, None]] = {}
-    players: dict[str, dict[str, None]] = {}
+    instances_by_role: dict[str, dict[str, None]] = {}
     for instance in live.values():
-        players.setdefault(instance.role, {})[instance.name] = None
+        instances_by_role.setdefault(instance.role, {})[instance.name] = None
         for functionality in instance.component:
             standing[FunctionalityRef(instance.name, functionality.name)] = functionality.last_mode
         for resource, amount in instance.component.holds.items():
-            held[resource] = held.get(resource, _NONE_HELD) + exact(amount)
+            held[resource] = held.get(resource, _NONE_HELD) + to_fraction(amount)
             holders.setdefault(resource, {})[instance.name] = None
     standing.update(modes or {})
     connectors_of: dict[PortRef, dict[str, None]] = {}
@@ -288,7 +298,7 @@ def configure(
         subscribers=_frozen(subscribers),
         held=Map(held),
         holders=Map({name: Map(names) for name, names in holders.items()}),
-        players=Map({role: Map(names) for role, names in players.items()}),
+        instances_by_role=Map({role: Map(names) for role, names in instances_by_role.items()}),
     )
 
 

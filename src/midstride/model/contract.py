@@ -26,7 +26,7 @@ def canonical_type(name: str) -> str:
     return f"{package}/msg/{rest}" if slash and "/" not in rest else name
 
 
-def figure(number: float) -> str:
+def format_number(number: float) -> str:
     """A number in the fewest digits that tell it from every other one: ``10``, ``0.1``, ``33.3333333``."""
     value = float(number)
     short = f"{value:g}"
@@ -107,7 +107,7 @@ def _seconds(stated: float | None) -> float:
 
 
 def _duration(seconds: float) -> str:
-    return "none" if math.isinf(seconds) else f"{figure(seconds)} s"
+    return "none" if math.isinf(seconds) else f"{format_number(seconds)} s"
 
 
 DEFAULT_QOS: Final = QoS()
@@ -157,12 +157,12 @@ class Interval:
 
     def __str__(self) -> str:
         if self.low == self.high and not self.is_empty:
-            return f"= {figure(self.low)}"
+            return f"= {format_number(self.low)}"
         if math.isinf(self.low) and not math.isinf(self.high):
-            return f"{'<' if self.high_open else '<='} {figure(self.high)}"
+            return f"{'<' if self.high_open else '<='} {format_number(self.high)}"
         if math.isinf(self.high) and not math.isinf(self.low):
-            return f"{'>' if self.low_open else '>='} {figure(self.low)}"
-        ends = f"{figure(self.low)}, {figure(self.high)}"
+            return f"{'>' if self.low_open else '>='} {format_number(self.low)}"
+        ends = f"{format_number(self.low)}, {format_number(self.high)}"
         return f"in {'(' if self.low_open else '['}{ends}{')' if self.high_open else ']'}"
 
 
@@ -267,7 +267,7 @@ class Predicate:
     def __str__(self) -> str:
         text = self.type
         if self.rate is not None:
-            text += f" @ {figure(self.rate)} Hz"
+            text += f" @ {format_number(self.rate)} Hz"
         if qos := str(self.qos):
             text += f" {qos}"
         if self.fields:
@@ -305,8 +305,8 @@ def explain(offered: Contract, needed: Contract) -> list[str]:
     if offered.type != needed.type:
         clauses.append(f"type: {offered.type} is offered, {needed.type} is needed")
     if needed.rate is not None and (offered.rate is None or offered.rate < needed.rate):
-        given = "no rate" if offered.rate is None else f"{figure(offered.rate)} Hz"
-        clauses.append(f"rate: {given} is offered, at least {figure(needed.rate)} Hz is needed")
+        given = "no rate" if offered.rate is None else f"{format_number(offered.rate)} Hz"
+        clauses.append(f"rate: {given} is offered, at least {format_number(needed.rate)} Hz is needed")
     clauses.extend(needed.qos.unmet_by(offered.qos))
     for path, values in needed.fields:
         given_values = offered.constraint(path)

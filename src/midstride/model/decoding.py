@@ -14,15 +14,15 @@ from immutables import Map
 
 from midstride.model.component import (
     Assumption,
-    Component,
+    ComponentSpec,
     Connector,
     Endpoint,
     EnvironmentGuarantee,
-    Functionality,
     FunctionalityRef,
+    FunctionalitySpec,
+    InputAlternatives,
     Mode,
-    NamedInputs,
-    Parameter,
+    ParameterSpec,
     ParameterValue,
     Resource,
 )
@@ -155,13 +155,13 @@ def _scalar(reader: Reader) -> Scalar | None:
 # -- components --------------------------------------------------------------------------------------
 
 
-def decode_component(reader: Reader, name: str | None) -> Component:
+def decode_component(reader: Reader, name: str | None) -> ComponentSpec:
     """``name`` None: the document names itself."""
     optional = ("run", "takes_seconds", "holds", "parameters", "allows", "inputs", "outputs", "functionalities")
     keys = reader.keys("a component", () if name is not None else ("name",), optional)
     if name is None:
         name = (keys["name"].name("a name") if "name" in keys else None) or ""
-    return Component.of(
+    return ComponentSpec.of(
         name,
         inputs=_named(keys, "inputs", "inputs", lambda entry, _: decode_predicate(entry)),
         outputs=keys["outputs"].texts("names of outputs") if "outputs" in keys else (),
@@ -174,11 +174,11 @@ def decode_component(reader: Reader, name: str | None) -> Component:
     )
 
 
-def _parameter(reader: Reader) -> Parameter:
+def _parameter(reader: Reader) -> ParameterSpec:
     keys = reader.keys("a parameter", ("value",), ("changeable",))
     value = _parameter_value(keys["value"]) if "value" in keys else None
     changeable = keys["changeable"].boolean() if "changeable" in keys else False
-    return Parameter("" if value is None else value, bool(changeable))
+    return ParameterSpec("" if value is None else value, bool(changeable))
 
 
 def _parameter_value(reader: Reader) -> ParameterValue | None:
@@ -204,10 +204,10 @@ def _endpoint(reader: Reader) -> Endpoint:
     return Endpoint(kind or "", name or "")
 
 
-def _functionality(reader: Reader, name: str) -> Functionality:
+def _functionality(reader: Reader, name: str) -> FunctionalitySpec:
     keys = reader.keys("a functionality", ("modes",), ("weight", "uses", "produces"))
     weight = keys["weight"].number("a weight", zero=True) if "weight" in keys else 1.0
-    return Functionality(
+    return FunctionalitySpec(
         name,
         modes=tuple(_named(keys, "modes", "modes", _mode).values()),
         inputs=keys["uses"].texts("names of inputs") if "uses" in keys else (),
@@ -225,18 +225,18 @@ def _mode(reader: Reader, name: str) -> Mode:
 
 def _assumption(reader: Reader) -> Assumption:
     if isinstance(reader.value, str):
-        return NamedInputs((reader.name("the name of an input") or "",))
+        return InputAlternatives((reader.name("the name of an input") or "",))
     if not isinstance(reader.value, dict):
         what = "the name of an input, an object with any_of, or a predicate"
         reader.fault("E001", f"an assumption ({what}) is expected, this is {told(reader.value)}")
-        return NamedInputs(())
+        return InputAlternatives(())
     if "any_of" not in reader.value:
         return decode_predicate(reader)
     keys = reader.keys("an assumption of inputs", ("any_of",), ())
     names = keys["any_of"].texts("names of inputs")
     if keys["any_of"].value == []:
         keys["any_of"].fault("E001", "names of inputs are expected, this is an empty list")
-    return NamedInputs(names)
+    return InputAlternatives(names)
 
 
 # -- systems -----------------------------------------------------------------------------------------

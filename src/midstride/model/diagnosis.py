@@ -9,10 +9,10 @@ from collections import deque
 from collections.abc import Iterator
 from typing import TypeAlias
 
-from midstride.model.component import Assumption, Functionality, FunctionalityRef, NamedInputs, PortRef
+from midstride.model.component import Assumption, FunctionalityRef, FunctionalitySpec, InputAlternatives, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import satisfies
-from midstride.model.rules import Judge
+from midstride.model.rules import Evaluator
 
 _Aim: TypeAlias = tuple[FunctionalityRef, int]
 
@@ -22,7 +22,7 @@ def reasons_against(s: Configuration, ref: FunctionalityRef, mode: int = 0) -> t
 
     Each functionality on the way is told once, so a cycle ends.
     """
-    judge = Judge(s)
+    judge = Evaluator(s)
     told: list[str] = []
     seen = {ref}
     waiting = deque([(ref, mode)])
@@ -41,7 +41,7 @@ def reasons_against(s: Configuration, ref: FunctionalityRef, mode: int = 0) -> t
     return tuple(told)
 
 
-class Reasons:
+class Diagnosis:
     """The same for many functionalities of one configuration: chains cut short, each with what it ends in.
 
     All of them together cost no more than the configuration: each step of a chain is worked out once.
@@ -49,7 +49,7 @@ class Reasons:
 
     def __init__(self, s: Configuration) -> None:
         self.s = s
-        self._judge = Judge(s)
+        self._judge = Evaluator(s)
         self._steps: dict[_Aim, tuple[tuple[str, ...], tuple[_Aim, ...]]] = {}
         self._ends: dict[_Aim, str] = {}
 
@@ -103,11 +103,11 @@ class Reasons:
 
 
 def _helpers(
-    judge: Judge, ref: FunctionalityRef, functionality: Functionality, assumption: Assumption
+    judge: Evaluator, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption
 ) -> Iterator[tuple[FunctionalityRef, int]]:
     """The functionalities that would satisfy the assumption if they were in a better mode, and that mode."""
     s, inputs = judge.s, judge.s.component(ref.component).inputs
-    if isinstance(assumption, NamedInputs):
+    if isinstance(assumption, InputAlternatives):
         names = list(assumption.inputs)
     else:
         names = [name for name in functionality.inputs if satisfies(inputs[name], assumption)]

@@ -35,7 +35,14 @@ from collections.abc import Mapping
 from typing import Any, TypeAlias
 
 from midstride.errors import SpecificationError
-from midstride.model.component import Assumption, Component, Functionality, Mode, NamedInputs, ParameterValue
+from midstride.model.component import (
+    Assumption,
+    ComponentSpec,
+    FunctionalitySpec,
+    InputAlternatives,
+    Mode,
+    ParameterValue,
+)
 from midstride.model.contract import Interval, OneOf, Predicate, QoS, ValueSet
 from midstride.model.decoding import decode_component, decode_predicate, decode_specification
 from midstride.model.diagnostics import Problem, independent
@@ -59,7 +66,7 @@ def specification_from_document(document: object) -> Specification:
     return specification
 
 
-def component_from_document(document: object) -> Component:
+def component_from_document(document: object) -> ComponentSpec:
     """The component that a document with a ``name`` says. Raises SpecificationError as above."""
     faults: list[Problem] = []
     component = decode_component(Reader(document, (), faults), None)
@@ -113,7 +120,7 @@ def specification_to_document(specification: Specification) -> Document:
     )
 
 
-def component_to_document(component: Component) -> Document:
+def component_to_document(component: ComponentSpec) -> Document:
     """The document of one component by itself, its name in it."""
     return {"name": component.name, **_component_body(component)}
 
@@ -171,7 +178,7 @@ def _bounds(interval: Interval) -> Document:
     return bounds
 
 
-def _component_body(component: Component) -> Document:
+def _component_body(component: ComponentSpec) -> Document:
     parameters: Document = {}
     for name, parameter in sorted(component.parameters.items()):
         parameters[name] = {"value": _value(parameter.value)}
@@ -191,7 +198,7 @@ def _component_body(component: Component) -> Document:
     )
 
 
-def _functionality(functionality: Functionality) -> Document:
+def _functionality(functionality: FunctionalitySpec) -> Document:
     stated = _stated(
         {
             "weight": None if functionality.weight == 1 else _plain(functionality.weight),
@@ -202,7 +209,7 @@ def _functionality(functionality: Functionality) -> Document:
     return {**stated, "modes": {mode.name: _mode(mode, functionality) for mode in functionality.modes}}
 
 
-def _mode(mode: Mode, functionality: Functionality) -> Document:
+def _mode(mode: Mode, functionality: FunctionalitySpec) -> Document:
     order = {name: index for index, name in enumerate(functionality.outputs)}
     outputs = sorted(mode.guarantees, key=lambda name: (order.get(name, len(order)), name))
     return _stated(
@@ -214,7 +221,7 @@ def _mode(mode: Mode, functionality: Functionality) -> Document:
 
 
 def _assumption(assumption: Assumption) -> str | Document:
-    if isinstance(assumption, NamedInputs):
+    if isinstance(assumption, InputAlternatives):
         return assumption.inputs[0] if len(assumption.inputs) == 1 else {"any_of": list(assumption.inputs)}
     return predicate_to_document(assumption)
 

@@ -11,7 +11,7 @@ import shlex
 from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
-from midstride.model.component import Component, Functionality, Mode, NamedInputs
+from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.diagnostics import Problem, suggested
 from midstride.model.specification import DEFAULT_SECONDS, Keep, Node, Order, Specification
 
@@ -68,7 +68,7 @@ def _unknown(
 # -- components --------------------------------------------------------------------------------------
 
 
-def component_names(component: Component, path: Path) -> list[Problem]:
+def component_names(component: ComponentSpec, path: Path) -> list[Problem]:
     """The faults in the names of one component under ``path``."""
     found = list(_not_a_name("component", component.name, path, read=path == ()))
     for name in component.input_order:
@@ -106,7 +106,7 @@ def _command(text: str, path: Path) -> Iterator[Problem]:
         yield Problem("E009", path, "the command is empty", "leave it out where the component is started elsewhere")
 
 
-def _functionality_names(component: Component, functionality: Functionality, path: Path) -> Iterator[Problem]:
+def _functionality_names(component: ComponentSpec, functionality: FunctionalitySpec, path: Path) -> Iterator[Problem]:
     yield from _not_a_name("functionality", functionality.name, path)
     of = f" of {component.name or 'the component'}"
     for index, name in enumerate(functionality.inputs):
@@ -126,7 +126,7 @@ def _functionality_names(component: Component, functionality: Functionality, pat
 
 
 def _mode_names(
-    component: Component, functionality: Functionality, mode: Mode, path: Path, told: set[str]
+    component: ComponentSpec, functionality: FunctionalitySpec, mode: Mode, path: Path, told: set[str]
 ) -> Iterator[Problem]:
     """The faults in the names of one mode. ``told`` are the ports that an earlier mode has been blamed for."""
     yield from _not_a_name("mode", mode.name, path)
@@ -134,7 +134,7 @@ def _mode_names(
         where = (*path, "guarantees", name)
         yield from _associated("output", name, component.outputs, functionality, functionality.outputs, where, told)
     for index, assumption in enumerate(mode.assumptions):
-        if not isinstance(assumption, NamedInputs):
+        if not isinstance(assumption, InputAlternatives):
             continue
         where = (*path, "assumes", str(index))
         yield from _twice("input", assumption.inputs, (*where, "any_of"))
@@ -148,7 +148,7 @@ def _associated(
     kind: str,
     name: str,
     ports: Sequence[str],
-    functionality: Functionality,
+    functionality: FunctionalitySpec,
     associated: Sequence[str],
     path: Path,
     told: set[str],

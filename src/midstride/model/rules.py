@@ -11,9 +11,17 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from midstride.model.component import Assumption, Component, Functionality, FunctionalityRef, Mode, NamedInputs, PortRef
-from midstride.model.configuration import Configuration, exact
-from midstride.model.contract import Contract, explain, figure, satisfies
+from midstride.model.component import (
+    Assumption,
+    ComponentSpec,
+    FunctionalityRef,
+    FunctionalitySpec,
+    InputAlternatives,
+    Mode,
+    PortRef,
+)
+from midstride.model.configuration import Configuration, to_fraction
+from midstride.model.contract import Contract, explain, format_number, satisfies
 
 _SHOWN = 8  # so many names a message lists
 
@@ -34,7 +42,7 @@ class Violation:
         return f"{self.subject}: {self.because}"
 
 
-class Judge:
+class Evaluator:
     """Judges one configuration; ``overlay`` stands for modes that are only being considered."""
 
     __slots__ = ("modes", "overlay", "s")
@@ -71,8 +79,10 @@ class Judge:
             if name in connectors
         )
 
-    def assumption_satisfied(self, ref: FunctionalityRef, functionality: Functionality, assumption: Assumption) -> bool:
-        if isinstance(assumption, NamedInputs):
+    def assumption_satisfied(
+        self, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption
+    ) -> bool:
+        if isinstance(assumption, InputAlternatives):
             return any(self.input_satisfied(PortRef(ref.component, name)) for name in assumption.inputs)
         inputs = self.s.component(ref.component).inputs
         for name in functionality.inputs:
@@ -127,7 +137,7 @@ class Judge:
 
     def why_assumption_unsatisfied(self, ref: FunctionalityRef, assumption: Assumption) -> str:
         """The reasons, as a chain from the assumption to what falls short."""
-        if isinstance(assumption, NamedInputs):
+        if isinstance(assumption, InputAlternatives):
             reasons = [self.why_input_unsatisfied(PortRef(ref.component, name)) for name in assumption.inputs]
             return f"assumes {assumption}: " + "; ".join(reasons)
         functionality = self.s.functionality(ref)
@@ -154,9 +164,9 @@ class Judge:
                     names = (str(ref), *self._concerned(ref, functionality, assumption))
                     yield Violation("assumption", f"{ref} in mode {mode.name}", because, names)
 
-    def _concerned(self, ref: FunctionalityRef, functionality: Functionality, assumption: Assumption) -> list[str]:
+    def _concerned(self, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption) -> list[str]:
         """The ports and topics an assumption looks at: its inputs, their topics, and who publishes there."""
-        inputs = assumption.inputs if isinstance(assumption, NamedInputs) else functionality.inputs
+        inputs = assumption.inputs if isinstance(assumption, InputAlternatives) else functionality.inputs
         ports = [PortRef(ref.component, name) for name in inputs]
         topics = [name for port in ports for name in self.s.attached_to(port)]
         publishers = [port for name in topics for port in sorted(self.s.publishers_on(name))[:_SHOWN]]
@@ -184,10 +194,10 @@ def cap_violation(s: Configuration, connector: str) -> Violation | None:
 
 def capacity_violation(s: Configuration, resource: str) -> Violation | None:
     held, capacity = s.held.get(resource), s.world.capacity(resource)
-    if held is None or held <= exact(capacity):
+    if held is None or held <= to_fraction(capacity):
         return None
     holders = _listed(sorted(s.holders[resource]))
-    because = f"{figure(float(held))} held by {holders}, capacity {figure(capacity)}"
+    because = f"{format_number(float(held))} held by {holders}, capacity {format_number(capacity)}"
     return Violation("capacity", f"resource {resource}", because, (resource, *sorted(s.holders[resource])[:_SHOWN]))
 
 
@@ -209,7 +219,7 @@ def violations(s: Configuration) -> list[Violation]:
             found.append(
                 Violation("attachment", where, f"{connector} is not a topic of this system", (str(port), connector))
             )
-    found.extend(Judge(s).violations_of(s.modes))
+    found.extend(Evaluator(s).violations_of(s.modes))
     found.extend(v for name in sorted(s.world.connectors) if (v := cap_violation(s, name)) is not None)
     found.extend(v for name in sorted(s.held) if (v := capacity_violation(s, name)) is not None)
     return found
@@ -219,13 +229,13 @@ def is_valid(s: Configuration) -> bool:
     return not violations(s)
 
 
-def normal_guarantee(component: Component, output: str) -> Contract:
+def normal_guarantee(component: ComponentSpec, output: str) -> Contract:
     """What ``output`` guarantees in the normal mode of its owner."""
     return component.owner(output).modes[0].guarantee(output)
 
 
 __all__ = [
-    "Judge",
+    "Evaluator",
     "Violation",
     "cap_violation",
     "capacity_violation",

@@ -14,7 +14,7 @@ from immutables import Map
 
 from midstride.model.best import best
 from midstride.model.component import (
-    Component,
+    ComponentSpec,
     Connector,
     EnvironmentGuarantee,
     FunctionalityRef,
@@ -22,8 +22,8 @@ from midstride.model.component import (
     PortRef,
     Resource,
 )
-from midstride.model.configuration import Configuration, Instance, World, configure
-from midstride.model.contract import figure
+from midstride.model.configuration import Configuration, Instance, SystemContext, configure
+from midstride.model.contract import format_number
 
 # What a step takes where neither the file nor earlier runs say (s); platform.md measured the order of magnitude.
 DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
@@ -73,7 +73,7 @@ class Limit:
     seconds: float
 
     def __str__(self) -> str:
-        return f"limit {self.functionality} below baseline {figure(self.seconds)} s"
+        return f"limit {self.functionality} below baseline {format_number(self.seconds)} s"
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,21 +96,21 @@ class Specification:
 
     name: str
     connectors: Map[str, Connector] = field(default_factory=Map)
-    components: Map[str, Component] = field(default_factory=Map)
+    components: Map[str, ComponentSpec] = field(default_factory=Map)
     nodes: Map[str, Node] = field(default_factory=Map)
     environment: tuple[EnvironmentGuarantee, ...] = ()
     resources: Map[str, Resource] = field(default_factory=Map)
     constraints: tuple[Constraint, ...] = ()
     timing: Map[str, float] = field(default_factory=Map)
-    _world: World | None = field(default=None, init=False, compare=False, repr=False)
+    _world: SystemContext | None = field(default=None, init=False, compare=False, repr=False)
 
     @property
-    def world(self) -> World:
+    def world(self) -> SystemContext:
         if self._world is None:
-            object.__setattr__(self, "_world", World(self.connectors, self.environment, self.resources))
+            object.__setattr__(self, "_world", SystemContext(self.connectors, self.environment, self.resources))
         return self._world  # type: ignore[return-value]  # just made
 
-    def component_of(self, role: str) -> Component:
+    def component_of(self, role: str) -> ComponentSpec:
         """Raises KeyError for an unknown role."""
         return self.components[self.nodes[role].component]
 
@@ -139,7 +139,7 @@ class Specification:
     def roles(self) -> list[str]:
         return sorted(self.nodes)
 
-    def seconds(self, kind: str, component: Component | None = None) -> float:
+    def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
         """How long a step of that kind takes (s): declared for the component, else in ``timing``, else the default."""
         if kind == "create" and component is not None and component.takes is not None:
             return component.takes

@@ -12,17 +12,17 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 
 from midstride.model.best import best
-from midstride.model.component import Component, NamedInputs, PortRef, value_fits, value_kind
+from midstride.model.component import ComponentSpec, InputAlternatives, PortRef, value_fits, value_kind
 from midstride.model.component_rules import component_rules, number_problems, predicate_problems
-from midstride.model.configuration import Configuration, exact
-from midstride.model.contract import Contract, Predicate, explain, figure, satisfies
-from midstride.model.diagnosis import Reasons
+from midstride.model.configuration import Configuration, to_fraction
+from midstride.model.contract import Contract, Predicate, explain, format_number, satisfies
+from midstride.model.diagnosis import Diagnosis
 from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import Path, component_names, node_names, specification_names
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, structure
 
 
-def check_component(component: Component) -> tuple[Problem, ...]:
+def check_component(component: ComponentSpec) -> tuple[Problem, ...]:
     """The problems of one component by itself: names, numbers, ownership, M1, M2, M3."""
     return _sorted([*component_names(component, ()), *component_rules(component, ())])
 
@@ -113,10 +113,10 @@ def _capacities(specification: Specification) -> Iterator[Problem]:
             if math.isfinite(amount):
                 holders.setdefault(resource, []).append((role, amount))
     for name, declared in specification.resources.items():
-        total = sum((exact(amount) for _, amount in holders.get(name, [])), start=Fraction())
-        if 0 < declared.capacity < math.inf and total > exact(declared.capacity):
-            who = ", ".join(f"{role} {figure(amount)}" for role, amount in holders[name])
-            message = f"{figure(float(total))} of {name} is held ({who}), its capacity is {figure(declared.capacity)}"
+        total = sum((to_fraction(amount) for _, amount in holders.get(name, [])), start=Fraction())
+        if 0 < declared.capacity < math.inf and total > to_fraction(declared.capacity):
+            who = ", ".join(f"{role} {format_number(amount)}" for role, amount in holders[name])
+            message = f"{format_number(float(total))} of {name} is held ({who}), its capacity is {format_number(declared.capacity)}"
             yield Problem("E023", ("resources", name), message, "take a holder out, or raise the capacity")
 
 
@@ -152,7 +152,7 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
 
 
 def _unfit(
-    specification: Specification, port: PortRef, component: Component, topic: str, path: Path
+    specification: Specification, port: PortRef, component: ComponentSpec, topic: str, path: Path
 ) -> Iterator[Problem]:
     """An attachment is judged as ``attach`` judges it: the normal mode of an output, the assumption of an input."""
     topic_guarantee = specification.connectors[topic].guarantee
@@ -222,7 +222,7 @@ def _hopeless(specification: Specification) -> Iterator[Problem]:
                 continue
             for mode in functionality.modes:
                 for index, assumption in enumerate(mode.assumptions):
-                    if isinstance(assumption, NamedInputs):
+                    if isinstance(assumption, InputAlternatives):
                         continue
                     given = [(f"input {port}", component.inputs[port]) for port in functionality.inputs]
                     given += [(f"environment {offer.name}", offer.guarantee) for offer in offers]
@@ -252,7 +252,7 @@ def _unsatisfied_topics(s: Configuration) -> Iterator[Problem]:
 
 def _at_first(specification: Specification, s: Configuration) -> Iterator[Problem]:
     """Functionalities that cannot be at their normal mode at first, and `keep`s that so cannot hold."""
-    why = Reasons(s)
+    why = Diagnosis(s)
     for ref in s.modes:
         if s.modes[ref] > 0:
             reasons = why.chain(ref)

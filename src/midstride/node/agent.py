@@ -18,8 +18,8 @@ from midstride.errors import CommandRefused, MidstrideError
 from midstride.model import component as model
 from midstride.model.document import component_to_document
 from midstride.node.arguments import Arguments
-from midstride.node.command_handlers import Operations
-from midstride.node.functionality_runner import Runner
+from midstride.node.command_handlers import CommandHandlers
+from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
 from midstride.node.standalone import FLAG, Attachments, best_modes
 from midstride.wire.commands import BETWEEN, CHANGING, READING
@@ -51,7 +51,7 @@ class Agent:
     def __init__(
         self,
         component: Component,
-        declaration: model.Component,
+        declaration: model.ComponentSpec,
         host: Host,
         token: str,
         pid: int,
@@ -72,7 +72,7 @@ class Agent:
         self._welcomed = False
         self._stopping = asyncio.Event()
         self._free = asyncio.Event()  # released, or stopping
-        self._operations = Operations(component, host, self._revision, self._degraded, self._publish_state)
+        self._operations = CommandHandlers(component, host, self._revision, self._degraded, self._publish_state)
         self._operations.belongs_to(token)
 
     # -- life --------------------------------------------------------------------------------------
@@ -240,13 +240,13 @@ class Agent:
     def _publish_state(self) -> None:
         self._host.publish_state(self._state())
 
-    def _degraded(self, runner: Runner) -> None:
+    def _degraded(self, runner: FunctionalityRunner) -> None:
         """On the data side: a functionality has degraded by itself. The revision tells at once, the rest may follow."""
         self._revision.bump()
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._tell_degraded, runner)
 
-    def _tell_degraded(self, runner: Runner) -> None:
+    def _tell_degraded(self, runner: FunctionalityRunner) -> None:
         self._host.logger.error(f"{runner.name} is in mode {runner.mode.name}: {runner.because}")
         self._publish_state()
         if self._welcomed and not self._stopping.is_set():  # whoever relies on it is the manager's to lower

@@ -15,7 +15,7 @@ from typing import Any, Final
 from midstride.errors import CommandRefused
 from midstride.node.arguments import Arguments
 from midstride.node.host import Host, Publisher, Subscription
-from midstride.node.mode_switch import DataSide, within
+from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
@@ -25,7 +25,7 @@ TICK: Final = 0.005
 
 
 class Attachments:
-    def __init__(self, inputs: dict[str, Input], outputs: dict[str, Output], host: Host, data: DataSide) -> None:
+    def __init__(self, inputs: dict[str, Input], outputs: dict[str, Output], host: Host, data: DataExecutor) -> None:
         self._inputs = inputs
         self._outputs = outputs
         self._host = host
@@ -141,7 +141,7 @@ class Attachments:
     def _publish(self, port: Output, topic: str) -> OutputLink:
         link = OutputLink(port, topic, self._host.create_publisher(topic, port.type, port.qos))
         if port.last is not None and (port.latched or (port.owner is not None and port.owner.mode.driven == "none")):
-            link.behind(port.last)  # what is written once was written before, attached to nothing: it is not lost
+            link.write_gated(port.last)  # what is written once was written before, attached to nothing: it is not lost
         port.wrong_type = None
         port.links = (*port.links, link)
         return link

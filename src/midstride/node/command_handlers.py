@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from midstride.errors import BackendError, CommandRefused
 from midstride.node.arguments import Arguments
 from midstride.node.attachments import Attachments
-from midstride.node.functionality_runner import CAUGHT, Runner, told_by
-from midstride.node.handover_commands import Handovers
+from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, told_by
+from midstride.node.handover_commands import HandoverCommands
 from midstride.node.host import Host
-from midstride.node.mode_switch import DataSide, Switch, within
+from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
 
 if TYPE_CHECKING:
     from midstride.node.agent import Revision
@@ -34,7 +34,7 @@ PATIENCE: Final = 2.0
 LEAVING: Final = 1.0
 
 
-class Operations:
+class CommandHandlers:
     """``degraded`` is called on the data side when a functionality degrades by itself."""
 
     def __init__(
@@ -42,17 +42,17 @@ class Operations:
         component: Component,
         host: Host,
         revision: Revision,
-        degraded: Callable[[Runner], None],
+        degraded: Callable[[FunctionalityRunner], None],
         changed: Callable[[], None],
     ) -> None:
         self._component = component
         self._host = host
         self._revision = revision
         self._degraded = degraded
-        self._runners: list[Runner] = []
-        self._data = DataSide(host, self._busy_words)
+        self._runners: list[FunctionalityRunner] = []
+        self._data = DataExecutor(host, self._busy_words)
         self._attachments = Attachments(component.inputs, component.outputs, host, self._data)
-        self._handovers = Handovers(self._attachments, host, self._data, changed)
+        self._handovers = HandoverCommands(self._attachments, host, self._data, changed)
         self._handlers: dict[str, Handler] = {
             "attach": self._attachments.attach,
             "detach": self._attachments.detach,
@@ -97,7 +97,7 @@ class Operations:
     def begin(self) -> None:
         """Data side: every functionality into its last mode."""
         for functionality in self._component.functionalities.values():
-            runner = Runner(functionality, self._host, self._degraded)
+            runner = FunctionalityRunner(functionality, self._host, self._degraded)
             functionality.runner = runner
             for port in functionality.outputs:
                 port.owner = runner
@@ -190,7 +190,7 @@ class Operations:
         def tell() -> None:
             loop.call_soon_threadsafe(settled.set)
 
-        switch = Switch(targets, self._runners, because, guard, tell)
+        switch = ModeSwitch(targets, self._runners, because, guard, tell)
         attempt = asyncio.ensure_future(self._host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
         if await within(self._host, settled.wait(), timeout) is None and switch.claim():

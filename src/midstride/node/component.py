@@ -185,7 +185,7 @@ class Component:
 
     # -- running -----------------------------------------------------------------------------------
 
-    def declaration(self) -> model.Component:
+    def declaration(self) -> model.ComponentSpec:
         """What the component is, in the model's terms. Raises NodeError where it is incomplete."""
         return declare(
             self.name,

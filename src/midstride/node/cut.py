@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-from midstride.node.functionality_runner import Runner
+from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
-from midstride.node.ports import OutputLink, Passage
+from midstride.node.ports import GatePolicy, OutputLink
 from midstride.node.trigger import InfoSet
 
 # How long after T a message published before it may still be on its way (s).
@@ -25,7 +25,7 @@ GRACE: Final = 0.05
 Written = tuple[int, int]  # the publisher's number, and when
 
 
-def belongs_after(runner: Runner | None, at: int, host: Host, slot: int = 0) -> bool:
+def belongs_after(runner: FunctionalityRunner | None, at: int, host: Host, slot: int = 0) -> bool:
     """Whether what ``runner`` writes at this moment belongs to the new side of a cut at ``at``.
 
     ``slot`` says which of the slots that a call stands for counts: 0 the first, 1 the last.
@@ -50,7 +50,7 @@ def source_of(info: Any, host: Host) -> int:
     return host.now() if source is None else source
 
 
-class _Side(Passage):
+class _Side(GatePolicy):
     """What both sides share. ``passes`` and ``shows`` are each side's own."""
 
     def __init__(self, links: Sequence[OutputLink], at: int, host: Host) -> None:
@@ -72,7 +72,7 @@ class _Side(Passage):
         return [link for link in self.links if link in link.output.links]
 
 
-class Leaving(_Side):
+class OutgoingCut(_Side):
     """The old side."""
 
     def __init__(self, links: Sequence[OutputLink], at: int, host: Host) -> None:
@@ -136,7 +136,7 @@ class Leaving(_Side):
         if self.newer_at is None and source_of(info, self._host) > self.at:
             self.newer_at = self._last_input
 
-    def _runner_passed(self, runner: Runner) -> bool:
+    def _runner_passed(self, runner: FunctionalityRunner) -> bool:
         if runner.busy is not None and not belongs_after(runner, self.at, self._host):
             return False  # an async call from before T has still to write
         late = self._host.now() - self.at
@@ -153,7 +153,7 @@ class Leaving(_Side):
         return reached or late > max(GRACE, 2 * rate.period) * 1e9  # a grid that stands still writes nothing
 
 
-class Arriving(_Side):
+class IncomingCut(_Side):
     """The new side. ``written`` holds each link's first write."""
 
     def __init__(self, links: Sequence[OutputLink], at: int, host: Host, latches: Sequence[OutputLink]) -> None:

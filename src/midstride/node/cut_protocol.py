@@ -11,7 +11,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Final
 
 from midstride.errors import BackendError
-from midstride.node.cut import GRACE, Arriving, Leaving
+from midstride.node.cut import GRACE, IncomingCut, OutgoingCut
 from midstride.node.host import Host
 from midstride.wire.messages import Reply
 
@@ -24,7 +24,7 @@ TELL_ATTEMPTS: Final = 20
 Changed = Callable[[], None]
 
 
-class _Handing:
+class _CutTask:
     """What both sides share: an outcome, and the wish to cancel."""
 
     def __init__(self, host: Host, changed: Changed) -> None:
@@ -50,10 +50,10 @@ class _Handing:
         self._changed()
 
 
-class OldSide(_Handing):
+class CutOutTask(_CutTask):
     """Writes up to T; takes up again where it does not hear `taken` in time."""
 
-    def __init__(self, host: Host, changed: Changed, side: Leaving, resume_after: float) -> None:
+    def __init__(self, host: Host, changed: Changed, side: OutgoingCut, resume_after: float) -> None:
         super().__init__(host, changed)
         self.side = side
         self._resume_after = resume_after
@@ -94,14 +94,14 @@ class OldSide(_Handing):
         return {"outcome": self.outcome or "waiting", "last": self.side.last()}
 
 
-class NewSide(_Handing):
+class CutInTask(_CutTask):
     """Writes from T on; tells its peer once it has."""
 
     def __init__(
         self,
         host: Host,
         changed: Changed,
-        side: Arriving,
+        side: IncomingCut,
         tell: Callable[[float], Awaitable[Reply]],
         rate_driven: bool,
     ) -> None:

@@ -23,15 +23,15 @@ def declare(
     outputs: Sequence[Output],
     functionalities: Sequence[Functionality],
     parameters: Sequence[Parameter],
-) -> model.Component:
+) -> model.ComponentSpec:
     """The component. Raises NodeError where it is not one the model allows (semantics.md section 2)."""
     _check_owned(outputs, functionalities)
-    return model.Component.of(
+    return model.ComponentSpec.of(
         name,
         inputs={port.name: port.assumption for port in inputs},
         outputs=tuple(port.name for port in outputs),
         functionalities=tuple(_functionality(functionality) for functionality in functionalities),
-        parameters={p.name: model.Parameter(p.value, p.on_change is not None) for p in parameters},
+        parameters={p.name: model.ParameterSpec(p.value, p.on_change is not None) for p in parameters},
     )
 
 
@@ -46,11 +46,11 @@ def _check_owned(outputs: Sequence[Output], functionalities: Sequence[Functional
             )
 
 
-def _functionality(functionality: Functionality) -> model.Functionality:
+def _functionality(functionality: Functionality) -> model.FunctionalitySpec:
     declared = functionality.chain()
     modes = tuple(_mode(mode) for mode in declared)
     _check_monotonic(functionality, modes)
-    return model.Functionality(
+    return model.FunctionalitySpec(
         functionality.name,
         modes,
         tuple(port.name for port in functionality.inputs),
@@ -62,7 +62,7 @@ def _functionality(functionality: Functionality) -> model.Functionality:
 def _mode(mode: DeclaredMode) -> model.Mode:
     guarantees = {port.name: _guarantee(mode, port) for port in mode.outputs}
     assumptions = tuple(
-        model.NamedInputs(tuple(port.name for port in alternatives)) for alternatives in mode.assumptions
+        model.InputAlternatives(tuple(port.name for port in alternatives)) for alternatives in mode.assumptions
     )
     return model.Mode(mode.name, assumptions, Map(guarantees))
 

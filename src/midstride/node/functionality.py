@@ -10,7 +10,7 @@ from midstride.node.modes import Approximate, DeclaredMode, Function, ModeFuncti
 from midstride.node.ports import AnyOf, Input, Output
 
 if TYPE_CHECKING:
-    from midstride.node.functionality_runner import Runner
+    from midstride.node.functionality_runner import FunctionalityRunner
 
 
 class Functionality:
@@ -33,7 +33,7 @@ class Functionality:
         self.inputs = inputs
         self.outputs = outputs
         self.weight = weight
-        self.runner: Runner | None = None
+        self.runner: FunctionalityRunner | None = None
         self._changeable = changeable
         self._normal: DeclaredMode | None = None
         self._between: list[DeclaredMode] = []

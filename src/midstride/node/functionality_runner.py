@@ -21,16 +21,16 @@ from midstride.node.trigger import OnRate, Trigger, trigger_of
 CAUGHT: Final = (Exception, SystemExit)
 
 
-class Waiting(Protocol):
+class PendingSwitch(Protocol):
     """A mode switch that waits for an async call to end (midstride.node.mode_switch)."""
 
     def attempt(self) -> None: ...
 
 
-class Runner:
+class FunctionalityRunner:
     """Runs one functionality. ``report`` is told when it degraded by itself."""
 
-    def __init__(self, functionality: Functionality, host: Host, report: Callable[[Runner], None]) -> None:
+    def __init__(self, functionality: Functionality, host: Host, report: Callable[[FunctionalityRunner], None]) -> None:
         self.name = functionality.name
         self.chain: tuple[DeclaredMode, ...] = functionality.chain()
         self.outputs = functionality.outputs
@@ -54,7 +54,7 @@ class Runner:
         self._trigger: Trigger | None = None
         self._asynchronous = False
         self._error: BaseException | None = None
-        self._switch: Waiting | None = None
+        self._switch: PendingSwitch | None = None
         depths = [port.assumption.qos.effective().depth or 1 for port in functionality.inputs]
         self._postponed: deque[tuple[Function, tuple[Any, ...], Any]] = deque(maxlen=max(depths, default=1))
 
@@ -87,7 +87,7 @@ class Runner:
             self._trigger = None
         self._postponed.clear()
 
-    def stand(self, index: int, because: str, failed: bool = False) -> None:
+    def enter_mode(self, index: int, because: str, failed: bool = False) -> None:
         """In mode ``index`` from now on; :meth:`begin` starts its calls."""
         self.index = index
         self.because = because
@@ -102,12 +102,12 @@ class Runner:
         except Exception as error:  # not user code's: that is caught where it is called
             self._fail(error)
 
-    def hold(self, switch: Waiting) -> None:
+    def hold(self, switch: PendingSwitch) -> None:
         """Start no further call until ``switch`` lets go; it is attempted when the call under way ends."""
         self._switch = switch
         self.ready = False
 
-    def let_go(self, switch: Waiting) -> None:
+    def unblock(self, switch: PendingSwitch) -> None:
         """``switch`` has happened, or will not: calls may start again."""
         if self._switch is switch:
             self._switch = None
@@ -177,11 +177,13 @@ class Runner:
         told = told_by(error)
         self.leave()
         if self.index < self.last:
-            self.stand(self.last, f"mode {failed} raised: {told}", failed=True)
+            self.enter_mode(self.last, f"mode {failed} raised: {told}", failed=True)
             self._report(self)
             self.begin()
         else:
-            self.stand(self.index, f"its last mode, {failed}, raised, so it is no longer called: {told}", failed=True)
+            self.enter_mode(
+                self.index, f"its last mode, {failed}, raised, so it is no longer called: {told}", failed=True
+            )
             self._report(self)
 
 

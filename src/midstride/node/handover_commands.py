@@ -10,10 +10,10 @@ from typing import Any, Final
 from midstride.errors import BackendError, CommandRefused
 from midstride.node.arguments import Arguments
 from midstride.node.attachments import Attachments
-from midstride.node.cut import Arriving, Leaving
-from midstride.node.cut_protocol import NewSide, OldSide
+from midstride.node.cut import IncomingCut, OutgoingCut
+from midstride.node.cut_protocol import CutInTask, CutOutTask
 from midstride.node.host import Host
-from midstride.node.mode_switch import DataSide, within
+from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import OutputLink
 from midstride.wire.messages import Command, Reply
 
@@ -24,15 +24,15 @@ MEET_ATTEMPT: Final = 0.5
 REMEMBERED: Final = 50
 
 
-class Handovers:
-    def __init__(self, attachments: Attachments, host: Host, data: DataSide, changed: Callable[[], None]) -> None:
+class HandoverCommands:
+    def __init__(self, attachments: Attachments, host: Host, data: DataExecutor, changed: Callable[[], None]) -> None:
         self.token = ""
         self._attachments = attachments
         self._host = host
         self._data = data
         self._changed = changed
         # Both sides of a cut may be here: one output of the component can hand over to another.
-        self._sides: dict[str, list[OldSide | NewSide]] = {}
+        self._sides: dict[str, list[CutOutTask | CutInTask]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
 
     def close(self) -> None:
@@ -76,22 +76,22 @@ class Handovers:
     # -- the cut -----------------------------------------------------------------------------------
 
     async def cut_out(self, arguments: Arguments) -> dict[str, Any]:
-        cut, at, links = self._agreed(arguments, OldSide, gate="open")
-        side = Leaving(links, at, self._host)
+        cut, at, links = self._agreed(arguments, CutOutTask, gate="open")
+        side = OutgoingCut(links, at, self._host)
         await self._arm(at, side.arm)
-        self._begin(cut, OldSide(self._host, self._changed, side, arguments.seconds("resume_after")))
+        self._begin(cut, CutOutTask(self._host, self._changed, side, arguments.seconds("resume_after")))
         return {}
 
     async def cut_in(self, arguments: Arguments) -> dict[str, Any]:
-        cut, at, links = self._agreed(arguments, NewSide, gate="closed")
+        cut, at, links = self._agreed(arguments, CutInTask, gate="closed")
         peer, epoch = arguments.text("peer"), arguments.maybe_whole("epoch")
         latches = [
             link for link, swap in zip(links, arguments.tables("swaps"), strict=True) if swap.get("latch") is True
         ]
-        side = Arriving(links, at, self._host, latches)
+        side = IncomingCut(links, at, self._host, latches)
         await self._arm(at, lambda: side.arm(epoch))
         rate_driven = all(link.output.owner is not None and link.output.owner.rate is not None for link in links)
-        self._begin(cut, NewSide(self._host, self._changed, side, self._teller(cut, peer), rate_driven))
+        self._begin(cut, CutInTask(self._host, self._changed, side, self._teller(cut, peer), rate_driven))
         return {}
 
     async def cancel_cut(self, arguments: Arguments) -> dict[str, Any]:
@@ -112,12 +112,12 @@ class Handovers:
 
     async def taken(self, arguments: Arguments) -> dict[str, Any]:
         """From the new side. Of a cut that is not known here nothing was given up, so this side writes."""
-        old = [side for side in self._of(arguments.text("cut")) if isinstance(side, OldSide)]
+        old = [side for side in self._of(arguments.text("cut")) if isinstance(side, CutOutTask)]
         return {"resumed": any(side.taken() for side in old) if old else True}
 
     # -- parts -------------------------------------------------------------------------------------
 
-    def _of(self, cut: str) -> list[OldSide | NewSide]:
+    def _of(self, cut: str) -> list[CutOutTask | CutInTask]:
         """The sides of a cut that are here."""
         return self._sides.get(cut, [])
 
@@ -152,7 +152,7 @@ class Handovers:
             raise CommandRefused(f"the agreed moment of the cut passed {-left:.3f} s ago")
         await self._data.run(in_time, left)
 
-    def _begin(self, cut: str, side: OldSide | NewSide) -> None:
+    def _begin(self, cut: str, side: CutOutTask | CutInTask) -> None:
         self._sides.setdefault(cut, []).append(side)
         over = [cut for cut, sides in self._sides.items() if all(earlier.finished.is_set() for earlier in sides)]
         for old in over[:-REMEMBERED]:

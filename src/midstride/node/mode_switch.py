@@ -12,7 +12,7 @@ from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
 from typing import Any, Generic, TypeVar
 
 from midstride.errors import CommandRefused
-from midstride.node.functionality_runner import Runner
+from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
 
 T = TypeVar("T")
@@ -59,7 +59,7 @@ class Once(Generic[T]):
         return self._function() if self.claim() else None
 
 
-class DataSide:
+class DataExecutor:
     """Runs functions on the data side from the control side, in bounded time."""
 
     def __init__(self, host: Host, busy: Callable[[], str]) -> None:
@@ -117,7 +117,7 @@ def _call(loop: asyncio.AbstractEventLoop, function: Callable[[], Any]) -> None:
         loop.call_soon_threadsafe(function)
 
 
-class Switch:
+class ModeSwitch:
     """One mode change of a group of functionalities: all at once, between two calls of each, or not at all.
 
     ``guard`` is asked in that very moment; what it says refuses the change. ``settled`` is called
@@ -127,7 +127,7 @@ class Switch:
     def __init__(
         self,
         targets: Mapping[str, int],
-        runners: Sequence[Runner],
+        runners: Sequence[FunctionalityRunner],
         because: str,
         guard: Callable[[], str | None],
         settled: Callable[[], None],
@@ -168,7 +168,7 @@ class Switch:
         self.before = {runner.name: runner.mode.name for runner in self._runners}
         for runner in moved:
             runner.leave()
-            runner.stand(self._targets[runner.name], self._because)
+            runner.enter_mode(self._targets[runner.name], self._because)
         self._settled()
         for runner in moved:
             runner.begin()
@@ -182,4 +182,4 @@ class Switch:
     def release(self) -> None:
         """On the data side, once it is settled or taken back: calls may start again."""
         for runner in self._runners:
-            runner.let_go(self)
+            runner.unblock(self)

@@ -17,7 +17,7 @@ from midstride.node.contracts import type_name
 from midstride.node.host import Host, Publisher, Subscription
 
 if TYPE_CHECKING:
-    from midstride.node.functionality_runner import Runner
+    from midstride.node.functionality_runner import FunctionalityRunner
 
 # How many receipts an input remembers while nobody records: enough to see 20 periods back.
 REMEMBERED: Final = 64
@@ -27,7 +27,7 @@ RECORDED: Final = 200_000
 Listener = Callable[[Any, Any], None]
 
 
-class Passage(Protocol):
+class GatePolicy(Protocol):
     """A cut in progress: decides, write by write, what passes a gate (midstride.node.cut)."""
 
     def passes(self, link: OutputLink) -> bool: ...
@@ -54,9 +54,9 @@ class OutputLink:
         self.count = 0
         self.gated = 0
         self.held: Any = None
-        self.cut: Passage | None = None
+        self.cut: GatePolicy | None = None
 
-    def behind(self, message: Any) -> None:
+    def write_gated(self, message: Any) -> None:
         """A write that meets no open gate: during a cut it may pass, else it is counted and kept for a latch."""
         cut = self.cut
         if cut is not None and cut.passes(self):
@@ -107,7 +107,7 @@ class Output:
         self.last: Any = None
         self.wrong_type: str | None = None
         self.links: tuple[OutputLink, ...] = ()
-        self.owner: Runner | None = None
+        self.owner: FunctionalityRunner | None = None
 
     def write(self, message: Any) -> None:
         """Publish ``message``. Raises NodeError where it is not of the output's type.
@@ -126,7 +126,7 @@ class Output:
                 link.publish(message)
                 link.count += 1
             else:
-                link.behind(message)
+                link.write_gated(message)
 
     @property
     def attached(self) -> bool:

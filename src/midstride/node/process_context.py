@@ -26,7 +26,7 @@ BACKENDS: Final = {"ros2": ("rclpy", "midstride.backends.ros2"), "ros1": ("rospy
 
 
 @dataclass(frozen=True, slots=True)
-class Surroundings:
+class ProcessContext:
     """What a component is told from outside. ``instance`` None: nobody renames it; ``token`` empty: started by hand."""
 
     factory: HostFactory | None = None
@@ -38,15 +38,15 @@ class Surroundings:
     pid: int | None = None
 
 
-current: Final[ContextVar[Surroundings | None]] = ContextVar("midstride_surroundings", default=None)
+current: Final[ContextVar[ProcessContext | None]] = ContextVar("midstride_surroundings", default=None)
 
 
-def find() -> Surroundings:
+def find() -> ProcessContext:
     """The surroundings of the caller: the simulator's, else what the environment says."""
     simulated = current.get()
     if simulated is not None:
         return simulated
-    return Surroundings(
+    return ProcessContext(
         factory=None,
         instance=os.environ.get(ENV_INSTANCE) or None,
         namespace=os.environ.get(ENV_NAMESPACE, ""),
@@ -56,7 +56,7 @@ def find() -> Surroundings:
     )
 
 
-def host_factory(surroundings: Surroundings) -> HostFactory:
+def host_factory(surroundings: ProcessContext) -> HostFactory:
     """The factory of the platform this process runs on. Raises NodeError where there is none."""
     if surroundings.factory is not None:
         return surroundings.factory

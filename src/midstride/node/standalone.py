@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from midstride.errors import NodeError
-from midstride.model.component import Component, NamedInputs
+from midstride.model.component import ComponentSpec, InputAlternatives
 
 FLAG: Final = "--standalone"
 _REMAPPING: Final = re.compile(r"(?P<port>(?!__)[A-Za-z_]\w*):=(?P<topic>[^\s:=]+)\Z")
@@ -15,7 +15,7 @@ _REMAPPING: Final = re.compile(r"(?P<port>(?!__)[A-Za-z_]\w*):=(?P<topic>[^\s:=]
 Attachments = Mapping[str, Sequence[str]]
 
 
-def remappings(arguments: Sequence[str], component: Component) -> Attachments | None:
+def remappings(arguments: Sequence[str], component: ComponentSpec) -> Attachments | None:
     """What ``--standalone`` says: each port's topics; None where it is not there. Raises NodeError for a wrong port.
 
     The remappings are what follows the flag as ``port:=/topic``; every other argument is the author's own or ROS's
@@ -36,12 +36,12 @@ def remappings(arguments: Sequence[str], component: Component) -> Attachments | 
     return attachments
 
 
-def best_modes(component: Component, attachments: Attachments) -> dict[str, int]:
+def best_modes(component: ComponentSpec, attachments: Attachments) -> dict[str, int]:
     """The best mode of each functionality, trusting that an attached topic keeps its promise."""
     modes = {}
     for functionality in component:
         for index, mode in enumerate(functionality.modes):
-            named = [assumption.inputs for assumption in mode.assumptions if isinstance(assumption, NamedInputs)]
+            named = [assumption.inputs for assumption in mode.assumptions if isinstance(assumption, InputAlternatives)]
             if all(any(port in attachments for port in alternatives) for alternatives in named):
                 modes[functionality.name] = index
                 break

@@ -14,7 +14,7 @@ from midstride.node.modes import DeclaredMode, Function
 from midstride.node.ports import Input, Listener
 
 if TYPE_CHECKING:
-    from midstride.node.functionality_runner import Runner
+    from midstride.node.functionality_runner import FunctionalityRunner
 
 
 class Trigger(Protocol):
@@ -32,7 +32,7 @@ class InfoSet(tuple[Any, ...]):
 class OnEntry:
     """Called once."""
 
-    def __init__(self, runner: Runner, function: Function) -> None:
+    def __init__(self, runner: FunctionalityRunner, function: Function) -> None:
         self._runner = runner
         self._function = function
 
@@ -46,7 +46,7 @@ class OnEntry:
 class OnRate:
     """Called on a time grid, the first time on entry. A slot whose turn comes during a call is skipped."""
 
-    def __init__(self, runner: Runner, host: Host, function: Function, period: float) -> None:
+    def __init__(self, runner: FunctionalityRunner, host: Host, function: Function, period: float) -> None:
         self.period = period
         self.slot: int | None = None
         self._runner = runner
@@ -76,7 +76,7 @@ class OnRate:
 class OnMessage:
     """Called for every message of some inputs."""
 
-    def __init__(self, runner: Runner, handlers: tuple[tuple[Input, Function], ...]) -> None:
+    def __init__(self, runner: FunctionalityRunner, handlers: tuple[tuple[Input, Function], ...]) -> None:
         self._runner = runner
         self._listeners = [(port, self._listener(function)) for port, function in handlers]
 
@@ -105,7 +105,7 @@ class OnMessage:
 class OnSet:
     """Called with one message of each input, their times within the slop: the closest ones, oldest first."""
 
-    def __init__(self, runner: Runner, host: Host, mode: DeclaredMode) -> None:
+    def __init__(self, runner: FunctionalityRunner, host: Host, mode: DeclaredMode) -> None:
         assert mode.sync is not None and mode.function is not None
         self._runner = runner
         self._host = host
@@ -165,7 +165,7 @@ class OnSet:
             self._runner.postpone(self._function, messages, infos)
 
 
-def trigger_of(mode: DeclaredMode, runner: Runner, host: Host) -> Trigger:
+def trigger_of(mode: DeclaredMode, runner: FunctionalityRunner, host: Host) -> Trigger:
     if mode.driven == "message":
         return OnSet(runner, host, mode) if mode.sync is not None else OnMessage(runner, mode.handlers)
     assert mode.function is not None

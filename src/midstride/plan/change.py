@@ -15,10 +15,10 @@ from typing import Final
 from immutables import Map
 
 from midstride.model.action import Swap
-from midstride.model.component import Component, FunctionalityRef, ParameterValue, PortRef
-from midstride.model.configuration import Configuration, Instance, World
+from midstride.model.component import ComponentSpec, FunctionalityRef, ParameterValue, PortRef
+from midstride.model.configuration import Configuration, Instance, SystemContext
 from midstride.model.specification import DEFAULT_SECONDS, Node, Specification
-from midstride.plan.change_builder import Difference, between, of_roles
+from midstride.plan.change_builder import ChangeBuilder, between, of_roles
 from midstride.plan.request import Request
 
 Attachment = tuple[PortRef, str]
@@ -132,7 +132,7 @@ class Change:
         configuration: Configuration,
         specification: Specification,
         target: Specification,
-        difference: Difference,
+        difference: ChangeBuilder,
         measured: Mapping[str, float] | None,
     ) -> Change:
         return cls(
@@ -158,7 +158,7 @@ class Change:
     # -- reading -------------------------------------------------------------------------------------
 
     @property
-    def end_world(self) -> World:
+    def end_world(self) -> SystemContext:
         """The world once the plan is done: the target's own."""
         return self.target.world
 
@@ -173,7 +173,7 @@ class Change:
         known = self.start.instances.get(instance)
         return (known or self.final.instances[instance]).role
 
-    def component_of(self, instance: str) -> Component:
+    def component_of(self, instance: str) -> ComponentSpec:
         """The component of an instance that runs at the start or comes. Raises KeyError for another."""
         known = self.start.instances.get(instance)
         return (known or self.final.instances[instance]).component
@@ -182,7 +182,7 @@ class Change:
         """Of an instance that runs at the start or comes. Raises KeyError for another."""
         return self.component_of(port.component).has_output(port.port)
 
-    def seconds(self, kind: str, component: Component | None = None) -> float:
+    def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
         """How long a step takes (s): declared in the target, else measured earlier, else the stated default."""
         if kind == "create" and component is not None and component.takes is not None:
             return component.takes
@@ -237,4 +237,4 @@ class Change:
         for instance in self.renamed:
             known = replace(s.instances[instance.name], component=instance.component)
             s = replace(s, instances=s.instances.set(instance.name, known))
-        return s.with_world(self.end_world)
+        return s.with_context(self.end_world)

@@ -15,14 +15,14 @@ from midstride.errors import PlanRefused
 from midstride.model.action import contract_reasons
 from midstride.model.best import best, rebalanced
 from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef
-from midstride.model.configuration import Configuration, Instance, World
+from midstride.model.configuration import Configuration, Instance, SystemContext
 from midstride.model.diagnostics import suggestion
 from midstride.model.rules import Violation, cap_violation, capacity_violation, violations
 from midstride.model.specification import Specification
 
 
 @dataclass(slots=True)
-class Difference:
+class ChangeBuilder:
     """What :class:`~midstride.plan.change.Change` says, while it is being found."""
 
     specification: Specification
@@ -196,29 +196,29 @@ def _meet(who: str, s: Configuration, connectors: Iterable[str], resources: Iter
 
 def of_roles(
     configuration: Configuration, specification: Specification, target: Specification, roles: Iterable[str]
-) -> Difference:
+) -> ChangeBuilder:
     """The difference where nothing but the nodes ``roles`` differs, and ``configuration`` stands in ``best``."""
-    difference = Difference(specification, target, configuration, configuration, configuration)
+    difference = ChangeBuilder(specification, target, configuration, configuration, configuration)
     for role in sorted(set(roles)):
         difference.compare(role)
     difference.conclude()
     return difference
 
 
-def between(configuration: Configuration, specification: Specification, target: Specification) -> Difference:
+def between(configuration: Configuration, specification: Specification, target: Specification) -> ChangeBuilder:
     """The difference of whole systems, the world's included."""
     connectors, identities = _connectors(configuration, target)
     resources = configuration.world.resources.update(target.resources)
-    start = configuration.with_world(World(connectors, target.environment, resources))
+    start = configuration.with_context(SystemContext(connectors, target.environment, resources))
     _meet("the running system", start, sorted(start.publishers), sorted(start.held))
     for violation in violations(start):
         raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
     raised = best(start)
     baseline = raised if start.world == configuration.world else best(configuration)
-    difference = Difference(specification, target, start, baseline, start, identities)
+    difference = ChangeBuilder(specification, target, start, baseline, start, identities)
     difference.pending = sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index)
     difference.lowered = sorted(ref for ref, index in baseline.modes.items() if start.modes[ref] != index)
-    for role in sorted({*target.nodes, *start.players}):
+    for role in sorted({*target.nodes, *start.instances_by_role}):
         difference.compare(role)
     difference.conclude()
     _meet("the target", difference.final, sorted(difference.final.publishers), sorted(difference.final.held))

@@ -12,7 +12,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Constraint, Keep, Limit, Order
 from midstride.plan.change import Change
-from midstride.plan.disruption import Levels, Meter
+from midstride.plan.disruption import DisruptionMeter, Levels
 from midstride.plan.step import Step
 
 # Up to this many constraints, a smallest conflicting set is looked for; beyond, one that has no smaller one in it.
@@ -55,7 +55,7 @@ def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints:
     asked = tuple(constraints)
     if not asked:
         return []
-    meter, watch, s = Meter(levels), Watch(change, levels, asked), change.start
+    meter, watch, s = DisruptionMeter(levels), ConstraintMonitor(change, levels, asked), change.start
     for step in steps:
         s = step.action.effect(s)
         meter.step(step.action, step.seconds, s)
@@ -73,7 +73,7 @@ def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints:
     return [Breach(constraint, first_breach[constraint]) for constraint in asked if constraint in first_breach]
 
 
-class Watch:
+class ConstraintMonitor:
     """Follows a plan in the making, step by step: which ``keep`` is ``broken``, and by which step.
 
     What is broken stays broken, so that a planner may give up a plan as soon as it :meth:`is_doomed`.
@@ -89,8 +89,8 @@ class Watch:
         self._count = 0
         self.broken: dict[Constraint, str] = {}
 
-    def copy(self) -> Watch:
-        twin = Watch.__new__(Watch)
+    def copy(self) -> ConstraintMonitor:
+        twin = ConstraintMonitor.__new__(ConstraintMonitor)
         twin._levels, twin._keeps, twin._limits = self._levels, self._keeps, self._limits
         twin._count, twin.broken = self._count, dict(self.broken)
         return twin
@@ -103,12 +103,12 @@ class Watch:
             if concerned and self._levels.level(after, keep.functionality) > threshold:
                 self.broken[keep] = f"step {self._count} ({step.describe()}) takes it below"
 
-    def is_doomed(self, meter: Meter) -> bool:
+    def is_doomed(self, meter: DisruptionMeter) -> bool:
         """Whether no plan that begins like this meets each ``keep`` and ``limit``; ``meter`` has followed it too."""
         return bool(self.broken) or any(_exceeds(limit, meter) for limit in self._limits)
 
 
-def _exceeds(limit: Limit, meter: Meter) -> bool:
+def _exceeds(limit: Limit, meter: DisruptionMeter) -> bool:
     return meter.seconds(limit.functionality) > limit.seconds + _EPSILON
 
 

@@ -1,7 +1,7 @@
 """What a plan costs: semantics.md section 6, counted by role.
 
 :class:`Levels` says how a role's functionality stands in a configuration, and against what it is
-measured. :class:`Meter` follows a plan step by step. Both look only at the roles that a step
+measured. :class:`DisruptionMeter` follows a plan step by step. Both look only at the roles that a step
 touches, so that a plan's cost is found at the cost of the plan.
 """
 
@@ -70,7 +70,7 @@ class Levels:
     @staticmethod
     def _level(s: Configuration, ref: FunctionalityRef, outputs: tuple[str, ...], worst: int) -> int:
         level = worst
-        for instance in s.players.get(ref.component, ()):
+        for instance in s.instances_by_role.get(ref.component, ()):
             own = FunctionalityRef(instance, ref.functionality)
             mode = s.modes.get(own)
             if mode is None or mode >= level:
@@ -137,7 +137,7 @@ def instances_touched(action: Action) -> list[str]:
 
 
 @dataclass(frozen=True, slots=True)
-class Moved:
+class LevelChange:
     """By how many levels a role's functionality stood below its baseline before a step, and stands after it."""
 
     ref: FunctionalityRef
@@ -145,7 +145,7 @@ class Moved:
     after: int
 
 
-class Meter:
+class DisruptionMeter:
     """Follows a plan: the disruption so far, who stands below the baseline now, and who ever did.
 
     A step costs what it moves, however many stand below: the loss that stands is kept as a sum.
@@ -165,15 +165,15 @@ class Meter:
         self._spent: dict[FunctionalityRef, float] = {}
         self._standing = sum(loss * levels.weight(ref) for ref, loss in self.below.items())
 
-    def copy(self) -> Meter:
-        twin = Meter.__new__(Meter)
+    def copy(self) -> DisruptionMeter:
+        twin = DisruptionMeter.__new__(DisruptionMeter)
         twin.levels, twin.disruption = self.levels, self.disruption
         twin._clock, twin._standing = self._clock, self._standing
         twin.below, twin.fallen = dict(self.below), dict(self.fallen)
         twin._since, twin._spent = dict(self._since), dict(self._spent)
         return twin
 
-    def step(self, action: Action, seconds: float, after: Configuration) -> list[Moved]:
+    def step(self, action: Action, seconds: float, after: Configuration) -> list[LevelChange]:
         """Take note of an action that has led to ``after``; what it moves, in a stable order."""
         moved = self._moved(action, after)
         weight = self.levels.weight
@@ -194,14 +194,14 @@ class Meter:
             self._standing = 0.0
         return moved
 
-    def _moved(self, action: Action, after: Configuration) -> list[Moved]:
+    def _moved(self, action: Action, after: Configuration) -> list[LevelChange]:
         moved = []
         for role in dict.fromkeys(self.levels.change.role_of(name) for name in instances_touched(action)):
             below = self.levels.below(after, role)
             for counted in self.levels.counted(role):
                 before, now = self.below.get(counted.ref, 0), below.get(counted.ref, 0)
                 if before != now:
-                    moved.append(Moved(counted.ref, before, now))
+                    moved.append(LevelChange(counted.ref, before, now))
         return moved
 
     @property

@@ -21,7 +21,7 @@ from midstride.model.action import (
     Upgrade,
 )
 from midstride.model.best import best
-from midstride.model.component import Component, FunctionalityRef, PortRef
+from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.document import specification_from_document, specification_to_document
 from midstride.model.specification import Specification
@@ -65,7 +65,7 @@ def plan_to_document(plan: Plan) -> dict[str, Any]:
 
 def _running(change: Change) -> dict[str, str | None]:
     found: dict[str, str | None] = {}
-    for role in sorted({*change.specification.nodes, *change.origin.players}):
+    for role in sorted({*change.specification.nodes, *change.origin.instances_by_role}):
         names = [instance.name for instance in change.origin.instances_of(role)]
         if names != [role]:
             found[role] = names[0] if names else None
@@ -191,7 +191,7 @@ def _action(change: Change, known: Mapping[str, Instance], entry: Mapping[str, A
     raise ValueError(f"there is no action {kind}")
 
 
-def _component(change: Change, name: str) -> Component:
+def _component(change: Change, name: str) -> ComponentSpec:
     for specification in (change.target, change.specification):
         if name in specification.components:
             return specification.components[name]

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 from midstride.model.action import Degrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
-from midstride.model.rules import Judge
+from midstride.model.rules import Evaluator
 from midstride.model.specification import Specification
-from midstride.plan.disruption import DIGITS, Levels, Meter
+from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
 from midstride.plan.step import Step
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, slots=True)
-class Fall:
+class Degradation:
     """A role's functionality below its baseline: the steps (from 1) that take it there and back, and why.
 
     ``seconds`` counts every step of the sequence during which it is below, by the steps'
@@ -51,7 +51,7 @@ class Fall:
 
 
 @dataclass(frozen=True, slots=True)
-class Shift:
+class LevelShift:
     """A role's functionality that stands otherwise at the end of a plan than at its beginning, for good.
 
     ``before`` and ``after`` are modes; None where no instance serves it. ``levels`` says by how many it ends lower.
@@ -71,20 +71,20 @@ class Shift:
         }
 
 
-def shifts(plan: Plan) -> tuple[Shift, ...]:
+def shifts(plan: Plan) -> tuple[LevelShift, ...]:
     """What stands otherwise after the plan, by role, so that it is seen where a role is replaced as well.
 
     Of functionalities that start and target both have; greatest losses first.
     """
     levels, change = Levels(plan.change), plan.change
     *_, end = plan.configurations()
-    found: list[Shift] = []
+    found: list[LevelShift] = []
     for role in sorted({role for step in plan.steps for role in step.roles}):
         for counted in levels.counted(role):
             was, will = levels.level(change.start, counted.ref), levels.level(end, counted.ref)
             if was != will:
                 before, after = _mode(change.specification, counted.ref, was), _mode(change.target, counted.ref, will)
-                found.append(Shift(counted.ref, before, after, will - was))
+                found.append(LevelShift(counted.ref, before, after, will - was))
     return tuple(sorted(found, key=lambda shift: (-shift.levels, shift.functionality)))
 
 
@@ -93,20 +93,20 @@ def _mode(specification: Specification, ref: FunctionalityRef, level: int) -> st
     return modes[level].name if level < len(modes) else None
 
 
-def falls(plan: Plan) -> tuple[Fall, ...]:
+def falls(plan: Plan) -> tuple[Degradation, ...]:
     """One for each stretch in which a functionality stands below its baseline, in the order they begin."""
     levels = Levels(plan.change)
-    meter = Meter(levels)
+    meter = DisruptionMeter(levels)
     configurations = list(plan.configurations())
     begun: dict[FunctionalityRef, int] = dict.fromkeys(meter.below, 0)
     spent: dict[FunctionalityRef, float] = dict.fromkeys(meter.below, 0.0)
     unserved: dict[FunctionalityRef, int] = {}
-    found: list[Fall] = []
+    found: list[Degradation] = []
 
     def close(ref: FunctionalityRef, until: int | None) -> None:
         because = _because(plan.steps, configurations, ref, begun[ref])
         seconds = round(meter.seconds(ref) - spent[ref], DIGITS)
-        found.append(Fall(ref, begun.pop(ref), until, seconds, because, unserved.pop(ref, None)))
+        found.append(Degradation(ref, begun.pop(ref), until, seconds, because, unserved.pop(ref, None)))
 
     for index, step in enumerate(plan.steps):
         for moved in meter.step(step.action, step.seconds, configurations[index + 1]):
@@ -134,7 +134,7 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
         if later.is_structural:
             after = configurations[number]
             if own is not None and own.component in after.instances:
-                judge = Judge(after, {own: before.modes[own]})
+                judge = Evaluator(after, {own: before.modes[own]})
                 mode = before.mode(own)
                 functionality = before.functionality(own)
                 for assumption in mode.assumptions:

@@ -14,13 +14,13 @@ from midstride.errors import PlanRefused
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
-from midstride.model.diagnosis import Reasons
+from midstride.model.diagnosis import Diagnosis
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification, initial
 
 
 @dataclass(frozen=True, slots=True)
-class Fall:
+class ImpactedFunctionality:
     """A functionality that falls, by ``levels`` modes, and why it cannot stay."""
 
     functionality: FunctionalityRef
@@ -42,7 +42,7 @@ class Impact:
 
     role: str
     component: str
-    falls: tuple[Fall, ...]
+    falls: tuple[ImpactedFunctionality, ...]
     own: tuple[str, ...]
 
     @property
@@ -104,12 +104,14 @@ def _impact(specification: Specification, s: Configuration, role: str) -> Impact
     return Impact(role, specification.nodes[role].component, tuple(falls), own)
 
 
-def _falls(before: Configuration, after: Configuration, modes: dict[FunctionalityRef, int]) -> Iterator[Fall]:
-    why = Reasons(after)
+def _falls(
+    before: Configuration, after: Configuration, modes: dict[FunctionalityRef, int]
+) -> Iterator[ImpactedFunctionality]:
+    why = Diagnosis(after)
     for ref, index in modes.items():
         functionality = before.functionality(ref)
         stood = before.modes[ref]
-        yield Fall(
+        yield ImpactedFunctionality(
             ref,
             functionality.modes[stood].name,
             functionality.modes[index].name,

@@ -14,17 +14,17 @@ from typing import Final
 
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
-from midstride.model.configuration import exact
-from midstride.model.contract import figure
+from midstride.model.configuration import to_fraction
+from midstride.model.contract import format_number
 from midstride.model.specification import Constraint, Order
 from midstride.plan.change import Change
-from midstride.plan.constraints import Breach, Watch, breaches, conflict, in_force, refusal, roles_of
+from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal, roles_of
 from midstride.plan.disruption import Levels
 from midstride.plan.moves import moves
 from midstride.plan.plan import Plan
-from midstride.plan.plan_builder import Ceiling, Draft
+from midstride.plan.plan_builder import Ceiling, PlanBuilder
 from midstride.plan.schedule import makespan
-from midstride.plan.search_state import Core
+from midstride.plan.search_state import SearchState
 from midstride.plan.step import Step
 
 # How many ways to go on are tried in all; after that, of each choice only the first few, and no choice twice.
@@ -72,11 +72,13 @@ def _no_room(change: Change) -> list[str]:
     s, told = change.start, []
     for resource in sorted({name for instance in change.coming for name in instance.component.holds}):
         coming = [instance for instance in change.coming if resource in instance.component.holds]
-        together = s.held.get(resource, 0) + sum(exact(instance.component.holds[resource]) for instance in coming)
-        if together > exact(s.world.capacity(resource)):
+        together = s.held.get(resource, 0) + sum(to_fraction(instance.component.holds[resource]) for instance in coming)
+        if together > to_fraction(s.world.capacity(resource)):
             names = [name for name in change.leaving if resource in s.component(name).holds]
             who = " and ".join([*names, *(instance.name for instance in coming)])
-            told.append(f"{who} do not fit at once: {resource} has a capacity of {figure(s.world.capacity(resource))}")
+            told.append(
+                f"{who} do not fit at once: {resource} has a capacity of {format_number(s.world.capacity(resource))}"
+            )
     return told
 
 
@@ -137,8 +139,8 @@ def _search(
     """
     orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
     trials = _TRIALS
-    watch = Watch(change, levels, constraints) if constraints else None
-    stack = [Core(Draft(change, levels, ceiling, watch), orders, eager=eager)]
+    watch = ConstraintMonitor(change, levels, constraints) if constraints else None
+    stack = [SearchState(PlanBuilder(change, levels, ceiling, watch), orders, eager=eager)]
     if stack[0].layers() is None:
         return best
     stack[0].advance()
@@ -155,7 +157,7 @@ def _search(
             if best.is_free:
                 break
             continue
-        ways: list[Core] = []
+        ways: list[SearchState] = []
         # What is doomed is followed to its end only where there is nothing else to tell of yet, and by one way.
         for move in moves(core)[: 1 if doomed else None if trials > 0 else _FEW]:
             way = core.copy()
@@ -163,12 +165,12 @@ def _search(
             way.advance()
             ways.append(way)
             trials -= 1
-        ways.sort(key=_promise)
+        ways.sort(key=_priority)
         stack.extend(ways[: None if trials > 0 else 1][::-1])
     return best
 
 
-def _promise(core: Core) -> tuple[bool, float, float, int]:
+def _priority(core: SearchState) -> tuple[bool, float, float, int]:
     """Whether a way is doomed; what it has cost and will at least have cost, roughly, once what fell stands again."""
     change, meter = core.draft.change, core.draft.meter
     roles = {ref.component for ref in meter.below}
@@ -177,12 +179,12 @@ def _promise(core: Core) -> tuple[bool, float, float, int]:
     return core.draft.is_doomed, cost, meter.standing, len(core.draft.steps)
 
 
-def _cannot_beat(core: Core, best: Found) -> bool:
+def _cannot_beat(core: SearchState, best: Found) -> bool:
     meter = core.draft.meter
     return not best.breaches and (meter.disruption, len(meter.fallen)) > best.key[1:3]
 
 
-def _found(change: Change, levels: Levels, constraints: Sequence[Constraint], draft: Draft) -> Found:
+def _found(change: Change, levels: Levels, constraints: Sequence[Constraint], draft: PlanBuilder) -> Found:
     steps = tuple(draft.steps)
     broken = tuple(breaches(change, steps, levels, constraints))
     meter = draft.meter

@@ -20,7 +20,7 @@ from immutables import Map
 from midstride.model.action import Degrade, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
-from midstride.model.rules import Judge
+from midstride.model.rules import Evaluator
 from midstride.plan.strongly_connected import strongly_connected
 
 Modes: TypeAlias = dict[FunctionalityRef, int]
@@ -60,7 +60,7 @@ def _raised(s: Configuration, wanted: Modes) -> Iterator[Modes]:
     rank = {ref: place for place, ref in enumerate(sorted(wanted, key=lambda ref: _declared(s, ref)))}
     by_rank = list(rank)
     overlay: Modes = {}
-    judge = Judge(s, overlay)
+    judge = Evaluator(s, overlay)
     waiting = list(range(len(by_rank)))
 
     def rise(step: Modes) -> Modes:
@@ -94,7 +94,7 @@ def _consumers(s: Configuration, ref: FunctionalityRef) -> Iterator[Functionalit
             yield from s.consumers(name)
 
 
-def _part_way(judge: Judge, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
+def _part_way(judge: Evaluator, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
     """One functionality that can rise by itself to a mode on its way, which may spare a group."""
     for ref in ordered:
         now = judge.mode_index(ref)
@@ -108,12 +108,12 @@ def _group(s: Configuration, overlay: Modes, wanted: Modes, ordered: list[Functi
     """A smallest group of ``wanted`` that can rise together, none being able to rise alone."""
 
     def supports_itself(group: Sequence[FunctionalityRef], asked: Sequence[FunctionalityRef] | None = None) -> bool:
-        judge = Judge(s, {**overlay, **{ref: wanted[ref] for ref in group}})
+        judge = Evaluator(s, {**overlay, **{ref: wanted[ref] for ref in group}})
         return all(judge.mode_satisfied(ref, wanted[ref]) for ref in (group if asked is None else asked))
 
     # Whom each one cannot do without, even if all the others rise: a tangle of these must rise as one.
     raised = {**overlay, **wanted}
-    judge = Judge(s, raised)
+    judge = Evaluator(s, raised)
     suppliers: dict[FunctionalityRef, list[FunctionalityRef]] = {ref: [] for ref in ordered}
     for ref in ordered:
         for consumer in dict.fromkeys(_consumers(s, ref)):

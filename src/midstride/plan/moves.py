@@ -13,11 +13,11 @@ from itertools import combinations, permutations
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias
 
 from midstride.model.action import Swap
-from midstride.model.configuration import exact
+from midstride.model.configuration import to_fraction
 from midstride.plan.change import Attachment
 
 if TYPE_CHECKING:
-    from midstride.plan.search_state import Core, Turn
+    from midstride.plan.search_state import OrderGate, SearchState
 
 # Sets of components to remove for one that needs room are looked for up to this size, among so many.
 _SET_SIZE: Final = 3
@@ -39,7 +39,7 @@ class Move:
     swap: Swap | None = None
 
 
-def moves(core: Core) -> list[Move]:
+def moves(core: SearchState) -> list[Move]:
     """The ways to go on, the least of each kind, in a stable order; empty where the user's orders leave none."""
     turn = core.turn()
     found = dict.fromkeys(
@@ -52,22 +52,22 @@ def moves(core: Core) -> list[Move]:
         ]
     )
     fallen = {ref.component for ref in core.draft.meter.below}
-    return sorted(found, key=lambda move: _reluctance(core, move, fallen))
+    return sorted(found, key=lambda move: _priority(core, move, fallen))
 
 
-def _hand_overs(core: Core, turn: Turn) -> Iterator[Move]:
+def _hand_overs(core: SearchState, turn: OrderGate) -> Iterator[Move]:
     for new, swaps in core.swaps.items():
         if core.fits(new, swaps, turn):
             yield Move("hand over", (new,))
 
 
-def _creations(core: Core, turn: Turn) -> Iterator[Move]:
+def _creations(core: SearchState, turn: OrderGate) -> Iterator[Move]:
     known: dict[Need, list[tuple[str, ...]]] = {}
     for name, instance in core.creates.items():
         if instance.role not in turn:
             continue
         holds = instance.component.holds
-        lacks = ((resource, core.lack(resource, exact(holds[resource]))) for resource in sorted(holds))
+        lacks = ((resource, core.lack(resource, to_fraction(holds[resource]))) for resource in sorted(holds))
         need: Need = tuple((resource, lack) for resource, lack in lacks if lack > 0)
         if not need:
             yield Move("create", (name,))
@@ -79,13 +79,13 @@ def _creations(core: Core, turn: Turn) -> Iterator[Move]:
                 yield from (Move("remove", order) for order in orders)
 
 
-def _making_room(core: Core, need: Need, turn: Turn) -> list[tuple[str, ...]]:
+def _making_room(core: SearchState, need: Need, turn: OrderGate) -> list[tuple[str, ...]]:
     """The least sets of components whose removal gives back what is needed."""
     s, role_of = core.draft.s, core.draft.change.role_of
 
     def enough(names: Iterable[str]) -> bool:
         given = [s.component(name).holds for name in names]
-        return all(sum(exact(holds.get(r, 0.0)) for holds in given) >= lack for r, lack in need)
+        return all(sum(to_fraction(holds.get(r, 0.0)) for holds in given) >= lack for r, lack in need)
 
     holders = [
         name
@@ -110,7 +110,7 @@ def _making_room(core: Core, need: Need, turn: Turn) -> list[tuple[str, ...]]:
     return [*found, *sets]
 
 
-def _attachments(core: Core, turn: Turn) -> Iterator[Move]:
+def _attachments(core: SearchState, turn: OrderGate) -> Iterator[Move]:
     """Taking a slot of a capped topic; or making one, by handing over to the one that waits or by detaching."""
     s, change = core.draft.s, core.draft.change
     for port, connector in core.attaches:
@@ -128,7 +128,7 @@ def _attachments(core: Core, turn: Turn) -> Iterator[Move]:
             yield Move("detach", attachment=(other, on))
 
 
-def _closings(core: Core, turn: Turn) -> Iterator[Move]:
+def _closings(core: SearchState, turn: OrderGate) -> Iterator[Move]:
     """A role after which another is to come, and of which only the going is left."""
     role_of = core.draft.change.role_of
     coming = {role_of(name) for name in (*core.creates, *core.swaps)}
@@ -138,7 +138,7 @@ def _closings(core: Core, turn: Turn) -> Iterator[Move]:
             yield Move("finish", (role,))
 
 
-def _parts(core: Core, turn: Turn) -> Iterator[Move]:
+def _parts(core: SearchState, turn: OrderGate) -> Iterator[Move]:
     """A replacement that is not good enough for all its topics, whose place others want, or whose role would fall by
     the hand-over: it is not handed over there, but attached beside the old one where there is room."""
     for new, swaps in core.swaps.items():
@@ -149,7 +149,7 @@ def _parts(core: Core, turn: Turn) -> Iterator[Move]:
             yield Move("part", (new,))
 
 
-def _reluctance(core: Core, move: Move, fallen: set[str]) -> int:
+def _priority(core: SearchState, move: Move, fallen: set[str]) -> int:
     """How late a move is tried: first what makes good, then what costs nothing, last what breaks."""
     match move.kind:
         case "create":

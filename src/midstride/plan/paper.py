@@ -22,14 +22,14 @@ from midstride.model.action import Action, Attach, Create, Detach, Remove
 from midstride.model.best import consumers_of
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.rules import Judge
+from midstride.model.rules import Evaluator
 from midstride.model.specification import Order
 from midstride.plan.change import Attachment, Change
 from midstride.plan.constraints import breaches, conflict, in_force, layers, refusal
 from midstride.plan.disruption import Levels
 from midstride.plan.mode_ordering import Modes
 from midstride.plan.plan import Plan
-from midstride.plan.plan_builder import Draft
+from midstride.plan.plan_builder import PlanBuilder
 
 
 def paper(change: Change) -> Plan:
@@ -50,7 +50,7 @@ def six_steps(strategy: str, change: Change, lowered_first: Iterable[Functionali
     if layered is None:
         orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
         raise refusal(conflict(orders, lambda some: layers(roles, some) is not None), ())
-    draft = Draft(change, levels)
+    draft = PlanBuilder(change, levels)
     _lower_to_last(draft, lowered_first)
     for layer in layered:
         _go(draft, set(layer))
@@ -72,7 +72,7 @@ def _instances(change: Change) -> list[str]:
 # -- steps 1 and 2 -------------------------------------------------------------------------------------
 
 
-def _go(draft: Draft, roles: set[str]) -> None:
+def _go(draft: PlanBuilder, roles: set[str]) -> None:
     change = draft.change
     leaving = {name for name in change.leaving if change.role_of(name) in roles}
     detached: dict[str, list[Attachment]] = {name: [] for name in change.leaving if name in leaving}
@@ -86,7 +86,7 @@ def _go(draft: Draft, roles: set[str]) -> None:
             draft.do(Remove(name))
 
 
-def _detach(draft: Draft, port: PortRef, connector: str) -> None:
+def _detach(draft: PlanBuilder, port: PortRef, connector: str) -> None:
     seeds = consumers_of(draft.s, port, connector)
     after = draft.s.without_attachment(port, connector)
     affected = _affected(after, seeds)
@@ -98,7 +98,7 @@ def _detach(draft: Draft, port: PortRef, connector: str) -> None:
 def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
     """AffectedFuncs and AffectedConns to their end: whoever is not satisfied any more goes to its last mode."""
     overlay: Modes = {}
-    judge = Judge(after, overlay)
+    judge = Evaluator(after, overlay)
     pending = list(seeds)
     while pending:
         ref = pending.pop()
@@ -112,7 +112,7 @@ def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
     return overlay
 
 
-def _lower_to_last(draft: Draft, refs: Iterable[FunctionalityRef]) -> None:
+def _lower_to_last(draft: PlanBuilder, refs: Iterable[FunctionalityRef]) -> None:
     s = draft.s
     modes = {ref: last for ref in refs if s.modes[ref] != (last := s.functionality(ref).last_mode)}
     draft.touched.update(dict.fromkeys(modes))
@@ -122,7 +122,7 @@ def _lower_to_last(draft: Draft, refs: Iterable[FunctionalityRef]) -> None:
 # -- steps 3 to 6 --------------------------------------------------------------------------------------
 
 
-def _come(draft: Draft, roles: set[str]) -> None:
+def _come(draft: PlanBuilder, roles: set[str]) -> None:
     change = draft.change
     attached: dict[str, list[Attachment]] = {}
     for port, connector in change.attached:
@@ -138,7 +138,7 @@ def _come(draft: Draft, roles: set[str]) -> None:
         draft.rise()
 
 
-def _bring(draft: Draft, instance: Instance, attachments: list[Attachment]) -> None:
+def _bring(draft: PlanBuilder, instance: Instance, attachments: list[Attachment]) -> None:
     _possible(draft, Create(instance))
     draft.create(instance)
     inputs = [pair for pair in attachments if pair[0].port in instance.component.inputs]
@@ -146,7 +146,7 @@ def _bring(draft: Draft, instance: Instance, attachments: list[Attachment]) -> N
     for port, connector in inputs:
         draft.attach(port, connector)
     for ref in instance.functionality_refs():
-        index = Judge(draft.s).best_satisfied_mode(ref, 0)
+        index = Evaluator(draft.s).best_satisfied_mode(ref, 0)
         if index < draft.s.modes[ref]:
             draft.raise_to({ref: index})
     for port, connector in outputs:
@@ -155,7 +155,7 @@ def _bring(draft: Draft, instance: Instance, attachments: list[Attachment]) -> N
     draft.rise()
 
 
-def _possible(draft: Draft, action: Action) -> None:
+def _possible(draft: PlanBuilder, action: Action) -> None:
     """Refuse where an ``order`` lets something come before what it needs to be gone is."""
     if reasons := action.check(draft.s):
         because = "; ".join(str(reason) for reason in reasons)

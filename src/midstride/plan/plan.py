@@ -12,12 +12,12 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
-from midstride.plan.disruption import DIGITS, Levels, Meter
+from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
 from midstride.plan.schedule import dependencies, makespan
 from midstride.plan.step import Step
 
 if TYPE_CHECKING:
-    from midstride.plan.explain import Fall, Shift
+    from midstride.plan.explain import Degradation, LevelShift
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Plan:
         Nothing costs less than nothing, so a plan without disruption is proved minimal by that
         alone; of any other, nothing is claimed.
         """
-        meter = Meter(levels or Levels(change))
+        meter = DisruptionMeter(levels or Levels(change))
         s = change.start
         for step in steps:
             s = step.action.effect(s)
@@ -84,14 +84,14 @@ class Plan:
             yield s
 
     @cached_property
-    def falls(self) -> tuple[Fall, ...]:
+    def falls(self) -> tuple[Degradation, ...]:
         """Why each functionality falls, from which step to which, and for how long."""
         from midstride.plan.explain import falls
 
         return falls(self)
 
     @cached_property
-    def shifts(self) -> tuple[Shift, ...]:
+    def shifts(self) -> tuple[LevelShift, ...]:
         """What stands otherwise after the plan than before it, for good."""
         from midstride.plan.explain import shifts
 

@@ -15,15 +15,15 @@ from midstride.model.best import consumers_of, lowered, rebalanced
 from midstride.model.component import FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Instance
 from midstride.plan.change import Attachment, Change
-from midstride.plan.constraints import Watch
-from midstride.plan.disruption import Levels, Meter, instances_touched
+from midstride.plan.constraints import ConstraintMonitor
+from midstride.plan.disruption import DisruptionMeter, Levels, instances_touched
 from midstride.plan.mode_ordering import Modes, degradations, upgrades
 from midstride.plan.step import Step, mode_changes
 
 Ceiling = Callable[[FunctionalityRef], int]
 
 
-class Draft:
+class PlanBuilder:
     """The configuration reached, the steps that led there, and what they have cost so far.
 
     ``touched`` are the functionalities that might stand better since something changed;
@@ -34,12 +34,12 @@ class Draft:
     __slots__ = ("ceiling", "change", "meter", "s", "steps", "touched", "watch")
 
     def __init__(
-        self, change: Change, levels: Levels, ceiling: Ceiling | None = None, watch: Watch | None = None
+        self, change: Change, levels: Levels, ceiling: Ceiling | None = None, watch: ConstraintMonitor | None = None
     ) -> None:
         self.change = change
         self.s = change.start
         self.steps: list[Step] = []
-        self.meter = Meter(levels)
+        self.meter = DisruptionMeter(levels)
         self.touched: dict[FunctionalityRef, None] = dict.fromkeys(change.pending)
         self.ceiling = ceiling
         self.watch = watch
@@ -49,8 +49,8 @@ class Draft:
         """Whether a constraint is broken that no further step can mend."""
         return self.watch is not None and self.watch.is_doomed(self.meter)
 
-    def copy(self) -> Draft:
-        twin = Draft.__new__(Draft)
+    def copy(self) -> PlanBuilder:
+        twin = PlanBuilder.__new__(PlanBuilder)
         twin.change, twin.s, twin.ceiling = self.change, self.s, self.ceiling
         twin.steps, twin.meter, twin.touched = list(self.steps), self.meter.copy(), dict(self.touched)
         twin.watch = None if self.watch is None else self.watch.copy()

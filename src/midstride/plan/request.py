@@ -10,7 +10,7 @@ from typing import Any, Final
 from immutables import Map
 
 from midstride.errors import PlanRefused, SpecificationError
-from midstride.model.component import Component
+from midstride.model.component import ComponentSpec
 from midstride.model.diagnostics import Problem
 from midstride.model.document import (
     component_from_document,
@@ -33,7 +33,7 @@ class Request:
     add: tuple[Node, ...] = ()
     remove: tuple[str, ...] = ()
     to: Specification | None = None
-    components: tuple[Component, ...] = ()
+    components: tuple[ComponentSpec, ...] = ()
     strategy: str = "minimal"
 
     def target(self, specification: Specification) -> Specification:

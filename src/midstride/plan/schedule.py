@@ -22,7 +22,7 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.specification import Order
 from midstride.plan.change import Change
 from midstride.plan.constraints import in_force
-from midstride.plan.disruption import DIGITS, Levels, Meter
+from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
 from midstride.plan.step import Step
 
 
@@ -159,7 +159,7 @@ class _Marks:
 
 def _falling(change: Change, steps: Sequence[Step], levels: Levels) -> set[int]:
     """The steps by which something falls below its baseline, or further below it."""
-    meter, s, found = Meter(levels), change.start, set()
+    meter, s, found = DisruptionMeter(levels), change.start, set()
     for index, step in enumerate(steps):
         s = step.action.effect(s)
         if any(moved.after > moved.before for moved in meter.step(step.action, step.seconds, s)):

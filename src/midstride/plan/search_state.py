@@ -1,7 +1,7 @@
 """The conflict core: what caps, capacities and the user's orders tie together (semantics.md section 5, F4).
 
 Outside the core nothing needs deciding: what may be created, attached or handed over is, at
-once, and what may be detached or removed waits until the end. :meth:`Core.advance` does that. Where
+once, and what may be detached or removed waits until the end. :meth:`SearchState.advance` does that. Where
 it gets stuck, something must break before it is made: :mod:`midstride.plan.moves` names
 the ways to go on. Choosing among them is the planner's affair (:mod:`midstride.plan.minimal`), and the
 place where an exact search belongs.
@@ -17,20 +17,20 @@ from typing import Final
 
 from midstride.model.action import Handover, Swap
 from midstride.model.component import PortRef
-from midstride.model.configuration import Instance, exact
+from midstride.model.configuration import Instance, to_fraction
 from midstride.model.contract import satisfies
 from midstride.model.rules import publishers_count
 from midstride.model.specification import Order
 from midstride.plan.change import Attachment
 from midstride.plan.constraints import layers
 from midstride.plan.moves import Move
-from midstride.plan.plan_builder import Draft
+from midstride.plan.plan_builder import PlanBuilder
 
 _NOTHING: Final = Fraction()
 
 
 @dataclass(frozen=True, slots=True)
-class Turn:
+class OrderGate:
     """Membership test: may the structural actions of a role be taken now?"""
 
     orders: tuple[Order, ...]
@@ -40,7 +40,7 @@ class Turn:
         return not any(order.then == role and order.first in self.busy for order in self.orders)
 
 
-class Core:
+class SearchState:
     """A draft, and the structural actions still to be done. Mutable; ``copy`` before trying.
 
     ``eager``: a hand-over that costs nothing is made at once, even where others wait for a place on its topic.
@@ -48,7 +48,7 @@ class Core:
 
     __slots__ = ("attaches", "creates", "detaches", "draft", "eager", "orders", "removes", "swaps")
 
-    def __init__(self, draft: Draft, orders: Iterable[Order], *, eager: bool = True) -> None:
+    def __init__(self, draft: PlanBuilder, orders: Iterable[Order], *, eager: bool = True) -> None:
         change = draft.change
         self.draft = draft
         self.eager = eager
@@ -64,8 +64,8 @@ class Core:
                 del self.attaches[swap.new, swap.connector]
                 del self.detaches[swap.old, swap.connector]
 
-    def copy(self) -> Core:
-        twin = Core.__new__(Core)
+    def copy(self) -> SearchState:
+        twin = SearchState.__new__(SearchState)
         twin.draft, twin.orders, twin.eager = self.draft.copy(), self.orders, self.eager
         twin.creates, twin.removes = dict(self.creates), dict(self.removes)
         twin.attaches, twin.detaches, twin.swaps = dict(self.attaches), dict(self.detaches), dict(self.swaps)
@@ -89,9 +89,9 @@ class Core:
             self.draft.rise()
             progress = self._hand_over(turn) or progress
 
-    def turn(self) -> Turn:
+    def turn(self) -> OrderGate:
         """The roles whose turn it is under the user's orders."""
-        return Turn(self.orders, self.busy() if self.orders else set())
+        return OrderGate(self.orders, self.busy() if self.orders else set())
 
     def layers(self) -> list[list[str]] | None:
         """The roles with something left to do, in the order asked for; None where the orders contradict each other."""
@@ -103,14 +103,14 @@ class Core:
         names += [port.component for port, _ in (*self.attaches, *self.detaches)]
         return {role_of(name) for name in names}
 
-    def _create(self, turn: Turn) -> bool:
+    def _create(self, turn: OrderGate) -> bool:
         """Create what fits beside everything else that is to come; not while something has fallen."""
         if self.draft.meter.below:
             return False
         demand: dict[str, Fraction] = {}
         for instance in self.creates.values():
             for resource, amount in instance.component.holds.items():
-                demand[resource] = demand.get(resource, _NOTHING) + exact(amount)
+                demand[resource] = demand.get(resource, _NOTHING) + to_fraction(amount)
         tight = {resource for resource, amount in demand.items() if self.lack(resource, amount) > 0}
         ready = [
             name
@@ -129,9 +129,9 @@ class Core:
     def lack(self, resource: str, amount: Fraction) -> Fraction:
         """How much of the resource is missing for so much more of it; more than 0 where there is no room."""
         s = self.draft.s
-        return s.held.get(resource, _NOTHING) + amount - exact(s.world.capacity(resource))
+        return s.held.get(resource, _NOTHING) + amount - to_fraction(s.world.capacity(resource))
 
-    def _attach(self, turn: Turn) -> bool:
+    def _attach(self, turn: OrderGate) -> bool:
         """Attach what fits beside everything else that is to come on its topic, or may have to."""
         wanted: dict[str, int] = {}
         for port, connector in self.attaches:
@@ -153,7 +153,7 @@ class Core:
     def _is_input(self, port: PortRef) -> bool:
         return port.port in self.draft.change.component_of(port.component).inputs
 
-    def may_attach(self, port: PortRef, turn: Turn) -> bool:
+    def may_attach(self, port: PortRef, turn: OrderGate) -> bool:
         return port.component in self.draft.s.instances and self.draft.change.role_of(port.component) in turn
 
     def slots(self, connector: str) -> float:
@@ -166,7 +166,7 @@ class Core:
         beside = 0 if sibling is None else len(s.publishers_on(sibling))
         return cap - publishers_count(s, connector) - beside
 
-    def _hand_over(self, turn: Turn) -> bool:
+    def _hand_over(self, turn: OrderGate) -> bool:
         progress = False
         for new, swaps in list(self.swaps.items()):
             if self.fits(new, swaps, turn) and not self.costs(swaps) and not self._may_wait(new, swaps):
@@ -196,7 +196,7 @@ class Core:
     def _is_capped(self, connector: str) -> bool:
         return self.draft.s.world.connectors[connector].cap is not None
 
-    def fits(self, new: str, swaps: Sequence[Swap], turn: Turn) -> bool:
+    def fits(self, new: str, swaps: Sequence[Swap], turn: OrderGate) -> bool:
         return self.draft.change.role_of(new) in turn and all(self.good(swap) for swap in swaps)
 
     def good(self, swap: Swap) -> bool:

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from midstride.model.component import Component, Connector, Parameter
-from midstride.model.contract import NOTHING, Contract, figure
+from midstride.model.component import ComponentSpec, Connector, ParameterSpec
+from midstride.model.contract import NOTHING, Contract, format_number
 from midstride.model.specification import Node, Specification
 
 Kind = Literal["added", "removed", "changed", "replaced", "rewired", "set"]
@@ -68,11 +68,11 @@ def _resources(old: Specification, new: Specification) -> Iterator[Difference]:
     for name in sorted({*old.resources, *new.resources}):
         before, after = old.resources.get(name), new.resources.get(name)
         if before is None and after is not None:
-            yield Difference(f"resource {name}", "added", (f"capacity {figure(after.capacity)}",))
+            yield Difference(f"resource {name}", "added", (f"capacity {format_number(after.capacity)}",))
         elif after is None:
             yield Difference(f"resource {name}", "removed")
         elif before is not None and before.capacity != after.capacity:
-            detail = _became("capacity", figure(before.capacity), figure(after.capacity))
+            detail = _became("capacity", format_number(before.capacity), format_number(after.capacity))
             yield Difference(f"resource {name}", "changed", (detail,))
 
 
@@ -108,7 +108,7 @@ def _components(old: Specification, new: Specification) -> Iterator[Difference]:
             yield Difference(f"component {name}", "changed", details)
 
 
-def component_differences(before: Component, after: Component) -> Iterator[str]:
+def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
     """How two declarations of a component differ, a line each."""
     for what, old, new in (("run", before.run, after.run), ("takes", before.takes, after.takes)):
         if old != new:
@@ -123,21 +123,21 @@ def component_differences(before: Component, after: Component) -> Iterator[str]:
         yield from _functionality(name, before, after)
 
 
-def _told(component: Component) -> dict[str, str]:
-    def told(parameter: Parameter) -> str:
+def _told(component: ComponentSpec) -> dict[str, str]:
+    def told(parameter: ParameterSpec) -> str:
         return f"{'changeable ' if parameter.changeable else ''}{parameter.value!r}"
 
     return {name: told(parameter) for name, parameter in component.parameters.items()}
 
 
-def _functionality(name: str, before: Component, after: Component) -> Iterator[str]:
+def _functionality(name: str, before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
     old, new = before.functionalities.get(name), after.functionalities.get(name)
     if old is None or new is None:
         yield f"functionality {name}: {'added' if old is None else 'removed'}"
         return
     where = f"functionality {name}"
     if old.weight != new.weight:
-        yield _became(f"{where}: weight", figure(old.weight), figure(new.weight))
+        yield _became(f"{where}: weight", format_number(old.weight), format_number(new.weight))
     for what, then, now in (("uses", old.inputs, new.inputs), ("produces", old.outputs, new.outputs)):
         if set(then) != set(now):
             yield _became(f"{where}: {what}", ", ".join(then), ", ".join(now))

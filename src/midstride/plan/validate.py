@@ -28,7 +28,7 @@ Levels = dict[FunctionalityRef, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Finding:
+class ReplayFinding:
     """One thing wrong with a plan; ``step`` counts from 1, None is the plan as a whole."""
 
     step: int | None
@@ -39,11 +39,11 @@ class Finding:
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
+class ReplayResult:
     """What the replay of ``steps`` steps has found."""
 
     outcome: Literal["holds", "violated"]
-    findings: tuple[Finding, ...]
+    findings: tuple[ReplayFinding, ...]
     steps: int
 
     @property
@@ -56,31 +56,31 @@ class Verdict:
         return "the plan does not hold: " + "; ".join(str(finding) for finding in self.findings)
 
 
-def replay_document(document: Mapping[str, Any]) -> Verdict:
+def replay_document(document: Mapping[str, Any]) -> ReplayResult:
     """The verdict on a plan in its JSON form. What cannot be read, or does not fit together, is a finding."""
     try:
         plan = plan_from_document(document)
     except MidstrideError as error:
-        return Verdict("violated", (Finding(None, str(error)),), 0)
+        return ReplayResult("violated", (ReplayFinding(None, str(error)),), 0)
     return replay(plan)
 
 
-def replay(plan: Plan) -> Verdict:
+def replay(plan: Plan) -> ReplayResult:
     """The verdict on a plan. It stops at the first step that is refused, since what follows has no meaning."""
-    findings: list[Finding] = []
+    findings: list[ReplayFinding] = []
     s = plan.change.start
-    findings.extend(Finding(None, f"the start is not valid: {violation}") for violation in violations(s))
+    findings.extend(ReplayFinding(None, f"the start is not valid: {violation}") for violation in violations(s))
     ledger = _Ledger(plan)
     for number, step in enumerate(plan.steps, start=1):
         reasons = [str(reason) for reason in step.action.check(s)] or list(_misfits(plan, s, step.action))
         if reasons:
-            findings += [Finding(number, f"{step.describe()}: {reason}") for reason in reasons]
-            return Verdict("violated", tuple(findings), number)
+            findings += [ReplayFinding(number, f"{step.describe()}: {reason}") for reason in reasons]
+            return ReplayResult("violated", tuple(findings), number)
         before, s = s, step.action.effect(s)
         ledger.enter(step.action, step.seconds, before, s)
-    findings += [Finding(None, because) for because in _end(plan, s)]
-    findings += [Finding(None, because) for because in ledger.differences()]
-    return Verdict("violated" if findings else "holds", tuple(findings), len(plan.steps))
+    findings += [ReplayFinding(None, because) for because in _end(plan, s)]
+    findings += [ReplayFinding(None, because) for because in ledger.differences()]
+    return ReplayResult("violated" if findings else "holds", tuple(findings), len(plan.steps))
 
 
 def _misfits(plan: Plan, s: Configuration, action: Action) -> Iterator[str]:
@@ -108,9 +108,9 @@ def _misfits(plan: Plan, s: Configuration, action: Action) -> Iterator[str]:
 def _end(plan: Plan, s: Configuration) -> Iterator[str]:
     """In what the configuration reached differs from the target as it would start by itself."""
     target = initial(plan.change.target)
-    for role in sorted({*s.players, *target.players}):
+    for role in sorted({*s.instances_by_role, *target.instances_by_role}):
         names = [instance.name for instance in s.instances_of(role)]
-        if role not in target.players:
+        if role not in target.instances_by_role:
             yield f"{', '.join(names)} is left of {role}, which the target does not have"
         elif len(names) != 1:
             yield f"{role} has {len(names)} instances at the end ({', '.join(names) or 'none'})"

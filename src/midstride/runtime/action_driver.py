@@ -14,7 +14,7 @@ from midstride.errors import CallTimeout, MidstrideError, Unreachable
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
-from midstride.runtime.component_client import Link
+from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, hand_over
 from midstride.runtime.launcher import Launcher
 
@@ -25,20 +25,20 @@ Told = Callable[[str, str, dict[str, Any]], None]
 
 
 @dataclass(slots=True)
-class Performer:
+class ActionDriver:
     """Performs actions on the components of one change. ``tell`` is told what is worth knowing.
 
     While ``taking_back``, what was removed has its own state again, and a state that cannot be had stops nothing.
     ``last_numbers`` holds the number of the last message of each output that was taken off its topic.
     """
 
-    link: Link
+    link: ComponentClient
     launcher: Launcher
     tell: Told
     is_gone: Callable[[str], bool] = lambda _: False
     before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
     drain_timeout: float = DRAIN_TIMEOUT
-    taking_back: bool = False
+    rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     _exported: dict[str, str] = field(default_factory=dict)  # by role: a change removes of each at most one instance
 
@@ -88,7 +88,7 @@ class Performer:
 
     async def _remove(self, action: Remove, s: Configuration) -> None:
         instance = s.instances[action.component]
-        if not self.taking_back:  # else it is what this very change has created, and what comes back has its own
+        if not self.rolling_back:  # else it is what this very change has created, and what comes back has its own
             try:
                 exported = await self.link.read(action.component, "export_state")
                 if exported.get("state") is not None:
@@ -105,7 +105,7 @@ class Performer:
         try:
             await self.link.change(instance, "import_state", state=state)
         except MidstrideError as error:
-            if not self.taking_back:
+            if not self.rolling_back:
                 raise
             self.tell("note", f"{instance} has not taken up its state again: {error}", {})
 
@@ -169,7 +169,7 @@ class Performer:
         try:
             exported = await self.link.read(old, "export_state")
         except MidstrideError as error:
-            if not self.taking_back:
+            if not self.rolling_back:
                 raise
             self.tell("note", f"{new} goes on with the state it had: {error}", {})
             return

@@ -15,7 +15,7 @@ ANSWER_TIMEOUT: Final = 3.0
 TAKE_BACK_ATTEMPTS: Final = 2
 
 
-class Link:
+class ComponentClient:
     """Knows the revision each component is at, so that a change is refused where the component has moved on."""
 
     def __init__(self, backend: Backend, token: str, manager: str | None = None) -> None:

@@ -43,5 +43,5 @@ class Crashes:
         self.missing = {
             name: event
             for name, event in self.missing.items()
-            if (role := self._roles[name]) in roles and not s.players.get(role)
+            if (role := self._roles[name]) in roles and not s.instances_by_role.get(role)
         }

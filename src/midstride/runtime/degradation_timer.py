@@ -14,7 +14,7 @@ from midstride.plan.change import Change
 from midstride.plan.disruption import Levels
 
 
-class FallClock:
+class DegradationTimer:
     """Told of every configuration as it comes about, keeps the seconds below the baseline."""
 
     def __init__(self, change: Change, steady: Callable[[], float]) -> None:

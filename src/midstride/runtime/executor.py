@@ -19,7 +19,7 @@ from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Action, Create, Degrade, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.runtime.action_driver import Performer, by_component
+from midstride.runtime.action_driver import ActionDriver, by_component
 
 log = logging.getLogger(__name__)
 
@@ -34,7 +34,7 @@ class Executor:
     ``after_step`` looks at each step of a plan once it is done: the step has failed where it raises.
     """
 
-    performer: Performer
+    performer: ActionDriver
     configuration: Configuration
     moved: Moved
     starting: Callable[[Instance], None] = lambda _: None
@@ -136,7 +136,7 @@ class Executor:
         if not done:
             return None
         self._tell("rollback", f"taking back {len(done)} step{'s' if len(done) > 1 else ''}", {"of": len(done)})
-        self.performer.taking_back = True
+        self.performer.rolling_back = True
         for action, before in reversed(done):
             for undoing in action.undo(before):
                 try:

@@ -20,7 +20,7 @@ from midstride.model.action import Handover, Swap
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
-from midstride.runtime.component_client import Link
+from midstride.runtime.component_client import ComponentClient
 
 # The old side takes up again when it has not heard of the new one's first write for this many periods,
 RESUME_PERIODS: Final = 10
@@ -66,14 +66,14 @@ class Cut:
 
 
 @dataclass(frozen=True, slots=True)
-class Handed:
+class HandoverResult:
     """What came of a hand-over: the number of each old output's last message, and what went wrong after it."""
 
     last: dict[PortRef, int | None]
     warnings: tuple[str, ...] = ()
 
 
-async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
+async def hand_over(link: ComponentClient, s: Configuration, action: Handover) -> HandoverResult:
     """Carry out ``action`` on the components of ``s``.
 
     Raises StepFailed with the reason; then the old publishers have their topics as before and the
@@ -103,10 +103,10 @@ async def hand_over(link: Link, s: Configuration, action: Handover) -> Handed:
             raise StepFailed(fallen or str(error)) from error
         raise
     warnings += [await _retire(link, s, swap) for swap in swaps]
-    return Handed(last, tuple(warning for warning in warnings if warning))
+    return HandoverResult(last, tuple(warning for warning in warnings if warning))
 
 
-async def _fallen(link: Link, s: Configuration, swaps: Iterable[Swap]) -> str | None:
+async def _fallen(link: ComponentClient, s: Configuration, swaps: Iterable[Swap]) -> str | None:
     """Why a new side cannot take over that has degraded by itself: that is the reason, whatever it then refused."""
     for swap in swaps:
         owner = s.component(swap.new.component).owner(swap.new.port)
@@ -120,7 +120,7 @@ async def _fallen(link: Link, s: Configuration, swaps: Iterable[Swap]) -> str | 
     return None
 
 
-async def _told(link: Link, s: Configuration, cuts: list[Cut], last_try: bool) -> bool:
+async def _told(link: ComponentClient, s: Configuration, cuts: list[Cut], last_try: bool) -> bool:
     """Tell both sides of each cut. False where one was told too late, and nothing is agreed any more."""
     try:
         for cut in cuts:  # the old side first: it alone can go on by itself
@@ -135,7 +135,7 @@ async def _told(link: Link, s: Configuration, cuts: list[Cut], last_try: bool) -
     return True
 
 
-async def _cancel(link: Link, cuts: list[Cut]) -> None:
+async def _cancel(link: ComponentClient, cuts: list[Cut]) -> None:
     for cut in cuts:
         for side in (cut.new, cut.old):
             await link.take_back(side, "cancel_cut", cut=cut.id)
@@ -145,7 +145,7 @@ def _topic(s: Configuration, connector: str) -> str:
     return s.world.connectors[connector].topic
 
 
-async def _stand_by(link: Link, s: Configuration, swap: Swap) -> str | None:
+async def _stand_by(link: ComponentClient, s: Configuration, swap: Swap) -> str | None:
     """The new publisher on the topic, its gate closed, matched with every subscriber the model knows of, and with as
     many as the old one is matched with; else what is to be told."""
     topic = _topic(s, swap.connector)
@@ -169,7 +169,7 @@ async def _stand_by(link: Link, s: Configuration, swap: Swap) -> str | None:
     )
 
 
-async def _meet(link: Link, new: str, old: str) -> None:
+async def _meet(link: ComponentClient, new: str, old: str) -> None:
     """Have the new side find the old one, in short turns: that the old one has ended is known between them, at once,
     and its topic is silent meanwhile."""
     for _ in range(MEET_TURNS):
@@ -182,7 +182,7 @@ async def _meet(link: Link, new: str, old: str) -> None:
     raise refused
 
 
-async def _await_probation(link: Link, s: Configuration, swap: Swap) -> None:
+async def _await_probation(link: ComponentClient, s: Configuration, swap: Swap) -> None:
     guarantee = s.guarantee(swap.new)
     rate = guarantee.rate if isinstance(guarantee, Predicate) else None
     timeout = PROBATION + (10 / rate if rate else 0.0)
@@ -199,7 +199,7 @@ async def _await_probation(link: Link, s: Configuration, swap: Swap) -> None:
         raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
 
 
-async def _agree(link: Link, s: Configuration, swaps: Iterable[Swap], lead: float) -> list[Cut]:
+async def _agree(link: ComponentClient, s: Configuration, swaps: Iterable[Swap], lead: float) -> list[Cut]:
     """One cut for the outputs of each functionality pair; all at the slot nearest to one common moment."""
     groups: dict[tuple[str, str, str], Cut] = {}
     moment: int | None = None
@@ -257,7 +257,7 @@ def _in_arguments(s: Configuration, cut: Cut) -> dict[str, Any]:
     }
 
 
-async def _await_cuts(link: Link, s: Configuration, cuts: list[Cut]) -> dict[PortRef, int | None]:
+async def _await_cuts(link: ComponentClient, s: Configuration, cuts: list[Cut]) -> dict[PortRef, int | None]:
     last: dict[PortRef, int | None] = {}
     for cut in cuts:
         patience = LEADS[-1] + cut.resume_after(_declared_period(s, cut)) + 2.0
@@ -275,7 +275,7 @@ async def _await_cuts(link: Link, s: Configuration, cuts: list[Cut]) -> dict[Por
     return last
 
 
-async def _take_back(link: Link, s: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
+async def _take_back(link: ComponentClient, s: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
     """Old publishers as before, new ones off the topic. What cannot be reached is left to the roll-back."""
     await _cancel(link, cuts)
     for swap in begun:
@@ -283,7 +283,7 @@ async def _take_back(link: Link, s: Configuration, cuts: list[Cut], begun: list[
         await link.take_back(swap.new.component, "detach", DETACH_TIMEOUT, port=swap.new.port, topic=topic)
 
 
-async def _retire(link: Link, s: Configuration, swap: Swap) -> str | None:
+async def _retire(link: ComponentClient, s: Configuration, swap: Swap) -> str | None:
     """Take the old endpoint off the topic. The swap has happened: an old side that will not let go is only told."""
     topic = _topic(s, swap.connector)
     try:

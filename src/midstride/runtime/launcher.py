@@ -21,7 +21,7 @@ from midstride.errors import (
 from midstride.model.configuration import Instance
 from midstride.model.document import component_from_document
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
-from midstride.runtime.component_client import Link
+from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.orphans import end_strays
 from midstride.runtime.registration import mismatches, unexpected_endpoints
 from midstride.wire.messages import Announcement
@@ -37,7 +37,7 @@ RELEASE_TIMEOUT: Final = 5.0
 class Launcher:
     """Knows which process is which component. Events of the back end are fed to :meth:`heard`."""
 
-    def __init__(self, backend: Backend, link: Link, token: str, directory: Path) -> None:
+    def __init__(self, backend: Backend, link: ComponentClient, token: str, directory: Path) -> None:
         self._backend = backend
         self._link = link
         self._token = token

@@ -27,19 +27,19 @@ from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import Request
 from midstride.runtime import recovery, status
-from midstride.runtime.action_driver import Performer
+from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend, Exited
-from midstride.runtime.component_client import Link
+from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.crash_response import settled
 from midstride.runtime.crashes import Crashes
-from midstride.runtime.degradation_timer import FallClock
+from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import Event, EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
-from midstride.runtime.observed_configuration import Live, live
+from midstride.runtime.observed_configuration import ObservedConfiguration, live
 from midstride.runtime.recording import Recording, to_documents
-from midstride.runtime.runtime_verification import Verifier, Watch
-from midstride.runtime.state_store import Keeper
+from midstride.runtime.runtime_verification import StepVerifier, Verifier
+from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.verify.verdict import Verdict
 from midstride.wire.messages import Announcement
@@ -80,14 +80,14 @@ class Manager:
         self._seeing = asyncio.Lock()  # held while what has happened by itself is seen to
         self._crashes = Crashes()
         self._fell: set[FunctionalityRef] = set()  # by themselves, during the change
-        self._owing: set[FunctionalityRef] = set()  # to be lowered, and not to be reached
+        self._pending_degradations: set[FunctionalityRef] = set()  # to be lowered, and not to be reached
         self._tasks: set[asyncio.Task[None]] = set()
-        self._equip(secrets.token_hex(16))
+        self._connect(secrets.token_hex(16))
 
-    def _equip(self, token: str) -> None:
-        self._link = Link(self._backend, token)
+    def _connect(self, token: str) -> None:
+        self._link = ComponentClient(self._backend, token)
         self._launcher = Launcher(self._backend, self._link, token, self._directory)
-        self._keeper = Keeper(
+        self._keeper = StateStore(
             self._workspace, self._backend.name, token, self._launcher, lambda words: self._note("note", words)
         )
 
@@ -101,8 +101,8 @@ class Manager:
         """
         state = self._workspace.load()
         if state is not None:
-            self._equip(str(state["token"]))
-        await self._backend.open(self._heard)
+            self._connect(str(state["token"]))
+        await self._backend.open(self._on_backend_event)
         async with self._command(f"up {self.specification.name}"):
             if state is not None:
                 await self._adopt(state)
@@ -260,11 +260,11 @@ class Manager:
             outcome = await self._execute(plan, target, self._watch(plan))
             return {**outcome, "verdict": verdict.to_document()}
 
-    def _watch(self, plan: Plan) -> Watch:
-        def told(s: Configuration) -> Awaitable[Live]:
+    def _watch(self, plan: Plan) -> StepVerifier:
+        def told(s: Configuration) -> Awaitable[ObservedConfiguration]:
             return live(s, self._link, self._backend.clock, self._crashes.unsettled)
 
-        return Watch(self._verifier, tuple(plan.configurations()), told, self._verified)
+        return StepVerifier(self._verifier, tuple(plan.configurations()), told, self._verified)
 
     def _verified(self, verdict: Verdict) -> None:
         self.events.add("verified", str(verdict), verdict=verdict.to_document())
@@ -273,7 +273,7 @@ class Manager:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
         return _refused(because)
 
-    async def _execute(self, plan: Plan, target: Specification, watch: Watch | None = None) -> dict[str, Any]:
+    async def _execute(self, plan: Plan, target: Specification, watch: StepVerifier | None = None) -> dict[str, Any]:
         recording = Recording(self._link, self._backend.clock)
         try:
             return await self._recorded(plan, target, recording, watch)
@@ -281,7 +281,7 @@ class Manager:
             await recording.stop(self.configuration.instances)
 
     async def _recorded(
-        self, plan: Plan, target: Specification, recording: Recording, watch: Watch | None
+        self, plan: Plan, target: Specification, recording: Recording, watch: StepVerifier | None
     ) -> dict[str, Any]:
         clock = self._backend.clock
         actions = [step.action for step in plan.steps]
@@ -289,7 +289,7 @@ class Manager:
         preview = {name: value for name, value in document.items() if name not in ("start", "target")}
         self.events.add("plan", f"{_so_many(len(actions), 'step')}, disruption {plan.disruption:g}", plan=preview)
         await recording.begin(self.configuration, actions)
-        falls = FallClock(plan.change, clock.steady)
+        falls = DegradationTimer(plan.change, clock.steady)
         begun = clock.steady()
         before, missing = self.configuration, dict(self._crashes.missing)
         self._fell.clear()
@@ -335,7 +335,7 @@ class Manager:
             "degraded": sorted(map(str, self._fell)),
         }
 
-    def _executor(self, falls: FallClock | None = None) -> Executor:
+    def _executor(self, falls: DegradationTimer | None = None) -> Executor:
         async def moved(configuration: Configuration) -> None:
             self.configuration = configuration
             self.revision += 1
@@ -343,7 +343,7 @@ class Manager:
                 falls.moved(configuration)
             self._save()
 
-        performer = Performer(
+        performer = ActionDriver(
             link=self._link,
             launcher=self._launcher,
             tell=lambda kind, words, details: self._note(kind, words, **details),
@@ -381,7 +381,7 @@ class Manager:
 
     # -- what happens by itself ------------------------------------------------------------------------
 
-    def _heard(self, event: Announcement | Exited) -> None:
+    def _on_backend_event(self, event: Announcement | Exited) -> None:
         if isinstance(event, Announcement) and event.degraded:
             if event.instance in self.configuration.instances and (self._running is None or self._measuring):
                 self._settle_soon()  # else the command that runs looks at its end
@@ -417,21 +417,21 @@ class Manager:
     async def _settle(self) -> None:
         """Bring the model to what is true, and lower whom that leaves without what they assume."""
         async with self._seeing:
-            await self._see_to_it()
+            await self._reconcile()
 
     async def _settle_crashes(self) -> None:
         """The same where somebody has ended and nobody has seen to it to the end."""
         if self._crashes.unsettled or self._seeing.locked():
             await self._settle()
 
-    async def _see_to_it(self) -> None:
+    async def _reconcile(self) -> None:
         gone = self._crashes.settle(self.configuration)
         for name in gone:
             self._launcher.handles.pop(name, None)
             self._link.forget(name)
         s = self.configuration
         worse = await status.own_degradations(s, self._link, self._backend.clock, gone)
-        if not gone and not worse and not self._owing:
+        if not gone and not worse and not self._pending_degradations:
             return
         because = [f"{name} has ended by itself" for name in sorted(gone)]
         for ref, index in sorted(worse.items()):
@@ -439,10 +439,10 @@ class Manager:
             self.events.add("degraded", words, functionality=str(ref))
             because.append(words)
             self._fell.add(ref)
-        self.configuration, fallen = settled(s, gone, worse, self._owing)
+        self.configuration, fallen = settled(s, gone, worse, self._pending_degradations)
         self.revision += 1
         reason = "; ".join(because) or "what it assumes was gone before it could be reached"
-        self._owing = await self._executor().lower(fallen, reason)
+        self._pending_degradations = await self._executor().lower(fallen, reason)
         self._save()
 
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.clock import Clock
-from midstride.runtime.component_client import Link
+from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.status import observed
 
 # How long a component's own word is waited for (s).
@@ -17,14 +17,16 @@ TIMEOUT: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Live:
+class ObservedConfiguration:
     """What the components tell. Of those in ``silent``, which did not answer in time, the model's word is taken."""
 
     configuration: Configuration
     silent: tuple[str, ...]
 
 
-async def live(s: Configuration, link: Link, clock: Clock, gone: Container[str] = ()) -> Live:
+async def live(
+    s: Configuration, link: ComponentClient, clock: Clock, gone: Container[str] = ()
+) -> ObservedConfiguration:
     """``s`` with the modes and attachments that its components tell; without those in ``gone``, which have ended."""
     for name in [name for name in s.instances if name in gone]:
         s = s.without_instance(name)
@@ -32,7 +34,7 @@ async def live(s: Configuration, link: Link, clock: Clock, gone: Container[str] 
     for name, state in states.items():
         if state is not None:
             s = _as_told(s, name, state)
-    return Live(s, tuple(name for name, state in states.items() if state is None))
+    return ObservedConfiguration(s, tuple(name for name, state in states.items() if state is None))
 
 
 def _as_told(s: Configuration, name: str, state: dict[str, Any]) -> Configuration:

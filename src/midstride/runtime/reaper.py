@@ -131,7 +131,7 @@ def main(lines: Iterable[str], variable: str, token: str) -> None:
     end_all(told, variable, token)
 
 
-class Guardian:
+class Reaper:
     """The manager's end of it. A context manager: leaving it ends what is left, and then the guardian itself."""
 
     def __init__(self, variable: str, token: str) -> None:
@@ -171,7 +171,7 @@ class Guardian:
                 self._process.stdin.close()
         self._process.wait()
 
-    def __enter__(self) -> Guardian:
+    def __enter__(self) -> Reaper:
         return self
 
     def __exit__(

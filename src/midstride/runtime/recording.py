@@ -13,7 +13,7 @@ from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.runtime.clock import Clock
-from midstride.runtime.component_client import Link
+from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.measure import WINDOW_PERIODS, Observation, Row, SwapReport, report
 
 # The tail after the last step is 20 periods, but a slow topic does not keep the user waiting longer than this (s).
@@ -69,7 +69,7 @@ class _Subject:
 class Recording:
     """One recording. It never stands in the way of the plan: what cannot be recorded is reported as unknown."""
 
-    link: Link
+    link: ComponentClient
     clock: Clock
     subjects: list[_Subject] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)

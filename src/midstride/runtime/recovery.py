@@ -24,7 +24,7 @@ from midstride.model.document import (
 )
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
-from midstride.runtime.component_client import Link
+from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
 
 Tell = Callable[[str, str], None]
@@ -63,7 +63,7 @@ def specification_of(state: dict[str, Any]) -> Specification:
 
 
 async def adopt(
-    state: dict[str, Any], specification: Specification, launcher: Launcher, link: Link, tell: Tell
+    state: dict[str, Any], specification: Specification, launcher: Launcher, link: ComponentClient, tell: Tell
 ) -> Configuration:
     """The configuration of what still runs. Ends half-started components; never touches what works."""
     found: dict[str, tuple[Instance, dict[str, Any]]] = {}
@@ -109,7 +109,7 @@ def _open_gates(observed: dict[str, Any]) -> int:
     return sum(1 for topics in observed["ports"].values() for view in topics.values() if view["gate"] == "open")
 
 
-async def _end(name: str, launcher: Launcher, link: Link) -> None:
+async def _end(name: str, launcher: Launcher, link: ComponentClient) -> None:
     try:
         await launcher.end(name)
     except MidstrideError:
@@ -117,7 +117,7 @@ async def _end(name: str, launcher: Launcher, link: Link) -> None:
 
 
 async def _configuration(
-    specification: Specification, found: dict[str, tuple[Instance, dict[str, Any]]], link: Link
+    specification: Specification, found: dict[str, tuple[Instance, dict[str, Any]]], link: ComponentClient
 ) -> Configuration:
     by_topic = {connector.topic: connector.name for connector in specification.connectors.values()}
     attachments: list[tuple[PortRef, str]] = []

@@ -10,16 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from midstride.model.component import Component, Functionality, Mode, NamedInputs
+from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import NOTHING, Predicate, explain
 
 
-def mismatches(declared: Component, registered: Component) -> list[str]:
+def mismatches(declared: ComponentSpec, registered: ComponentSpec) -> list[str]:
     """Every way in which ``registered`` breaks what the specification declares; empty iff it keeps it."""
     return list(_mismatches(declared, registered))
 
 
-def unexpected_endpoints(declared: Component, role: str, endpoints: Sequence[dict[str, Any]]) -> list[str]:
+def unexpected_endpoints(declared: ComponentSpec, role: str, endpoints: Sequence[dict[str, Any]]) -> list[str]:
     """The endpoints of a node that are no ports and that its component does not ``allow``."""
     allowed = {(endpoint.kind, _resolved(endpoint.name, role)) for endpoint in declared.allows}
     return [
@@ -38,7 +38,7 @@ def _resolved(name: str, role: str) -> str:
     return name if name.startswith("/") else f"{node.rpartition('/')[0]}/{name}"
 
 
-def _mismatches(declared: Component, registered: Component) -> Iterator[str]:
+def _mismatches(declared: ComponentSpec, registered: ComponentSpec) -> Iterator[str]:
     yield from _names("input", declared.input_order, registered.input_order)
     yield from _names("output", declared.outputs, registered.outputs)
     yield from _names("functionality", declared.functionality_order, registered.functionality_order)
@@ -64,7 +64,9 @@ def _names(kind: str, declared: Sequence[str], registered: Sequence[str]) -> Ite
             yield f"the node has {kind} {name}, which is not declared"
 
 
-def _functionality(component: Component, declared: Functionality, registered: Functionality) -> Iterator[str]:
+def _functionality(
+    component: ComponentSpec, declared: FunctionalitySpec, registered: FunctionalitySpec
+) -> Iterator[str]:
     for kind, ours, theirs in (
         ("input", declared.inputs, registered.inputs),
         ("output", declared.outputs, registered.outputs),
@@ -86,7 +88,7 @@ def _functionality(component: Component, declared: Functionality, registered: Fu
 
 
 def _assumptions(
-    component: Component, declared: Functionality, where: str, promised: Mode, kept: Mode
+    component: ComponentSpec, declared: FunctionalitySpec, where: str, promised: Mode, kept: Mode
 ) -> Iterator[str]:
     """The node may assume less than is declared, never more: each own assumption follows from a declared one."""
     alternatives = [_alternatives(component, declared, assumption) for assumption in promised.assumptions]
@@ -96,7 +98,9 @@ def _assumptions(
             yield f"{where} assumes {assumption}, which is not declared"
 
 
-def _alternatives(component: Component, functionality: Functionality, assumption: NamedInputs | Predicate) -> set[str]:
-    if isinstance(assumption, NamedInputs):
+def _alternatives(
+    component: ComponentSpec, functionality: FunctionalitySpec, assumption: InputAlternatives | Predicate
+) -> set[str]:
+    if isinstance(assumption, InputAlternatives):
         return set(assumption.inputs)
     return {name for name in functionality.inputs if not explain(component.inputs[name], assumption)}

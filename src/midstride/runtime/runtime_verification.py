@@ -16,7 +16,7 @@ from typing import Final
 from midstride.errors import VerificationError
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
-from midstride.runtime.observed_configuration import Live
+from midstride.runtime.observed_configuration import ObservedConfiguration
 from midstride.verify.checking import Asking, verify_configuration, verify_plan
 from midstride.verify.verdict import Verdict
 
@@ -42,12 +42,12 @@ class Verifier:
 
 
 @dataclass(slots=True)
-class Watch:
+class StepVerifier:
     """Looks at what is live after each step of a plan that has been judged."""
 
     verifier: Verifier
     judged: tuple[Configuration, ...]
-    live: Callable[[Configuration], Awaitable[Live]]
+    live: Callable[[Configuration], Awaitable[ObservedConfiguration]]
     tell: Callable[[Verdict], object]
 
     async def look(self, s: Configuration) -> None:

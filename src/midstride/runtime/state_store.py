@@ -16,7 +16,7 @@ from midstride.runtime.recovery import state_document
 from midstride.runtime.workspace import Workspace
 
 
-class Keeper:
+class StateStore:
     """Keeps the state of one system. ``tell`` is told where the disk refuses, once; ``unwritten`` says so as long."""
 
     def __init__(

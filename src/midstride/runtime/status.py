@@ -9,10 +9,10 @@ from typing import Any, Final
 from midstride.errors import MidstrideError, PlanRefused
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.rules import Judge, violations
+from midstride.model.rules import Evaluator, violations
 from midstride.runtime.backend import Exited
 from midstride.runtime.clock import Clock
-from midstride.runtime.component_client import Link
+from midstride.runtime.component_client import ComponentClient
 
 # How long a component's own word is waited for (s): whoever asks for the status is to have it within 0.1 s.
 TIMEOUT: Final = 0.08
@@ -20,7 +20,9 @@ TIMEOUT: Final = 0.08
 State = dict[str, Any]
 
 
-async def observed(names: list[str], link: Link, clock: Clock, timeout: float = TIMEOUT) -> dict[str, State | None]:
+async def observed(
+    names: list[str], link: ComponentClient, clock: Clock, timeout: float = TIMEOUT
+) -> dict[str, State | None]:
     """The state of each component by its own word; None for one that does not answer in time."""
     asking = {name: asyncio.ensure_future(_peek(name, link)) for name in names}
     if not asking:
@@ -38,7 +40,7 @@ async def observed(names: list[str], link: Link, clock: Clock, timeout: float = 
         await asyncio.gather(patience, everyone, return_exceptions=True)
 
 
-async def _peek(name: str, link: Link) -> State | None:
+async def _peek(name: str, link: ComponentClient) -> State | None:
     try:
         return await link.peek(name)
     except MidstrideError:
@@ -46,7 +48,7 @@ async def _peek(name: str, link: Link) -> State | None:
 
 
 async def own_degradations(
-    s: Configuration, link: Link, clock: Clock, gone: Container[str]
+    s: Configuration, link: ComponentClient, clock: Clock, gone: Container[str]
 ) -> dict[FunctionalityRef, int]:
     """The functionalities that stand in a worse mode than the model says, by their own word; ``gone`` are not asked.
 
@@ -64,7 +66,7 @@ async def own_degradations(
     return worse
 
 
-async def status(s: Configuration, link: Link, clock: Clock, gone: Mapping[str, Exited]) -> State:
+async def status(s: Configuration, link: ComponentClient, clock: Clock, gone: Mapping[str, Exited]) -> State:
     """The document of ``midstride status``."""
     states = await observed(sorted(s.instances), link, clock)
     found = violations(s)
@@ -83,7 +85,7 @@ async def status(s: Configuration, link: Link, clock: Clock, gone: Mapping[str, 
         "topics": [
             {
                 "name": name,
-                "satisfied": Judge(s).connector_satisfied(name),
+                "satisfied": Evaluator(s).connector_satisfied(name),
                 "publishers": [str(port) for port in sorted(s.publishers_on(name))],
                 "subscribers": [str(port) for port in sorted(s.subscribers_on(name))],
             }
@@ -134,7 +136,7 @@ def _component(s: Configuration, instance: Instance, state: State | None) -> Sta
     }
 
 
-async def why(s: Configuration, link: Link, clock: Clock, functionality: str) -> State:
+async def why(s: Configuration, link: ComponentClient, clock: Clock, functionality: str) -> State:
     """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
     asked = FunctionalityRef.parse(functionality)
     every = [ref for instance in s.instances.values() for ref in instance.functionality_refs()]
@@ -157,7 +159,7 @@ async def why(s: Configuration, link: Link, clock: Clock, functionality: str) ->
         "because": view.get("because"),
         "chain": _chain(s, ref),
         "inputs": {
-            str(PortRef(ref.component, name)): Judge(s).input_satisfied(PortRef(ref.component, name))
+            str(PortRef(ref.component, name)): Evaluator(s).input_satisfied(PortRef(ref.component, name))
             for name in s.functionality(ref).inputs
         },
     }
@@ -165,7 +167,7 @@ async def why(s: Configuration, link: Link, clock: Clock, functionality: str) ->
 
 def _chain(s: Configuration, ref: FunctionalityRef) -> list[str]:
     """For each better mode than the current one: what it assumes that does not hold."""
-    judge, functionality, told = Judge(s), s.functionality(ref), []
+    judge, functionality, told = Evaluator(s), s.functionality(ref), []
     for index in range(s.modes[ref]):
         mode = functionality.modes[index]
         missing = [a for a in mode.assumptions if not judge.assumption_satisfied(ref, functionality, a)]

@@ -11,7 +11,7 @@ from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 
-class Guarded:
+class BearerAuth:
     """An application behind a bearer token; without it nothing is answered but the refusal."""
 
     def __init__(self, app: ASGIApp, token: str) -> None:

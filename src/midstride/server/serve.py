@@ -19,7 +19,7 @@ from midstride.errors import ManagerError
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.server.app import create_app
-from midstride.server.auth import Guarded, new_token
+from midstride.server.auth import BearerAuth, new_token
 from midstride.server.lifecycle import Lifecycle
 
 log = logging.getLogger(__name__)
@@ -60,7 +60,7 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
         if tcp is not None:
             listening = doors.enter_context(_tcp(tcp))
             doors.callback(token_file.unlink, missing_ok=True)
-            servers.append((_server(Guarded(app, new_token(token_file))), listening))
+            servers.append((_server(BearerAuth(app, new_token(token_file))), listening))
         with _signals(lifecycle):
             serving = [asyncio.ensure_future(server.serve([door])) for server, door in servers]
             up = asyncio.ensure_future(lifecycle.bring_up())

@@ -23,7 +23,7 @@ from midstride.model.action import (
 from midstride.model.component import FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import satisfies
-from midstride.testing.strategies import Scene
+from midstride.testing.strategies import GeneratedSystem
 
 _KINDS: Final = ("create", "remove", "attach", "detach", "degrade", "upgrade", "upgrade", "handover", "handover", "set")
 _SETTINGS: Final[tuple[tuple[str, ParameterValue], ...]] = (
@@ -36,7 +36,7 @@ _SETTINGS: Final[tuple[tuple[str, ParameterValue], ...]] = (
 
 
 @st.composite
-def actions(draw: st.DrawFn, scene: Scene, *, kinds: tuple[str, ...] = _KINDS) -> Action:
+def actions(draw: st.DrawFn, scene: GeneratedSystem, *, kinds: tuple[str, ...] = _KINDS) -> Action:
     """Actions that speak of what there is, and now and then of what there is not. Many, not all, may be taken."""
     s = scene.configuration
     kind = draw(st.sampled_from(kinds))

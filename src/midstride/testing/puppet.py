@@ -40,7 +40,7 @@ class Puppet:
 
     def __init__(self, description: dict[str, Any]) -> None:
         self._description = description
-        self._declared: model.Component = component_from_document(description["component"])
+        self._declared: model.ComponentSpec = component_from_document(description["component"])
         self._modes: dict[str, dict[str, Any]] = description.get("modes", {})
         self.component = Component(self._declared.name)
         self._inputs: dict[str, Input] = {}
@@ -71,7 +71,7 @@ class Puppet:
             type_, qos = endpoint if endpoint is not None else ("std_msgs/msg/String", None)
             self._outputs[name] = self.component.create_output(name, message_type(type_), qos)
 
-    def _functionality(self, declared: model.Functionality) -> None:
+    def _functionality(self, declared: model.FunctionalitySpec) -> None:
         functionality = self.component.create_functionality(
             declared.name,
             inputs=[self._inputs[name] for name in declared.inputs],
@@ -82,7 +82,9 @@ class Puppet:
         for index, mode in enumerate(declared.modes):
             self._mode(functionality, declared, mode, "first" if index == 0 else "last" if index == last else "between")
 
-    def _mode(self, functionality: Functionality, declared: model.Functionality, mode: model.Mode, place: str) -> None:
+    def _mode(
+        self, functionality: Functionality, declared: model.FunctionalitySpec, mode: model.Mode, place: str
+    ) -> None:
         key = f"{declared.name}.{mode.name}"
         behaviour = self._modes.get(key, {})
         inputs = [self._assumed(declared, assumption) for assumption in mode.assumptions]
@@ -110,7 +112,7 @@ class Puppet:
         else:
             functionality.set_degraded_mode(function, name=mode.name, **arguments)
 
-    def _assumed(self, declared: model.Functionality, assumption: model.Assumption) -> Any:
+    def _assumed(self, declared: model.FunctionalitySpec, assumption: model.Assumption) -> Any:
         """What names the inputs that count; None where only the environment meets the assumption."""
         if isinstance(assumption, Predicate):
             names = [name for name in declared.inputs if satisfies(self._declared.inputs[name], assumption)]

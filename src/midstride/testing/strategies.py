@@ -19,18 +19,18 @@ from immutables import Map
 from midstride.model.best import lowered
 from midstride.model.component import (
     Assumption,
-    Component,
+    ComponentSpec,
     Connector,
     Endpoint,
     EnvironmentGuarantee,
-    Functionality,
     FunctionalityRef,
+    FunctionalitySpec,
+    InputAlternatives,
     Mode,
-    NamedInputs,
-    Parameter,
+    ParameterSpec,
     Resource,
 )
-from midstride.model.configuration import Configuration, World
+from midstride.model.configuration import Configuration, SystemContext
 from midstride.model.contract import (
     NOTHING,
     Contract,
@@ -164,7 +164,7 @@ def guarantee_chains(length: int) -> st.SearchStrategy[tuple[Contract, ...]]:
 
 
 @st.composite
-def components(draw: st.DrawFn, name: str = "C") -> Component:
+def components(draw: st.DrawFn, name: str = "C") -> ComponentSpec:
     """Well-formed components of up to three inputs, two outputs and two functionalities; filters for the most part."""
     count = draw(st.sampled_from((1, 1, 2, 0, 3)))
     inputs = {f"in{number}": draw(st.sampled_from(_USUAL)) for number in range(count)}
@@ -173,7 +173,7 @@ def components(draw: st.DrawFn, name: str = "C") -> Component:
     for number, owner in enumerate(owners):
         owned[owner].append(f"out{number}")
     count = 1 + max((*owners, draw(st.sampled_from((0, 0, 1)))))
-    return Component.of(
+    return ComponentSpec.of(
         name,
         inputs=inputs,
         outputs=tuple(f"out{number}" for number in range(len(owners))),
@@ -183,13 +183,13 @@ def components(draw: st.DrawFn, name: str = "C") -> Component:
     )
 
 
-_PARAMETERS: Final = {"gain": Parameter(0.5, changeable=True), "model": Parameter("small")}
+_PARAMETERS: Final = {"gain": ParameterSpec(0.5, changeable=True), "model": ParameterSpec("small")}
 
 
 @st.composite
 def _functionalities(
     draw: st.DrawFn, name: str, inputs: dict[str, Predicate], outputs: tuple[str, ...]
-) -> Functionality:
+) -> FunctionalitySpec:
     spared = draw(st.sampled_from((None, None, None, *inputs)))
     used = tuple(port for port in inputs if port != spared)
     length = draw(st.sampled_from((2, 2, 3)))
@@ -201,19 +201,19 @@ def _functionalities(
         stated = {output: contract for output, contract in guaranteed.items() if isinstance(contract, Predicate)}
         modes.append(Mode(f"m{index}", assumed, Map(stated)))
     weight = draw(st.sampled_from((1.0, 3.0, 0.5)))
-    return Functionality(name, tuple(modes), used, outputs, weight)
+    return FunctionalitySpec(name, tuple(modes), used, outputs, weight)
 
 
 def _assumptions(inputs: dict[str, Predicate], used: tuple[str, ...]) -> st.SearchStrategy[tuple[Assumption, ...]]:
     """None, one or several: of one input, of alternatives, or by a predicate."""
     if not used:
         return st.sampled_from(((), (), (), (NEEDS[1],)))
-    each: list[tuple[Assumption, ...]] = [(NamedInputs((port,)),) for port in used]
+    each: list[tuple[Assumption, ...]] = [(InputAlternatives((port,)),) for port in used]
     predicate: list[tuple[Assumption, ...]] = [(inputs[port],) for port in used[:1]]
     several: list[tuple[Assumption, ...]] = [
         (),
-        (NamedInputs(used),),
-        tuple(NamedInputs((p,)) for p in used),
+        (InputAlternatives(used),),
+        tuple(InputAlternatives((p,)) for p in used),
         (NEEDS[2],),
     ]
     return st.sampled_from([*each * 3, *predicate * 2, *several])
@@ -223,11 +223,11 @@ def _assumptions(inputs: dict[str, Predicate], used: tuple[str, ...]) -> st.Sear
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class GeneratedSystem:
     """A valid configuration, and components and topics that actions on it may speak of."""
 
     configuration: Configuration
-    components: tuple[Component, ...]
+    components: tuple[ComponentSpec, ...]
 
 
 @st.composite
@@ -252,7 +252,7 @@ def specifications(draw: st.DrawFn, *, most: int = 6) -> Specification:
 
 
 def _specification(
-    cast: dict[str, Component],
+    cast: dict[str, ComponentSpec],
     wiring: dict[str, dict[str, tuple[str, ...]]],
     topics: dict[str, Predicate],
     environment: tuple[EnvironmentGuarantee, ...],
@@ -302,7 +302,7 @@ def _networks(draw: st.DrawFn, most: int) -> Specification:
             draw(st.sampled_from((*near, *names))) for _ in range(draw(st.sampled_from((1, 1, 2, 0))) if number else 0)
         ]
         inputs = {f"in{index}": topics[name] for index, name in enumerate(read)}
-        cast[f"n{number}"] = Component.of(
+        cast[f"n{number}"] = ComponentSpec.of(
             f"C{number}",
             inputs=inputs,
             outputs=("out0",),
@@ -315,13 +315,13 @@ def _networks(draw: st.DrawFn, most: int) -> Specification:
 
 
 @st.composite
-def _links(draw: st.DrawFn, inputs: dict[str, Predicate]) -> Functionality:
+def _links(draw: st.DrawFn, inputs: dict[str, Predicate]) -> FunctionalitySpec:
     """One that passes on what it is given; a source either stands or lacks what it needs."""
     used = tuple(inputs)
     forms: list[tuple[Assumption, ...]] = [(), (NEEDS[4],)]
     if used:
-        each = tuple(NamedInputs((port,)) for port in used)
-        forms = [each, each, each, (NamedInputs(used),), (inputs[used[0]],)]
+        each = tuple(InputAlternatives((port,)) for port in used)
+        forms = [each, each, each, (InputAlternatives(used),), (inputs[used[0]],)]
     normal = draw(st.sampled_from(forms))
     middle: list[tuple[tuple[Assumption, ...], Map[str, Predicate]]] = []
     if draw(st.booleans()):
@@ -329,12 +329,12 @@ def _links(draw: st.DrawFn, inputs: dict[str, Predicate]) -> Functionality:
         middle.append((less, Map({"out0": draw(st.sampled_from(OFFERS[:3:2]))})))
     chain = [(normal, Map({"out0": OFFERS[0]})), *middle, ((), Map())]
     modes = tuple(Mode(f"m{index}", assumed, stated) for index, (assumed, stated) in enumerate(chain))
-    return Functionality("f0", modes, used, ("out0",))
+    return FunctionalitySpec("f0", modes, used, ("out0",))
 
 
 @st.composite
 def _wiring(
-    draw: st.DrawFn, cast: dict[str, Component], topics: dict[str, Predicate]
+    draw: st.DrawFn, cast: dict[str, ComponentSpec], topics: dict[str, Predicate]
 ) -> dict[str, dict[str, tuple[str, ...]]]:
     """The topics of each port of each node: one for the most part. A topic mostly has one publisher, an input some."""
     wiring: dict[str, dict[str, tuple[str, ...]]] = {role: {} for role in cast}
@@ -386,7 +386,7 @@ def configurations(draw: st.DrawFn, *, most: int = 6) -> Configuration:
 
 
 @st.composite
-def scenes(draw: st.DrawFn, *, most: int = 6) -> Scene:
+def scenes(draw: st.DrawFn, *, most: int = 6) -> GeneratedSystem:
     specification = draw(specifications(most=most))
     s = structure(specification)
     # Any valid assignment is the best one below itself: so all of them are drawn, the best one more often.
@@ -395,7 +395,7 @@ def scenes(draw: st.DrawFn, *, most: int = 6) -> Scene:
     }
     s = s.with_modes(highest)
     components_ = tuple(component for _, component in sorted(specification.components.items()))
-    return Scene(s.with_modes(lowered(s, sorted(s.modes))), components_)
+    return GeneratedSystem(s.with_modes(lowered(s, sorted(s.modes))), components_)
 
 
 @cache
@@ -403,7 +403,7 @@ def endpoints() -> st.SearchStrategy[Endpoint]:
     return st.builds(Endpoint, st.sampled_from(("topic", "service", "action")), st.sampled_from(("~/reset", "/tf")))
 
 
-def worlds() -> st.SearchStrategy[World]:
+def worlds() -> st.SearchStrategy[SystemContext]:
     return specifications().map(lambda specification: specification.world)
 
 

@@ -60,7 +60,7 @@ class Clause:
         return self.told
 
 
-class Universe:
+class AlloyAtoms:
     """Collects atoms and tuples; :meth:`text` writes them down."""
 
     SIGS: Final = (

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from midstride.verify.alloy_atoms import Universe
+from midstride.verify.alloy_atoms import AlloyAtoms
 from midstride.verify.formulas import Formula
 from midstride.verify.library import carried
 
@@ -87,7 +87,7 @@ def configuration_detail(system: str) -> dict[str, str]:
     }
 
 
-def step_detail(universe: Universe, given: Formula) -> dict[str, str]:
+def step_detail(universe: AlloyAtoms, given: Formula) -> dict[str, str]:
     """Which part of a precondition fails, and for whom."""
     parts = []
     for told, held in given.clauses:
@@ -106,7 +106,7 @@ _HEAD_BEST = f"""\
 """
 
 
-def written(universe: Universe, title: str, judged: Judged) -> str:
+def written(universe: AlloyAtoms, title: str, judged: Judged) -> str:
     scope = universe.scope()
     rules = {held: universe.clause(told) for held, told in _RULES.items()}
     parts = [
@@ -132,7 +132,7 @@ def _steps(steps: list[JudgedStep]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _findings(universe: Universe, judged: Judged, rules: Mapping[str, str]) -> str:
+def _findings(universe: AlloyAtoms, judged: Judged, rules: Mapping[str, str]) -> str:
     """The signature and the predicate that make `Verdict` an account of what does not hold.
 
     It is no fact: the checks would have to work it out as well.

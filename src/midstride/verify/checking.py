@@ -19,7 +19,7 @@ from midstride.plan.specification_diff import differences
 from midstride.verify.alloy_atoms import TooLarge
 from midstride.verify.alloy_text import VERDICT
 from midstride.verify.export import Dump, dump_configuration, dump_plan
-from midstride.verify.run import TIME_LIMIT, Alloy, Outcome, find
+from midstride.verify.run import TIME_LIMIT, Alloy, SolverOutcome, find
 from midstride.verify.trace import confirm, findings, first_failure, instance, unexplained
 from midstride.verify.verdict import Answer, Finding, Verdict
 
@@ -104,7 +104,7 @@ def _judge(dump: Dump, alloy: Alloy, asking: Asking, detail: Detail) -> Verdict:
     )
 
 
-def _solve(dump: Dump, alloy: Alloy, commands: str, limit: float, stop: Event | None) -> dict[str, Outcome]:
+def _solve(dump: Dump, alloy: Alloy, commands: str, limit: float, stop: Event | None) -> dict[str, SolverOutcome]:
     with tempfile.TemporaryDirectory(prefix="midstride-verify-") as folder:
         source = Path(folder) / "dump.als"
         source.write_text(dump.text, encoding="utf-8")

@@ -12,7 +12,7 @@ from html import escape
 from textwrap import wrap
 from typing import Final, Literal
 
-from midstride.verify.verdict import Finding, Link, Verdict
+from midstride.verify.verdict import CauseLink, Finding, Verdict
 
 _WIDTH: Final = 44
 _RED, _GREEN = "#fce8e6", "#e6f4ea"
@@ -28,7 +28,7 @@ _SHAPES: Final = {
 }
 
 
-def chain_lines(link: Link, depth: int = 0) -> Iterator[str]:
+def chain_lines(link: CauseLink, depth: int = 0) -> Iterator[str]:
     """A chain as indented lines, from the functionality down."""
     told = f"{link.name} ({link.told})" if link.told else link.name
     yield f"{'  ' * depth}{told}: {'satisfied' if link.satisfied else 'not satisfied'}"
@@ -90,7 +90,7 @@ def _finding(finding: Finding) -> Iterator[str]:
     yield from wrap(f"{finding.subject}: {finding.because}", _WIDTH)
 
 
-def _links(link: Link, name: str, above: str) -> Iterator[_Drawn]:
+def _links(link: CauseLink, name: str, above: str) -> Iterator[_Drawn]:
     own = f"{name}_1" if above == name else name
     lines = [link.name, *wrap(link.told, _WIDTH)]
     yield _Drawn(own, above, link.thing, tuple(lines), link.satisfied)

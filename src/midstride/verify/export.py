@@ -15,10 +15,10 @@ from midstride.model.best import best
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.plan.plan import Plan
 from midstride.plan.step import Step
-from midstride.verify.alloy_atoms import Universe
+from midstride.verify.alloy_atoms import AlloyAtoms
 from midstride.verify.alloy_text import Judged, JudgedStep, StepName, configuration_detail, step_detail, written
 from midstride.verify.formulas import NotInTheDump, formula
-from midstride.verify.world_encoder import Scene
+from midstride.verify.world_encoder import WorldEncoder
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +56,8 @@ class Dump:
 
 def dump_configuration(s: Configuration, name: str, told: str = "the configuration") -> Dump:
     """One configuration, to be judged by the specification's validity. Raises TooLarge."""
-    universe = Universe()
-    scene = Scene(universe, s.world)
+    universe = AlloyAtoms()
+    scene = WorldEncoder(universe, s.world)
     for instance in _sorted(s):
         scene.instance(instance)
     bare, strays = _attached(s)
@@ -84,8 +84,8 @@ def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
     hold and the effects are right is Alloy's to say. With ``detail``, that step alone (0: the start), and why it
     fails. Raises TooLarge.
     """
-    universe = Universe()
-    scene = Scene(universe, plan.change.start.world)
+    universe = AlloyAtoms()
+    scene = WorldEncoder(universe, plan.change.start.world)
     way = _Way(scene, plan)
     goal, strays = _goal(plan, way.configurations[-1])
     if goal is not None:
@@ -133,7 +133,7 @@ def _sorted(s: Configuration) -> list[Instance]:
 class _Way:
     """The configurations on the way of a plan, and the steps that speak of what there is not."""
 
-    def __init__(self, scene: Scene, plan: Plan) -> None:
+    def __init__(self, scene: WorldEncoder, plan: Plan) -> None:
         self.strays: list[Stray] = []
         self.impossible: set[int] = set()
         s = plan.change.start

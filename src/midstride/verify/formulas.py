@@ -18,7 +18,7 @@ from midstride.model.action import (
     Upgrade,
 )
 from midstride.model.component import FunctionalityRef, PortRef
-from midstride.verify.world_encoder import Scene
+from midstride.verify.world_encoder import WorldEncoder
 
 _Key = TypeVar("_Key", bound=Hashable)
 
@@ -44,7 +44,7 @@ class Formula:
     attached: str = "none -> none"
 
 
-def formula(scene: Scene, action: Action, before: str, after: str) -> Formula:
+def formula(scene: WorldEncoder, action: Action, before: str, after: str) -> Formula:
     """``action`` taken in the system ``before``, leading to ``after``. Raises NotInTheDump."""
     s, t = before, after
     match action:
@@ -110,7 +110,7 @@ def _detach(p: str, k: str, s: str, t: str) -> Formula:
     )
 
 
-def _modes(scene: Scene, modes: Mapping[FunctionalityRef, int], s: str, t: str, name: str) -> Formula:
+def _modes(scene: WorldEncoder, modes: Mapping[FunctionalityRef, int], s: str, t: str, name: str) -> Formula:
     pairs = sorted(modes.items())
     to = " + ".join(f"{_functionality(scene, ref)} -> {_mode(scene, ref, index)}" for ref, index in pairs)
     to = to or "none -> none"
@@ -134,7 +134,7 @@ def _modes(scene: Scene, modes: Mapping[FunctionalityRef, int], s: str, t: str, 
     )
 
 
-def _handover(scene: Scene, action: Handover, s: str, t: str) -> Formula:
+def _handover(scene: WorldEncoder, action: Handover, s: str, t: str) -> Formula:
     swaps = [
         (_connector(scene, swap.connector), _output(scene, swap.old), _output(scene, swap.new)) for swap in action.swaps
     ]
@@ -184,30 +184,30 @@ def _found(table: Mapping[_Key, str], key: _Key, kind: str) -> str:
     return atom
 
 
-def _component(scene: Scene, name: str) -> str:
+def _component(scene: WorldEncoder, name: str) -> str:
     return _found(scene.components, name, "component")
 
 
-def _port(scene: Scene, ref: PortRef) -> str:
+def _port(scene: WorldEncoder, ref: PortRef) -> str:
     return _found(scene.ports, ref, "port")
 
 
-def _output(scene: Scene, ref: PortRef) -> str:
+def _output(scene: WorldEncoder, ref: PortRef) -> str:
     port = _port(scene, ref)
     if port not in scene.universe.sigs["Output"]:
         raise NotInTheDump(f"{ref} is an input, not an output")
     return port
 
 
-def _connector(scene: Scene, name: str) -> str:
+def _connector(scene: WorldEncoder, name: str) -> str:
     return _found(scene.connectors, name, "topic")
 
 
-def _functionality(scene: Scene, ref: FunctionalityRef) -> str:
+def _functionality(scene: WorldEncoder, ref: FunctionalityRef) -> str:
     return _found(scene.functionalities, ref, "functionality")
 
 
-def _mode(scene: Scene, ref: FunctionalityRef, index: int) -> str:
+def _mode(scene: WorldEncoder, ref: FunctionalityRef, index: int) -> str:
     atom = scene.modes.get((ref, index))
     if atom is None:
         raise NotInTheDump(f"{ref} has no mode number {index}")

@@ -30,7 +30,7 @@ _BIG: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
-class Command:
+class AlloyCommand:
     """A ``check`` (expected to have no counterexample, mostly) or a ``run`` of a module."""
 
     module: str
@@ -53,14 +53,14 @@ def scoped(module: str, scope: int) -> str:
     return source(module).replace(f"for {_BIG} but", f"for {min(scope, _BIG)} but")
 
 
-def commands(module: str, scope: int = _BIG) -> list[Command]:
+def commands(module: str, scope: int = _BIG) -> list[AlloyCommand]:
     """The commands of a module, in their order, each with whether an instance is expected."""
     found = []
     for match in _COMMAND.finditer(scoped(module, scope)):
         kind: Literal["check", "run"] = "check" if match["kind"] == "check" else "run"
         stated = _SCOPE.search(match[0])
         assert stated is not None, f"{module}.{match['name']} states no scope"
-        found.append(Command(module, match["name"], kind, match["expect"] == "1", int(stated[1])))
+        found.append(AlloyCommand(module, match["name"], kind, match["expect"] == "1", int(stated[1])))
     return found
 
 

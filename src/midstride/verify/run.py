@@ -41,7 +41,7 @@ _HOW: Final = (
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class SolverOutcome:
     """What one command came to: whether it has an instance, and the instance's fields, atom by atom."""
 
     satisfiable: bool
@@ -68,7 +68,7 @@ class Alloy:
         memory: int | None = None,
         quick: bool = True,
         stop: Event | None = None,
-    ) -> dict[str, Outcome]:
+    ) -> dict[str, SolverOutcome]:
         """Execute the commands of a file whose names fit the pattern, in one process.
 
         ``limit`` bounds the whole (s), ``memory`` the Java heap (MiB); ``quick`` is for what is solved in seconds,
@@ -90,7 +90,7 @@ class Alloy:
         headless = "-Djava.awt.headless=true"
         return [self.java, f"-Djava.io.tmpdir={folder}", headless, "-XX:+UseSerialGC", *options, "-jar", str(self.jar)]
 
-    def _execute(self, line: Sequence[str], output: Path, limit: float, stop: Event | None) -> dict[str, Outcome]:
+    def _execute(self, line: Sequence[str], output: Path, limit: float, stop: Event | None) -> dict[str, SolverOutcome]:
         said = run(line, limit, stop)
         receipt = output / "receipt.json"
         if said.code != 0 or not receipt.is_file():
@@ -103,14 +103,14 @@ class Alloy:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class AlloyOutput:
     """How a process ended, and what it wrote."""
 
     code: int
     text: str
 
 
-def run(line: Sequence[str], limit: float, stop: Event | None = None) -> Said:
+def run(line: Sequence[str], limit: float, stop: Event | None = None) -> AlloyOutput:
     """A process in a group of its own. After ``limit`` (s), or by ``stop``, it ends with its children: AlloyFailed."""
     try:
         process = subprocess.Popen(
@@ -123,7 +123,7 @@ def run(line: Sequence[str], limit: float, stop: Event | None = None) -> Said:
     finally:
         if process.poll() is None:
             _end(process)
-    return Said(process.returncode, text.decode("utf-8", "replace"))
+    return AlloyOutput(process.returncode, text.decode("utf-8", "replace"))
 
 
 def _listened(process: subprocess.Popen[bytes], limit: float, stop: Event | None) -> bytes:
@@ -152,14 +152,14 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.stdout.close()
 
 
-def _outcome(entry: Mapping[str, Any]) -> Outcome:
+def _outcome(entry: Mapping[str, Any]) -> SolverOutcome:
     solutions = entry.get("solution") or []
     if not solutions:
-        return Outcome(False)
+        return SolverOutcome(False)
     first = solutions[0]
     instance = first["instances"][0]
     skolems = {name: value["data"] for name, value in (instance.get("skolems") or {}).items()}
-    return Outcome(True, instance["values"], skolems, first.get("duration", 0) / 1000)
+    return SolverOutcome(True, instance["values"], skolems, first.get("duration", 0) / 1000)
 
 
 _NOISE: Final = re.compile(r"^(\s+at |\s+\.\.\. |\[main\] ERROR|Error$|\s*\d+\. \[)")

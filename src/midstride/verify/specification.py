@@ -19,8 +19,8 @@ from typing import Any, Final
 
 from midstride.errors import AlloyFailed
 from midstride.verify import library
-from midstride.verify.library import Command
-from midstride.verify.run import Alloy, Outcome, available_memory, fast_solver
+from midstride.verify.library import AlloyCommand
+from midstride.verify.run import Alloy, SolverOutcome, available_memory, fast_solver
 from midstride.verify.verdict import Answer
 
 # MiB that one process may use, and how long (s) it may take where nothing else is said.
@@ -36,7 +36,7 @@ class Task:
     """What one process is asked: one command, or all of a module."""
 
     module: str
-    commands: tuple[Command, ...]
+    commands: tuple[AlloyCommand, ...]
 
     def __str__(self) -> str:
         return str(self.commands[0]) if len(self.commands) == 1 else self.module
@@ -158,7 +158,7 @@ def _checked(
     return Answer.HOLDS, None
 
 
-def _otherwise(command: Command, outcome: Outcome) -> str:
+def _otherwise(command: AlloyCommand, outcome: SolverOutcome) -> str:
     """What came out instead, and of what."""
     if not outcome.satisfiable:
         missing = "a counterexample" if command.kind == "check" else "an instance"

@@ -12,23 +12,23 @@ from midstride.errors import AlloyFailed
 from midstride.model.action import Action
 from midstride.model.component import Assumption, FunctionalityRef
 from midstride.model.configuration import Configuration
-from midstride.model.rules import Judge, cap_violation
+from midstride.model.rules import Evaluator, cap_violation
 from midstride.plan.step import Step
 from midstride.verify.alloy_atoms import ModeName, SystemName
 from midstride.verify.alloy_text import BEST, VERDICT, StepName
 from midstride.verify.chain import chain
 from midstride.verify.export import Dump
-from midstride.verify.run import Outcome
+from midstride.verify.run import SolverOutcome
 from midstride.verify.verdict import Finding
 
 _FINDINGS = "Findings$0"
 _DISAGREE = "so says Alloy; the model sees no reason, so one of the two is wrong: please report it"
 
 
-class Instance:
+class AlloyInstance:
     """The fields of an Alloy instance, its atoms turned into what they stand for."""
 
-    def __init__(self, outcome: Outcome, bearers: Mapping[str, object], fields: frozenset[str]) -> None:
+    def __init__(self, outcome: SolverOutcome, bearers: Mapping[str, object], fields: frozenset[str]) -> None:
         self._values = outcome.values.get(_FINDINGS, {})
         self._bearers = bearers
         if missing := sorted(fields - self._values.keys()):
@@ -55,22 +55,22 @@ def _name(atom: str) -> str:
     return atom.rpartition("$")[0].rpartition("/")[2]
 
 
-def instance(dump: Dump, outcomes: Mapping[str, Outcome]) -> Instance:
+def instance(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> AlloyInstance:
     """What the dump's `Verdict` found. Raises AlloyFailed where there is none: the dump must have an instance."""
     told = outcomes.get(VERDICT)
     if told is None or not told.satisfiable:
         raise AlloyFailed("the dump contradicts itself: Alloy finds no instance of it")
-    return Instance(told, dump.bearers, dump.fields)
+    return AlloyInstance(told, dump.bearers, dump.fields)
 
 
-def confirm(dump: Dump, outcomes: Mapping[str, Outcome]) -> None:
+def confirm(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> None:
     """That nothing was found is said a second time, by the checks. Raises AlloyFailed where they say otherwise."""
     for check in dump.checks:
         if check not in outcomes or outcomes[check].satisfiable:
             raise AlloyFailed(f"Alloy contradicts itself: it finds nothing, and the check {check} does not hold")
 
 
-def first_failure(dump: Dump, found: Instance) -> int | None:
+def first_failure(dump: Dump, found: AlloyInstance) -> int | None:
     """The first step (0: the start) that fails, or whose configuration is not valid; None where there is none."""
     numbers = [stray.step for stray in dump.strays if stray.step is not None]
     numbers += [named.number for field in ("refused", "wrong") for named in found.steps(field)]
@@ -78,7 +78,7 @@ def first_failure(dump: Dump, found: Instance) -> int | None:
     return min(numbers, default=None)
 
 
-def unexplained(dump: Dump, found: Instance) -> int | None:
+def unexplained(dump: Dump, found: AlloyInstance) -> int | None:
     """The first step that fails, where only its own detailed dump tells why; None where this one does."""
     number = first_failure(dump, found)
     strays = {stray.step for stray in dump.strays}
@@ -87,7 +87,7 @@ def unexplained(dump: Dump, found: Instance) -> int | None:
     return number
 
 
-def findings(dump: Dump, outcomes: Mapping[str, Outcome]) -> list[Finding]:
+def findings(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> list[Finding]:
     """What does not hold: the declarations, else the start, else the first step that fails, else the end.
 
     Why a step fails is in the answers to its detailed dump. Raises AlloyFailed where the answer is none.
@@ -106,7 +106,7 @@ def findings(dump: Dump, outcomes: Mapping[str, Outcome]) -> list[Finding]:
 
 
 class _Tracer:
-    def __init__(self, dump: Dump, found: Instance) -> None:
+    def __init__(self, dump: Dump, found: AlloyInstance) -> None:
         self.dump = dump
         self.instance = found
         self.refused = {named.number for named in found.steps("refused")}
@@ -135,7 +135,7 @@ class _Tracer:
         if number and self.dump.steps is not None:
             yield from self._step(number, self.dump.steps[number - 1])
 
-    def end(self, best: Outcome | None) -> Iterator[Finding]:
+    def end(self, best: SolverOutcome | None) -> Iterator[Finding]:
         if self.dump.steps is None:
             return
         where = "at the end"
@@ -212,7 +212,7 @@ class _Tracer:
         assert isinstance(ref, FunctionalityRef)
         model: Assumption = assumption  # type: ignore[assignment]
         functionality = s.functionality(ref)
-        judge = Judge(s)
+        judge = Evaluator(s)
         agreed = not judge.assumption_satisfied(ref, functionality, model)
         because = judge.why_assumption_unsatisfied(ref, model) if agreed else f"assumes {model}: {_DISAGREE}"
         subject = f"{ref} in mode {s.mode(ref).name}"
@@ -221,7 +221,7 @@ class _Tracer:
             return Finding("precondition", number, where, subject, because, str(model), told)
         return Finding("assumption", number, where, subject, because, str(model), told)
 
-    def _better(self, best: Outcome, where: str) -> Iterator[Finding]:
+    def _better(self, best: SolverOutcome, where: str) -> Iterator[Finding]:
         raised = [entry for name, tuples in best.skolems.items() if name.endswith("_to") for entry in tuples]
         better = [self.instance.bearer(mode) for _, mode in raised]
         told = [mode for mode in better if isinstance(mode, ModeName)]

@@ -24,14 +24,14 @@ Kind = Literal[
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class CauseLink:
     """One link of the chain from an assumption to what falls short, for the picture."""
 
     thing: Literal["functionality", "assumption", "input", "topic", "output", "environment"]
     name: str
     told: str
     satisfied: bool
-    under: tuple[Link, ...] = ()
+    under: tuple[CauseLink, ...] = ()
 
     def to_document(self) -> dict[str, Any]:
         document: dict[str, Any] = {
@@ -55,7 +55,7 @@ class Finding:
     subject: str
     because: str
     assumption: str | None = None
-    chain: Link | None = None
+    chain: CauseLink | None = None
 
     def __str__(self) -> str:
         return f"{self.where}: {self.subject}: {self.because}"

@@ -8,31 +8,31 @@ from typing import Final
 
 from midstride.model.component import (
     Assumption,
-    Component,
+    ComponentSpec,
     EnvironmentGuarantee,
-    Functionality,
     FunctionalityRef,
+    FunctionalitySpec,
+    InputAlternatives,
     Mode,
-    NamedInputs,
     PortRef,
 )
-from midstride.model.configuration import Configuration, Instance, World, exact
+from midstride.model.configuration import Configuration, Instance, SystemContext, to_fraction
 from midstride.model.contract import Predicate
-from midstride.verify.alloy_atoms import ModeName, SystemName, TooLarge, Universe
+from midstride.verify.alloy_atoms import AlloyAtoms, ModeName, SystemName, TooLarge
 
 # The sets of components that hold too much of a resource together are tried out one by one.
 _MOST_HOLDERS: Final = 16
 
 
-class Scene:
+class WorldEncoder:
     """One world in a universe: its topics, environment and instances, and configurations of them."""
 
-    def __init__(self, universe: Universe, world: World, prefix: str = "") -> None:
+    def __init__(self, universe: AlloyAtoms, world: SystemContext, prefix: str = "") -> None:
         self.universe = universe
         self.world = world
         self.prefix = prefix
         self.components: dict[str, str] = {}
-        self.declared: dict[str, Component] = {}
+        self.declared: dict[str, ComponentSpec] = {}
         self.ports: dict[PortRef, str] = {}
         self.functionalities: dict[FunctionalityRef, str] = {}
         self.modes: dict[tuple[FunctionalityRef, int], str] = {}
@@ -92,7 +92,7 @@ class Scene:
         for functionality in component:
             self._functionality(atom, FunctionalityRef(name, functionality.name), functionality)
 
-    def _port(self, owner: str, ref: PortRef, component: Component) -> None:
+    def _port(self, owner: str, ref: PortRef, component: ComponentSpec) -> None:
         universe = self.universe
         is_output = ref.port in component.outputs
         told = str(ref) if is_output else f"{ref} : {component.inputs[ref.port]}"
@@ -102,7 +102,7 @@ class Scene:
         if not is_output:
             universe.add("input_asm", atom, universe.predicate(component.inputs[ref.port]))
 
-    def _functionality(self, owner: str, ref: FunctionalityRef, functionality: Functionality) -> None:
+    def _functionality(self, owner: str, ref: FunctionalityRef, functionality: FunctionalitySpec) -> None:
         universe = self.universe
         atom = universe.atom("Functionality", f"{self.prefix}{ref}_f", ref)
         self.functionalities[ref] = atom
@@ -121,7 +121,7 @@ class Scene:
             better.append(named)
             self._mode(named, ref, mode, functionality)
 
-    def _mode(self, atom: str, ref: FunctionalityRef, mode: Mode, functionality: Functionality) -> None:
+    def _mode(self, atom: str, ref: FunctionalityRef, mode: Mode, functionality: FunctionalitySpec) -> None:
         universe = self.universe
         for assumption in mode.assumptions:
             universe.add("mode_asms", atom, self._assumption(ref, assumption))
@@ -133,7 +133,7 @@ class Scene:
                 )
 
     def _assumption(self, ref: FunctionalityRef, assumption: Assumption) -> str:
-        if not isinstance(assumption, NamedInputs):
+        if not isinstance(assumption, InputAlternatives):
             return self.universe.predicate(assumption)
         key = f"{ref.component}.{assumption}"
         atom = self.universe.atom("NamedInputs", f"{self.prefix}assume_{ref.component}_{assumption}", assumption, key)
@@ -184,7 +184,7 @@ def _too_much(holds: dict[str, float], capacity: float) -> Iterator[tuple[str, .
     found: list[frozenset[str]] = []
     for count in range(1, len(holds) + 1):
         for group in combinations(holds, count):
-            too_much = sum(exact(holds[name]) for name in group) > exact(capacity)
+            too_much = sum(to_fraction(holds[name]) for name in group) > to_fraction(capacity)
             if too_much and not any(smaller <= set(group) for smaller in found):
                 found.append(frozenset(group))
                 yield group

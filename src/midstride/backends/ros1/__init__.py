@@ -14,7 +14,7 @@ from midstride.errors import BackendError
 if TYPE_CHECKING:
     from midstride.backends.ros1.backend import Ros1Backend
     from midstride.backends.ros1.host import Ros1Host
-    from midstride.runtime.reaper import Guardian
+    from midstride.runtime.reaper import Reaper
 
 __all__ = ["available", "create_backend", "create_host"]
 
@@ -40,7 +40,7 @@ def create_host(name: str, namespace: str) -> Ros1Host:
     return Ros1Host(name, namespace)
 
 
-def create_backend(*, logs: Path | None = None, guardian: Guardian | None = None) -> Ros1Backend:
+def create_backend(*, logs: Path | None = None, guardian: Reaper | None = None) -> Ros1Backend:
     """The back end of a manager. ``logs``: the folder of the components' logs (default: beside ROS's own).
 
     ``guardian`` ends what is started should this process be killed. Raises BackendError where no

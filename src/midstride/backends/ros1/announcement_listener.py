@@ -19,13 +19,13 @@ _AGAIN: Final = 0.2
 _ATTEMPTS: Final = 5
 
 
-class Listener:
+class AnnouncementListener:
     """Hands every message on ``topic`` to ``heard``; to be used on one event loop."""
 
     def __init__(self, master: Master, topic: str, heard: Callable[[str], None]) -> None:
         self._master = master
         self._topic = topic
-        self._heard = heard
+        self._on_backend_event = heard
         self._server = rpc.Server(
             {
                 "publisherUpdate": self._publisher_update,
@@ -103,7 +103,7 @@ class Listener:
                 await tcpros.handshake(reader, writer, fields)
             with suppress(OSError, EOFError):
                 while True:
-                    self._heard(tcpros.unpack_string(await tcpros.read_block(reader)))
+                    self._on_backend_event(tcpros.unpack_string(await tcpros.read_block(reader)))
         finally:
             writer.close()
 

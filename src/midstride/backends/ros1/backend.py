@@ -17,14 +17,14 @@ from typing import Final
 
 from midstride.backends import common
 from midstride.backends.ros1 import launching, master_process, names
-from midstride.backends.ros1.announcement_listener import Listener
+from midstride.backends.ros1.announcement_listener import AnnouncementListener
 from midstride.backends.ros1.command_client import Caller
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.process import Process, find, spawn
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
 from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
 
@@ -39,13 +39,13 @@ class Ros1Backend:
 
     name = "ros1"
 
-    def __init__(self, *, logs: Path | None = None, guardian: Guardian | None = None) -> None:
+    def __init__(self, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:
         self.clock: Clock = SystemClock()
         self.started_master = False
         self._logs = logs
         self._guardian = guardian
         self._children = common.Children(guardian, self._exited)
-        self._listener: Listener | None = None
+        self._listener: AnnouncementListener | None = None
         self._tidying: set[asyncio.Task[None]] = set()
 
     # -- joining and leaving -------------------------------------------------------------------------
@@ -59,7 +59,7 @@ class Ros1Backend:
         self.started_master = await master_process.ensure(self._master, self._folder(), self._guardian)
         try:
             await master_process.forget_dead_managers(self._master)
-            listener = Listener(self._master, names.ANNOUNCEMENT, self._heard)
+            listener = AnnouncementListener(self._master, names.ANNOUNCEMENT, self._on_backend_event)
             await listener.open(host)
         except BaseException:
             if self.started_master:
@@ -177,7 +177,7 @@ class Ros1Backend:
 
     # -- what is heard -------------------------------------------------------------------------------
 
-    def _heard(self, text: str) -> None:
+    def _on_backend_event(self, text: str) -> None:
         try:
             announcement = Announcement.from_json(text)
         except (ValueError, KeyError, TypeError):

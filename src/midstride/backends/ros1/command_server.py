@@ -39,7 +39,7 @@ def command_type() -> Any:
     return sys.modules[module_name].__dict__["Command"]
 
 
-class Door:
+class CommandServer:
     """Serves the commands to ``node``; to be made on the control side's event loop."""
 
     def __init__(self, node: str, serve: Callable[[Command], Awaitable[Reply]]) -> None:

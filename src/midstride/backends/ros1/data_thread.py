@@ -18,7 +18,7 @@ from midstride.backends.common import on_thread
 T = TypeVar("T")
 
 
-class DataSide:
+class DataThread:
     """Runs functions in its thread, in the order in which they come."""
 
     def __init__(self, failed: Callable[[str], None]) -> None:

@@ -24,13 +24,13 @@ from std_msgs.msg import String
 from midstride.backends import common
 from midstride.backends.ros1 import launching, names, node_parameters, publishing, subscribing
 from midstride.backends.ros1.command_client import Caller
-from midstride.backends.ros1.command_server import Door
-from midstride.backends.ros1.data_thread import DataSide
+from midstride.backends.ros1.command_server import CommandServer
+from midstride.backends.ros1.data_thread import DataThread
 from midstride.backends.ros1.master import Master
 from midstride.backends.ros1.publishing import NumberedTopic, PortPublisher
 from midstride.backends.ros1.registrar import Registrar, managers
 from midstride.backends.ros1.subscribing import FramedTopic, PortSubscription
-from midstride.backends.ros1.timers import GridTimer, RosClock
+from midstride.backends.ros1.timers import Ros1GridTimer, RosClock
 from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
 from midstride.node.host import MessageInfo
@@ -68,9 +68,11 @@ class Ros1Host:
         publishing.prepare()
         self._node = rospy.get_name()
         self._logger = logging.getLogger("rosout")
-        self._data = DataSide(lambda told: self._logger.error(f"a callback raised, and the component goes on:\n{told}"))
+        self._data = DataThread(
+            lambda told: self._logger.error(f"a callback raised, and the component goes on:\n{told}")
+        )
         self._clock = RosClock(self._data)
-        self._parameters = node_parameters.OwnParameters(managed, self._show_parameter)
+        self._parameters = node_parameters.Ros1NodeParameters(managed, self._show_parameter)
         self._ended = threading.Event()
         self._told_to_end = ""
         self.now: Callable[[], int] = self._clock.now
@@ -118,8 +120,8 @@ class Ros1Host:
     ) -> PortSubscription:
         return PortSubscription(topic, type_, qos, callback, self.now, self._data, self._subscribers)
 
-    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> GridTimer:
-        return GridTimer(self._clock, period, epoch, callback)
+    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros1GridTimer:
+        return Ros1GridTimer(self._clock, period, epoch, callback)
 
     # -- control side --------------------------------------------------------------------------------
 
@@ -174,7 +176,7 @@ class Ros1Host:
         self._states = PortPublisher(names.STATE, String, _LATCHED, self.now, self._publishers)
         self._data.start()
         task = asyncio.ensure_future(main())
-        door = Door(self._node, serve)
+        door = CommandServer(self._node, serve)
         rospy.core.add_client_shutdown_hook(lambda: self._shut_down_by_others(loop, task))
         try:
             with common.ending_on_signals(task) as interrupted:

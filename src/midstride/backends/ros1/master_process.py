@@ -16,7 +16,7 @@ from midstride.backends.ros1.master import PROBE, Master
 from midstride.errors import BackendError, StartFailed
 from midstride.runtime.logs import tail
 from midstride.runtime.process import find, spawn
-from midstride.runtime.reaper import Guardian, look
+from midstride.runtime.reaper import Reaper, look
 
 ENV_STARTED: Final = "MIDSTRIDE_ROS1_MASTER"
 # How long a master may take to answer after its start (s).
@@ -34,7 +34,7 @@ rosmaster_main(sys.argv)
 _WORKERS: Final = "16"
 
 
-async def ensure(master: Master, logs: Path, guardian: Guardian | None) -> bool:
+async def ensure(master: Master, logs: Path, guardian: Reaper | None) -> bool:
     """A master answers at ``master.uri``; whether it had to be started. Raises BackendError where none can be."""
     if await master.process() is not None:
         return False
@@ -67,7 +67,7 @@ async def ensure(master: Master, logs: Path, guardian: Guardian | None) -> bool:
     return True
 
 
-async def release(master: Master, guardian: Guardian | None) -> bool:
+async def release(master: Master, guardian: Reaper | None) -> bool:
     """End the master if Midstride started it and no node is left; whether it has been ended."""
     number = await master.process()
     seen = None if number is None else look(number)

@@ -18,7 +18,7 @@ _OF_ROS: Final = frozenset({"/rosout", "/clock"})
 _SERVICES_OF_ROS: Final = ("/get_loggers", "/set_logger_level")
 
 
-class OwnParameters:
+class Ros1NodeParameters:
     """Parameters of the component, shown on the parameter server under the node's name.
 
     The server is a place to look, not to write: what somebody else sets there changes nothing here. Only a component

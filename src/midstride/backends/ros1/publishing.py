@@ -29,7 +29,7 @@ from rospy.topics import _PublisherImpl, _TopicImpl
 
 from midstride.backends.ros1 import connection_headers
 from midstride.backends.ros1.registrar import Registrar
-from midstride.backends.ros1.subscriber_connection import Peer
+from midstride.backends.ros1.subscriber_connection import SubscriberConnection
 from midstride.errors import NodeError
 from midstride.model.contract import QoS
 
@@ -83,7 +83,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         self._endpoint = uuid.uuid4().hex
         self._offered = offered
         super().__init__(topic, type_)
-        self.connections: list[Peer] = []
+        self.connections: list[SubscriberConnection] = []
         self.registered = False
         self.given_up = False
         self.is_latch = offered.is_transient_local  # said in headers; what is held for late joiners is each port's
@@ -106,7 +106,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         requested = connection_headers.asked(_joining_header())
         depth = max((port.depth for port in self.ports), default=1)
         compatible = requested is None or not requested.unmet_by(self._offered)
-        peer = Peer(transport, requested is not None, compatible, depth, self._control)
+        peer = SubscriberConnection(transport, requested is not None, compatible, depth, self._control)
         with self.publock:
             if not _TopicImpl.add_connection(self, peer):
                 return False
@@ -174,7 +174,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
 
     async def leave(self) -> None:
         """On the control side, once the last port has gone: everybody reads to the end, then the connections close."""
-        peers: list[Peer] = list(self.connections)
+        peers: list[SubscriberConnection] = list(self.connections)
         await self.drained(FLUSH)
         for peer in peers:
             peer.finish()

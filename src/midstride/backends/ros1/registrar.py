@@ -28,7 +28,7 @@ _EVERYBODY: Final = 0.5
 _POLL: Final = 0.002
 
 
-class Topic(Protocol):
+class RegisteredTopic(Protocol):
     """What rospy keeps of a topic, as far as it matters here.
 
     ``registered``: the master knows of it, and whom the master knew of has had the time to connect.
@@ -46,7 +46,7 @@ class Topic(Protocol):
     async def leave(self) -> None: ...
 
 
-T = TypeVar("T", bound=Topic)
+T = TypeVar("T", bound=RegisteredTopic)
 
 
 class Registrar(Generic[T]):

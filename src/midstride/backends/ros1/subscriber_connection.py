@@ -17,7 +17,7 @@ from collections import deque
 from typing import Any
 
 
-class Peer:
+class SubscriberConnection:
     """Takes the place of rospy's transport of one subscriber in rospy's lists.
 
     ``numbered``: it asked for numbers; ``compatible``: it requests no more than is offered.

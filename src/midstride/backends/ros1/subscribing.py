@@ -12,7 +12,7 @@ from rospy.impl.registration import get_topic_manager
 from rospy.topics import _SubscriberImpl
 
 from midstride.backends.ros1 import connection_headers
-from midstride.backends.ros1.data_thread import DataSide
+from midstride.backends.ros1.data_thread import DataThread
 from midstride.backends.ros1.publishing import TRAILER
 from midstride.backends.ros1.registrar import Registrar
 from midstride.errors import NodeError
@@ -110,7 +110,7 @@ class PortSubscription:
         qos: QoS,
         callback: Callable[[Any, Any], None],
         now: Callable[[], int],
-        data: DataSide,
+        data: DataThread,
         registrar: Registrar[FramedTopic],
     ) -> None:
         """Raises NodeError where the node is subscribed there by other means, or to another type."""

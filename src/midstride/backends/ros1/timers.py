@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 
 import rospy
 
-from midstride.backends.ros1.data_thread import DataSide
+from midstride.backends.ros1.data_thread import DataThread
 
 # A clock that was set back may wake a timer before its slot: by more than this (ns) it goes to sleep again.
 _EARLY = 200_000
@@ -17,7 +17,7 @@ _EARLY = 200_000
 class RosClock:
     """The ROS clock: the system's, or what comes on ``/clock`` where ``/use_sim_time`` is set."""
 
-    def __init__(self, data: DataSide) -> None:
+    def __init__(self, data: DataThread) -> None:
         self.data = data
         self.simulated = not rospy.rostime.is_wallclock()
         self.now: Callable[[], int] = self._simulated_now if self.simulated else time.time_ns
@@ -59,7 +59,7 @@ class RosClock:
         return over
 
 
-class GridTimer:
+class Ros1GridTimer:
     """See :class:`midstride.node.host.Timer`. Everything here runs on the data side."""
 
     def __init__(self, clock: RosClock, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> None:

@@ -14,7 +14,7 @@ from midstride.errors import BackendError
 if TYPE_CHECKING:
     from midstride.backends.ros2.backend import Ros2Backend
     from midstride.backends.ros2.host import Ros2Host
-    from midstride.runtime.reaper import Guardian
+    from midstride.runtime.reaper import Reaper
 
 __all__ = ["create_backend", "create_host"]
 
@@ -37,7 +37,7 @@ def create_host(name: str, namespace: str) -> Ros2Host:
 
 
 def create_backend(
-    *, logs: Path | None = None, guardian: Guardian | None = None, tuned: bool = True, use_sim_time: bool = False
+    *, logs: Path | None = None, guardian: Reaper | None = None, tuned: bool = True, use_sim_time: bool = False
 ) -> Ros2Backend:
     """The back end of a manager. ``logs``: the folder of the components' logs (default: beside ROS's own).
 

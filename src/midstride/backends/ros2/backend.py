@@ -28,12 +28,12 @@ from midstride.backends import common
 from midstride.backends.common import Children
 from midstride.backends.ros2 import dds_profiles, events, launching, names
 from midstride.backends.ros2.command_client import Caller
-from midstride.backends.ros2.executor_thread import Spinner
+from midstride.backends.ros2.executor_thread import ExecutorThread
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.process import Process, find, spawn
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
 
 # A manager that has just joined knows nobody yet: that long it listens before it says that a name is free (s).
@@ -56,7 +56,7 @@ class Ros2Backend:
         self,
         *,
         logs: Path | None = None,
-        guardian: Guardian | None = None,
+        guardian: Reaper | None = None,
         tuned: bool = True,
         use_sim_time: bool = False,
     ) -> None:
@@ -90,11 +90,11 @@ class Ros2Backend:
             raise BackendError(f"ROS 2 cannot be joined: {error}") from error
         self._context = context
         self._opened = time.monotonic()
-        self._spinner = Spinner("midstride-manager", context, self._tell)
+        self._spinner = ExecutorThread("midstride-manager", context, self._tell)
         self._spinner.executor.add_node(self._node)
         group = ReentrantCallbackGroup()
         self._caller = Caller(self._node, self._spinner.executor, group)
-        events.subscription(self._node, self._heard, group)
+        events.subscription(self._node, self._on_backend_event, group)
         self._spinner.start()
         self._own_clock.follow(self._node.get_clock())
         for words in self.tuning.untuned:
@@ -220,7 +220,7 @@ class Ros2Backend:
 
     # -- what is heard -------------------------------------------------------------------------------
 
-    def _heard(self, event: Any) -> None:
+    def _on_backend_event(self, event: Any) -> None:
         """In the manager's ROS thread: an announcement goes to the loop, anything else is not for us."""
         for parameter in event.changed_parameters:
             if parameter.name == names.ANNOUNCEMENT:

@@ -10,7 +10,7 @@ from typing import Any
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
 
-class Spinner:
+class ExecutorThread:
     """Spins a SingleThreadedExecutor in a thread until it is stopped; survives what user callbacks raise."""
 
     def __init__(self, name: str, context: Any, failed: Callable[[str], None]) -> None:

@@ -27,9 +27,9 @@ from rclpy.task import Future
 from midstride.backends.common import ending_on_signals, on_thread, with_short_pauses
 from midstride.backends.ros2 import endpoints, events, names, node_parameters, qos
 from midstride.backends.ros2.command_client import Caller
-from midstride.backends.ros2.executor_thread import Spinner
-from midstride.backends.ros2.parameter_services import Door, parameters_of
-from midstride.backends.ros2.timers import GridTimer
+from midstride.backends.ros2.executor_thread import ExecutorThread
+from midstride.backends.ros2.parameter_services import ParameterServices, parameters_of
+from midstride.backends.ros2.timers import Ros2GridTimer
 from midstride.errors import NodeError
 from midstride.model.contract import QoS
 from midstride.node.host import MessageInfo
@@ -84,17 +84,17 @@ class Ros2Host:
             parameter_overrides=[Parameter(name, value=value) for name, value in given.items()],
         )
         self._full_name = self._data_node.get_fully_qualified_name()
-        self._data = Spinner("midstride-data", self._context, self._tell)
-        self._control = Spinner("midstride-control", self._context, self._tell)
+        self._data = ExecutorThread("midstride-data", self._context, self._tell)
+        self._control = ExecutorThread("midstride-control", self._context, self._tell)
         self._data.executor.add_node(self._data_node)
         self._control.executor.add_node(self._control_node)
         self._data_group = ReentrantCallbackGroup()
         self._control_group = ReentrantCallbackGroup()
         self._events = events.publisher(self._control_node)
         self._caller = Caller(self._control_node, self._control.executor, self._control_group)
-        self._parameters = node_parameters.OwnParameters(self._data_node, given)
+        self._parameters = node_parameters.Ros2NodeParameters(self._data_node, given)
         self._ports: set[int] = set()
-        self._door: Door | None = None
+        self._door: ParameterServices | None = None
         self._shown: dict[str, Any] = {}
         self._failure: NodeError | None = None
         self._clock = self._data_node.get_clock()
@@ -168,8 +168,8 @@ class Ros2Host:
 
         return forget
 
-    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> GridTimer:
-        return GridTimer(self._data_node, self._data_group, self.now, period, epoch, callback)
+    def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros2GridTimer:
+        return Ros2GridTimer(self._data_node, self._data_group, self.now, period, epoch, callback)
 
     # -- control side --------------------------------------------------------------------------------
 
@@ -215,7 +215,7 @@ class Ros2Host:
             raise self._failure
 
     async def _run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
-        self._door = Door(
+        self._door = ParameterServices(
             self._control_node, self._data_node, self._control_group, self._control.executor, serve, self.on_data
         )
         self._door.show(self._shown)

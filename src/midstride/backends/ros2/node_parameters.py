@@ -20,7 +20,7 @@ _OF_ROS: Final = frozenset({"/parameter_events", "/rosout", "/clock"})
 _SERVICES_OF_ROS: Final = ("/get_type_description",)
 
 
-class OwnParameters:
+class Ros2NodeParameters:
     """Parameters of the data node, declared and set on the data side."""
 
     def __init__(self, node: Any, given: Collection[str]) -> None:

@@ -40,7 +40,7 @@ _TYPES: Final = (
 _ON_ITS_WAY: Final = 0.1
 
 
-class Door:
+class ParameterServices:
     """Serves the parameter services of ``data_node`` on ``control_node``; to be made on the control loop."""
 
     def __init__(

@@ -19,7 +19,7 @@ _ONE_MOMENT: Final = 50_000
 _ATTEMPTS: Final = 5
 
 
-class GridTimer:
+class Ros2GridTimer:
     """See :class:`midstride.node.host.Timer`. Everything here runs on the data side."""
 
     def __init__(

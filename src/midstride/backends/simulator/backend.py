@@ -13,7 +13,7 @@ from midstride.backends.simulator.clock import SimulatedClock
 from midstride.backends.simulator.cooperative_thread import simulated_sleep
 from midstride.backends.simulator.faults import Faults
 from midstride.backends.simulator.network import Network
-from midstride.backends.simulator.process import Process
+from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock
@@ -51,7 +51,7 @@ class Simulator:
         self.time = SimulatedClock()
         self.clock: Clock = self.time
         self.network = Network(self.time, latency, jitter, discovery, seed)
-        self.processes: dict[str, Process] = {}
+        self.processes: dict[str, SimulatedProcess] = {}
         self.faults = Faults(self.processes, self.network)
         self._starting = starting
         self._on_event: Callable[[Announcement | Exited], None] | None = None
@@ -102,7 +102,7 @@ class Simulator:
         if launch.instance in self.processes:
             raise StartFailed(f"a component named {launch.instance} runs already")
         self._pids += 1
-        process = Process(self, launch, self._pids, self._exited)
+        process = SimulatedProcess(self, launch, self._pids, self._exited)
         self.processes[launch.instance] = process
         self.time.loop.call_later(self._starting, process.resume)
         # No pid: it is no process of this machine's, and nobody shall send it a signal.
@@ -138,7 +138,7 @@ class Simulator:
         await self.time.sleep(max(deadline - self.time.steady(), 0.0))
         raise CallTimeout(f"{instance} did not answer within {timeout:g} s")
 
-    async def _serve(self, process: Process, command: Command) -> Reply:
+    async def _serve(self, process: SimulatedProcess, command: Command) -> Reply:
         """A process that is not up yet, or frozen, answers later."""
         while process.host is None or process.host.serve is None:
             await self.time.sleep(self.network.discovery)
@@ -173,12 +173,12 @@ class Simulator:
         told = Announcement.from_json(announcement.to_json())
         self.time.loop.call_later(self.network.latency, self._tell, told)
 
-    def register(self, instance: str, process: Process) -> None:
+    def register(self, instance: str, process: SimulatedProcess) -> None:
         """``process`` is on the platform as ``instance``. Raises StartFailed where the name is taken."""
         if self.processes.get(instance) is not process:
             raise StartFailed(f"a node named {instance} is in the graph already")
 
-    def _exited(self, process: Process) -> None:
+    def _exited(self, process: SimulatedProcess) -> None:
         if self.processes.get(process.instance) is process:
             del self.processes[process.instance]
         if not process.awaited:

@@ -50,13 +50,13 @@ Yielded: TypeAlias = Sleeps | Waits | Ended
 class _Here(threading.local):
     """The fibre that a thread is, if it is one."""
 
-    fibre: Fibre | None = None
+    fibre: CooperativeThread | None = None
 
 
 _here: Final = _Here()
 
 
-class Fibre:
+class CooperativeThread:
     """``function`` in a thread of its own. :meth:`resume` runs it until it gives way."""
 
     def __init__(self, name: str, function: Callable[[], None], context: contextvars.Context) -> None:

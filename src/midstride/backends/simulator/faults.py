@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from midstride.backends.simulator.network import Network
-from midstride.backends.simulator.process import Process
+from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import BackendError
 
 How = Literal["lost_request", "lost_reply", "refused", "unreachable"]
@@ -25,7 +25,7 @@ class FailingCall:
 
 
 class Faults:
-    def __init__(self, processes: Mapping[str, Process], network: Network) -> None:
+    def __init__(self, processes: Mapping[str, SimulatedProcess], network: Network) -> None:
         self._processes = processes
         self._network = network
         self._failing: list[FailingCall] = []
@@ -65,7 +65,7 @@ class Faults:
                 return fault.how
         return None
 
-    def _process(self, instance: str) -> Process:
+    def _process(self, instance: str) -> SimulatedProcess:
         process = self._processes.get(instance)
         if process is None:
             raise BackendError(f"no component {instance} runs; there are: {', '.join(self._processes) or 'none'}")

@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Coroutine
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from midstride.backends.simulator.cooperative_thread import Waits
-from midstride.backends.simulator.network import Reader, Writer
+from midstride.backends.simulator.network import SimulatedReader, SimulatedWriter
 from midstride.backends.simulator.timer import SimulatedTimer
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.model.contract import QoS
@@ -18,7 +18,7 @@ from midstride.node.host import MessageInfo
 from midstride.wire.messages import Announcement, Command, Reply
 
 if TYPE_CHECKING:
-    from midstride.backends.simulator.process import Process
+    from midstride.backends.simulator.process import SimulatedProcess
 
 T = TypeVar("T")
 
@@ -38,7 +38,7 @@ class SimulatedHost:
 
     backend = "sim"
 
-    def __init__(self, process: Process, instance: str) -> None:
+    def __init__(self, process: SimulatedProcess, instance: str) -> None:
         self.instance = instance
         self.serve: Callable[[Command], Awaitable[Reply]] | None = None
         self.state: dict[str, Any] = {}
@@ -108,10 +108,12 @@ class SimulatedHost:
     def pause(self, seconds: float) -> Awaitable[None]:
         return Pause(seconds)
 
-    def create_publisher(self, topic: str, type_: type, qos: QoS) -> Writer:
+    def create_publisher(self, topic: str, type_: type, qos: QoS) -> SimulatedWriter:
         return self._process.world.network.create_writer(self._process, topic, type_name(type_), qos)
 
-    def create_subscription(self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]) -> Reader:
+    def create_subscription(
+        self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
+    ) -> SimulatedReader:
         def take() -> None:
             if reader.queue and not reader.gone:
                 callback(*reader.queue.popleft())

@@ -40,7 +40,7 @@ _EMPTY: Final = {"bool": False, "string": "", "wstring": "", "octet": b"\x00", "
 Default = Callable[[], Any]
 
 
-class Message:
+class SimulatedMessage:
     """A message: its fields as attributes, given by name, else as ROS defaults them."""
 
     __msgtype__ = ""
@@ -85,7 +85,7 @@ def _store() -> Any:
 
 
 @cache
-def message_class(name: str) -> type[Message]:
+def message_class(name: str) -> type[SimulatedMessage]:
     """The class of ``pkg/msg/Name``. Raises KeyError for one that the type store does not have."""
     constants, fields = _store().fielddefs[name]
     package, _, short = name.split("/")
@@ -98,7 +98,7 @@ def message_class(name: str) -> type[Message]:
         "_types": {field: _told(kind) for field, kind in fields},
         **{constant: value for constant, _, value in constants},
     }
-    return type(short, (Message,), attributes)
+    return type(short, (SimulatedMessage,), attributes)
 
 
 def _constant(value: Any) -> Default:

@@ -17,7 +17,7 @@ from midstride.backends.simulator.clock import SimulatedClock
 from midstride.model.contract import QoS
 
 
-class Party(Protocol):
+class Participant(Protocol):
     """The process an endpoint lives in."""
 
     @property
@@ -30,10 +30,10 @@ class Party(Protocol):
         ...
 
 
-class Writer:
+class SimulatedWriter:
     """A publishing endpoint."""
 
-    def __init__(self, network: Network, owner: Party, topic: str, type_: str, qos: QoS) -> None:
+    def __init__(self, network: Network, owner: Participant, topic: str, type_: str, qos: QoS) -> None:
         self.owner = owner
         self.topic = topic
         self.type = type_
@@ -66,11 +66,11 @@ class Writer:
         self._network.remove_writer(self)
 
 
-class Reader:
+class SimulatedReader:
     """A subscribing endpoint; ``wake`` has its process take one message from the queue."""
 
     def __init__(
-        self, network: Network, owner: Party, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
+        self, network: Network, owner: Participant, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
     ) -> None:
         self.owner = owner
         self.topic = topic
@@ -99,11 +99,11 @@ def _depth(qos: QoS) -> int | None:
 
 
 @dataclass(slots=True)
-class Topic:
+class SimulatedTopic:
     """The endpoints of a topic, and what a fault does to its messages."""
 
-    writers: list[Writer] = field(default_factory=list)
-    readers: list[Reader] = field(default_factory=list)
+    writers: list[SimulatedWriter] = field(default_factory=list)
+    readers: list[SimulatedReader] = field(default_factory=list)
     dropping: int = 0
     delay: float = 0.0
 
@@ -115,45 +115,47 @@ class Network:
         self.clock = clock
         self.latency = latency
         self.discovery = discovery
-        self.topics: dict[str, Topic] = {}
+        self.topics: dict[str, SimulatedTopic] = {}
         self._jitter = jitter
         self._random = random.Random(seed)
         self._identities = 0
         # What is on its way between two endpoints, in order: timers of one moment come in any order.
-        self._on_the_way: dict[tuple[Writer, Reader], deque[tuple[float, Any, Any]]] = {}
+        self._on_the_way: dict[tuple[SimulatedWriter, SimulatedReader], deque[tuple[float, Any, Any]]] = {}
 
     def next_identity(self) -> str:
         self._identities += 1
         return f"{self._identities:04x}"
 
-    def topic(self, name: str) -> Topic:
-        return self.topics.setdefault(name if name.startswith("/") else f"/{name}", Topic())
+    def topic(self, name: str) -> SimulatedTopic:
+        return self.topics.setdefault(name if name.startswith("/") else f"/{name}", SimulatedTopic())
 
     # -- endpoints ---------------------------------------------------------------------------------
 
-    def create_writer(self, owner: Party, topic: str, type_: str, qos: QoS) -> Writer:
-        writer = Writer(self, owner, topic, type_, qos)
+    def create_writer(self, owner: Participant, topic: str, type_: str, qos: QoS) -> SimulatedWriter:
+        writer = SimulatedWriter(self, owner, topic, type_, qos)
         self.topic(topic).writers.append(writer)
         return writer
 
-    def create_reader(self, owner: Party, topic: str, type_: str, qos: QoS, wake: Callable[[], None]) -> Reader:
-        reader = Reader(self, owner, topic, type_, qos, wake)
+    def create_reader(
+        self, owner: Participant, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
+    ) -> SimulatedReader:
+        reader = SimulatedReader(self, owner, topic, type_, qos, wake)
         self.topic(topic).readers.append(reader)
         for writer in self.topic(topic).writers:
             self._latch(writer, reader)
         return reader
 
-    def remove_writer(self, writer: Writer) -> None:
+    def remove_writer(self, writer: SimulatedWriter) -> None:
         writers = self.topic(writer.topic).writers
         if writer in writers:
             writers.remove(writer)
 
-    def remove_reader(self, reader: Reader) -> None:
+    def remove_reader(self, reader: SimulatedReader) -> None:
         readers = self.topic(reader.topic).readers
         if reader in readers:
             readers.remove(reader)
 
-    def remove_party(self, owner: Party) -> None:
+    def remove_party(self, owner: Participant) -> None:
         """A process is gone: so are its endpoints."""
         for topic in self.topics.values():
             topic.writers = [writer for writer in topic.writers if writer.owner is not owner]
@@ -161,20 +163,20 @@ class Network:
                 reader.gone = reader.gone or reader.owner is owner
             topic.readers = [reader for reader in topic.readers if not reader.gone]
 
-    def readers_of(self, writer: Writer) -> list[Reader]:
+    def readers_of(self, writer: SimulatedWriter) -> list[SimulatedReader]:
         """The readers it is matched with by now."""
         return [reader for reader in self.topic(writer.topic).readers if self._matched(writer, reader)]
 
-    def writers_of(self, reader: Reader) -> list[Writer]:
+    def writers_of(self, reader: SimulatedReader) -> list[SimulatedWriter]:
         return [writer for writer in self.topic(reader.topic).writers if self._matched(writer, reader)]
 
-    def _matched(self, writer: Writer, reader: Reader) -> bool:
+    def _matched(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
         known = max(writer.created, reader.created) + self.discovery
         return known <= self.clock.steady() and _compatible(writer, reader)
 
     # -- messages ----------------------------------------------------------------------------------
 
-    def publish(self, writer: Writer, message: Any) -> None:
+    def publish(self, writer: SimulatedWriter, message: Any) -> None:
         topic = self.topic(writer.topic)
         if writer not in topic.writers:
             return  # destroyed, or its process is gone
@@ -188,13 +190,15 @@ class Network:
         for reader in self.readers_of(writer):
             self._send(writer, reader, message, info)
 
-    def _latch(self, writer: Writer, reader: Reader) -> None:
+    def _latch(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
         """A late joiner gets what a transient-local writer has kept, once both know of each other."""
         if writer.qos.is_transient_local and reader.qos.is_transient_local and _compatible(writer, reader):
             for message, info in writer.history:
                 self._send(writer, reader, message, info, self.discovery)
 
-    def _send(self, writer: Writer, reader: Reader, message: Any, info: Any, extra: float = 0.0) -> None:
+    def _send(
+        self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
+    ) -> None:
         jitter = self._random.uniform(0.0, self._jitter) if self._jitter else 0.0
         at = self.clock.steady() + self.latency + jitter + self.topic(writer.topic).delay + extra
         waiting = self._on_the_way.setdefault((writer, reader), deque())
@@ -205,7 +209,7 @@ class Network:
         writer.on_the_way += 1
         self.clock.loop.call_later(at - self.clock.steady(), self._arrive, writer, reader)
 
-    def _arrive(self, writer: Writer, reader: Reader) -> None:
+    def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
         left = reader.owner.awake_at() - self.clock.steady()
         if left > 0 and not reader.gone:
             self.clock.loop.call_later(left, self._arrive, writer, reader)  # a frozen process acknowledges nothing
@@ -219,5 +223,5 @@ class Network:
             reader.arrive(message, info)
 
 
-def _compatible(writer: Writer, reader: Reader) -> bool:
+def _compatible(writer: SimulatedWriter, reader: SimulatedReader) -> bool:
     return writer.type == reader.type and not reader.qos.unmet_by(writer.qos)

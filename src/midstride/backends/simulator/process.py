@@ -16,7 +16,7 @@ from types import CodeType, ModuleType
 from typing import Any, Final, Protocol
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.cooperative_thread import Ended, Fibre, Killed, Sleeps, Yielded
+from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Killed, Sleeps, Yielded
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.backends.simulator.network import Network
 from midstride.errors import BackendError, StartFailed
@@ -30,7 +30,7 @@ _PYTHON: Final = re.compile(r"python(3(\.\d+)?)?\Z")
 KEPT: Final = 1000
 
 
-class World(Protocol):
+class SimulatedPlatform(Protocol):
     """What a process needs of its simulator."""
 
     time: SimulatedClock
@@ -40,10 +40,10 @@ class World(Protocol):
 
     def announce(self, announcement: Announcement) -> None: ...
 
-    def register(self, instance: str, process: Process) -> None: ...
+    def register(self, instance: str, process: SimulatedProcess) -> None: ...
 
 
-class Log(io.TextIOBase):
+class ProcessOutput(io.TextIOBase):
     """What a process writes to its standard output and error: the last lines are kept."""
 
     def __init__(self) -> None:
@@ -62,14 +62,16 @@ class Log(io.TextIOBase):
         return "\n".join(list(self._lines)[-lines:]).strip()
 
 
-class Process:
+class SimulatedProcess:
     """Runs ``launch``. ``on_exit(process)`` is called once, when it is gone; ``status`` then says how."""
 
-    def __init__(self, world: World, launch: Launch, pid: int, on_exit: Callable[[Process], None]) -> None:
+    def __init__(
+        self, world: SimulatedPlatform, launch: Launch, pid: int, on_exit: Callable[[SimulatedProcess], None]
+    ) -> None:
         self.world = world
         self.launch = launch
         self.pid = pid
-        self.log = Log()
+        self.log = ProcessOutput()
         self.host: SimulatedHost | None = None
         self.dead = False
         self.terminating = False
@@ -78,12 +80,12 @@ class Process:
         self.status: int | None = None
         self.gone = asyncio.Event()
         self._on_exit = on_exit
-        self._program = Program(launch, self.log)
+        self._program = SimulatedProgram(launch, self.log)
         self._thawed_at = 0.0
         self._asleep = False
         context = contextvars.copy_context()
         context.run(process_context.current.set, self._surroundings())
-        self.fibre = Fibre(launch.instance, self._program.run, context)
+        self.fibre = CooperativeThread(launch.instance, self._program.run, context)
 
     @property
     def instance(self) -> str:
@@ -96,12 +98,12 @@ class Process:
         inside = (own or self.launch.namespace).strip("/")
         return f"/{inside}/{name}" if inside else f"/{name}"
 
-    def _surroundings(self) -> process_context.Surroundings:
+    def _surroundings(self) -> process_context.ProcessContext:
         def factory(name: str, namespace: str) -> Host:
             return SimulatedHost(self, name)
 
         launch = self.launch
-        return process_context.Surroundings(
+        return process_context.ProcessContext(
             factory=factory,
             instance=launch.instance,
             namespace=launch.namespace,
@@ -189,10 +191,10 @@ class Process:
         self._on_exit(self)
 
 
-class Program:
+class SimulatedProgram:
     """The script or module of a command, and what of Python's global state is its own while it runs."""
 
-    def __init__(self, launch: Launch, log: Log) -> None:
+    def __init__(self, launch: Launch, log: ProcessOutput) -> None:
         command = " ".join(launch.arguments)
         if not launch.arguments or not _is_python(launch.arguments[0]):
             raise StartFailed(
@@ -261,14 +263,14 @@ class Program:
                 self._log.write("".join(traceback.format_exception(type(error), error, trace)))
                 return 1
 
-    def foreground(self) -> Foreground:
-        return Foreground(self)
+    def foreground(self) -> InterpreterState:
+        return InterpreterState(self)
 
 
-class Foreground:
+class InterpreterState:
     """While open, Python's global state is as in a process of the program's own."""
 
-    def __init__(self, program: Program) -> None:
+    def __init__(self, program: SimulatedProgram) -> None:
         self._program = program
 
     def __enter__(self) -> None:

@@ -29,7 +29,7 @@ def demo_command(name: str, backend: str | None) -> int:
 
     from midstride import backends
     from midstride.cli import INTERRUPTED
-    from midstride.cli.demo_runner import perform
+    from midstride.cli.demo_runner import run_demo
     from midstride.cli.example import find
     from midstride.cli.output import console, print_json, wants_json
 
@@ -41,7 +41,7 @@ def demo_command(name: str, backend: str | None) -> int:
             click.echo(f"ROS 2 cannot be imported here, so this runs on {instead}.", err=True)
     out = Console(quiet=True) if wants_json() else console()
     try:
-        outcomes = asyncio.run(perform(example, backend, out))
+        outcomes = asyncio.run(run_demo(example, backend, out))
     except asyncio.CancelledError:
         click.echo("\nInterrupted; everything that was started has ended.", err=True)
         return INTERRUPTED

@@ -149,13 +149,13 @@ async def keeps_the_latest_message(backend: Backend, workspace: Path) -> None:
         await lab.attach("talker", "out", "/chatter")
         assert (await lab.told("sink"))["latest"] == {"in": "NoneType"}
         await lab.attach("sink", "in", "/chatter", peers=1)
-        await lab.eventually("it has heard something", lambda: _heard(lab))
+        await lab.eventually("it has heard something", lambda: _on_backend_event(lab))
         assert await lab.received("sink") == [], "the degraded mode calls nothing"
         await lab.change("sink", "detach", port="in", topic="/chatter")
         assert (await lab.told("sink"))["latest"] == {"in": "NoneType"}
 
 
-async def _heard(lab: Lab) -> bool:
+async def _on_backend_event(lab: Lab) -> bool:
     latest: str = (await lab.told("sink"))["latest"]["in"]
     return latest.startswith("talker normal")
 

@@ -36,30 +36,30 @@ MEETS, CAPS = "a current guarantee of each new meets its topic", "caps hold afte
 
 
 @dataclass(frozen=True, slots=True)
-class Step:
+class ActionFormula:
     """An action taken: what it asks, and the configuration it leads to."""
 
     precondition: list[Part]
     after: State
 
 
-def create(t: Theory, s: State, c: Term, tag: str = "after") -> Step:
+def create(t: Theory, s: State, c: Term, tag: str = "after") -> ActionFormula:
     after = t.state(
         tag,
         lambda d: or_(s.live(d), equal(d, c)),
         lambda p, k: and_(s.attached(p, k), not_(equal(t.component(p), c))),
         lambda f: if_(equal(t.host(f), c), t.last(f), s.mode(f)),
     )
-    return Step([Part(NOT_LIVE, not_(s.live(c))), Part(CAPACITY, t.capacities_hold(after))], after)
+    return ActionFormula([Part(NOT_LIVE, not_(s.live(c))), Part(CAPACITY, t.capacities_hold(after))], after)
 
 
-def remove(t: Theory, s: State, c: Term, tag: str = "after") -> Step:
+def remove(t: Theory, s: State, c: Term, tag: str = "after") -> ActionFormula:
     isolated = t.logic.all((PORT, TOPIC), lambda p, k: implies(equal(t.component(p), c), not_(s.attached(p, k))))
     after = t.state(tag, lambda d: and_(s.live(d), not_(equal(d, c))), s.attached, s.mode)
-    return Step([Part(LIVE, s.live(c)), Part(ISOLATED, isolated)], after)
+    return ActionFormula([Part(LIVE, s.live(c)), Part(ISOLATED, isolated)], after)
 
 
-def attach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> Step:
+def attach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> ActionFormula:
     after = t.state(tag, s.live, lambda q, on: or_(s.attached(q, on), and_(equal(q, p), equal(on, k))), s.mode)
     precondition = [
         Part(LIVE, s.live(t.component(p))),
@@ -67,12 +67,12 @@ def attach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> Step:
         Part(CONTRACT, t.fits(p, k)),
         Part(CAP, implies(t.is_output(p), t.cap_holds(after, k))),
     ]
-    return Step(precondition, after)
+    return ActionFormula(precondition, after)
 
 
-def detach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> Step:
+def detach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> ActionFormula:
     after = t.state(tag, s.live, lambda q, on: and_(s.attached(q, on), not_(and_(equal(q, p), equal(on, k)))), s.mode)
-    return Step([Part(ATTACHED, s.attached(p, k)), Part(STAYS, t.everyone_satisfied(after))], after)
+    return ActionFormula([Part(ATTACHED, s.attached(p, k)), Part(STAYS, t.everyone_satisfied(after))], after)
 
 
 Group = Callable[[Term], Term]
@@ -94,24 +94,24 @@ def _satisfied(t: Theory, after: State, who: Group) -> Term:
     return t.logic.all((FUNCTIONALITY,), lambda f: implies(and_(t.live_in(after, f), who(f)), t.satisfied(after, f)))
 
 
-def degrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> Step:
+def degrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> ActionFormula:
     parts, after = _changed(t, s, group, to, better=False)
     parts += [
         Part(OUTSIDE, _satisfied(t, after, lambda f: not_(group(f)))),
         Part(INSIDE, _satisfied(t, after, group)),
     ]
-    return Step(parts, after)
+    return ActionFormula(parts, after)
 
 
-def upgrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> Step:
+def upgrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> ActionFormula:
     parts, after = _changed(t, s, group, to, better=True)
-    return Step([*parts, Part(INSIDE, _satisfied(t, after, group))], after)
+    return ActionFormula([*parts, Part(INSIDE, _satisfied(t, after, group))], after)
 
 
 Swaps = Callable[[Term, Term, Term], Term]  # topic, old, new
 
 
-def handover(t: Theory, s: State, swaps: Swaps, tag: str = "after") -> Step:
+def handover(t: Theory, s: State, swaps: Swaps, tag: str = "after") -> ActionFormula:
     """All at once. That an exchange one for one changes no number of publishers is the third law of finite sets."""
     logic = t.logic
 
@@ -168,7 +168,7 @@ def handover(t: Theory, s: State, swaps: Swaps, tag: str = "after") -> Step:
         Part(MEETS, meets),
         Part(CAPS, logic.all((TOPIC,), lambda k: t.cap_holds(after, k))),
     ]
-    return Step(precondition, after)
+    return ActionFormula(precondition, after)
 
 
 def in_group(f: Term) -> Term:

@@ -58,7 +58,7 @@ def _some_member(t: Theory, group: act.Group) -> Term:
     return t.logic.some((FUNCTIONALITY,), group)
 
 
-def _step(t: Theory, s: State, action: str) -> tuple[act.Step, Term]:
+def _step(t: Theory, s: State, action: str) -> tuple[act.ActionFormula, Term]:
     """The action of that name, taken in ``s`` of whatever it may be taken of; and that it is not empty."""
     if action in ("create", "remove"):
         step = (act.create if action == "create" else act.remove)(t, s, act.a_component(t))

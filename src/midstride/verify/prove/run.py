@@ -20,7 +20,7 @@ from midstride.verify.prove.goals import ACTION_GOALS, Case, Goal
 from midstride.verify.prove.rules import rules
 from midstride.verify.prove.terms import Term, and_, app, not_
 from midstride.verify.prove.theory import SORTS, Part, Theory
-from midstride.verify.prove.wording import Teller
+from midstride.verify.prove.wording import Wording
 from midstride.verify.verdict import Answer
 
 GOALS: Final[tuple[Goal, ...]] = (*ACTION_GOALS, *FACT_GOALS)
@@ -205,7 +205,7 @@ def _model(goal: Goal, name: solvers.Name, dropped: tuple[str, ...], seconds: fl
             continue
         if violated:
             _shrink(t, session)
-        return str(Teller(t, case, session)) if violated else ""
+        return str(Wording(t, case, session)) if violated else ""
     return None
 
 

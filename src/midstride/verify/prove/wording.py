@@ -21,7 +21,7 @@ from midstride.verify.prove.theory import (
 )
 
 
-class Teller:
+class Wording:
     """Reads a model as it is asked of it. Components are c1, c2, …, their functionalities c1.f1, and so on."""
 
     def __init__(self, t: Theory, case: Case, session: Session) -> None:
