@@ -108,9 +108,9 @@ class Case:
         specification = system(size)
         bare = structure(specification)
         begin = time.perf_counter()
-        s = best(bare)
+        configuration = best(bare)
         best_ms = (time.perf_counter() - begin) * 1000
-        return cls(specification, s, {"components": len(specification.nodes), "best_ms": best_ms})
+        return cls(specification, configuration, {"components": len(specification.nodes), "best_ms": best_ms})
 
     def plan(self, strategy: str) -> Plan:
         """A whole replacement as the manager does it, from the request to the plan."""

@@ -95,9 +95,9 @@ def system(
     return configure(world, live, pairs, chosen)
 
 
-def modes_of(s: Configuration) -> dict[str, str]:
+def modes_of(configuration: Configuration) -> dict[str, str]:
     """Each instance's mode, by name, for components of one functionality."""
-    return {ref.component: s.mode(ref).name for ref in s.modes}
+    return {ref.component: configuration.mode(ref).name for ref in configuration.modes}
 
 
 def work(name: str) -> FunctionalityRef:

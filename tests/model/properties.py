@@ -103,20 +103,20 @@ def _walk(data: st.DataObject, visit: Callable[[Configuration, Action], None]) -
 
 
 def preconditions_and_effects_are_the_twins(data: st.DataObject) -> None:
-    def visit(s: Configuration, action: Action) -> None:
-        plain = twin.of_configuration(s)
-        reasons = action.check(s)
-        assert (not reasons) == twin.allowed(plain, action), (action.describe(s), reasons)
+    def visit(configuration: Configuration, action: Action) -> None:
+        plain = twin.of_configuration(configuration)
+        reasons = action.check(configuration)
+        assert (not reasons) == twin.allowed(plain, action), (action.describe(configuration), reasons)
         if not reasons:
-            assert twin.of_configuration(action.apply(s)) == twin.effect(plain, action)
+            assert twin.of_configuration(action.apply(configuration)) == twin.effect(plain, action)
 
     _walk(data, visit)
 
 
 def actions_keep_what_is_valid(data: st.DataObject) -> None:
-    def visit(s: Configuration, action: Action) -> None:
-        if not action.check(s):
-            after = action.apply(s)
+    def visit(configuration: Configuration, action: Action) -> None:
+        if not action.check(configuration):
+            after = action.apply(configuration)
             assert not violations(after)
             assert twin.valid(twin.of_configuration(after))
 
@@ -126,15 +126,15 @@ def actions_keep_what_is_valid(data: st.DataObject) -> None:
 def undo_undoes(data: st.DataObject) -> None:
     """Exactly, by steps each of which is itself accepted; and what is derived does not depend on the way."""
 
-    def visit(s: Configuration, action: Action) -> None:
-        if action.check(s):
+    def visit(configuration: Configuration, action: Action) -> None:
+        if action.check(configuration):
             return
-        back = action.apply(s)
+        back = action.apply(configuration)
         assert back == _from_scratch(back)
-        for step in action.undo(s):
+        for step in action.undo(configuration):
             back = step.apply(back)
             assert not violations(back)
-        assert back == s
+        assert back == configuration
 
     _walk(data, visit)
 
@@ -143,26 +143,26 @@ def plans_roll_back(data: st.DataObject) -> None:
     """F6 for a sequence: each action undone in turn, last first."""
     taken: list[tuple[Configuration, Action]] = []
 
-    def visit(s: Configuration, action: Action) -> None:
-        if not action.check(s):
-            taken.append((s, action))
+    def visit(configuration: Configuration, action: Action) -> None:
+        if not action.check(configuration):
+            taken.append((configuration, action))
 
     _walk(data, visit)
     if taken:
-        s = taken[-1][1].apply(taken[-1][0])
+        configuration = taken[-1][1].apply(taken[-1][0])
         for before, action in reversed(taken):
             for step in action.undo(before):
-                s = step.apply(s)
-            assert s == before
+                configuration = step.apply(configuration)
+            assert configuration == before
 
 
 def refusals_say_why(data: st.DataObject) -> None:
-    def visit(s: Configuration, action: Action) -> None:
-        reasons = action.check(s)
+    def visit(configuration: Configuration, action: Action) -> None:
+        reasons = action.check(configuration)
         if not reasons:
             return
         with pytest.raises(ActionRefused) as refused:
-            action.apply(s)
+            action.apply(configuration)
         assert refused.value.reasons == reasons
         for reason in reasons:
             assert reason.precondition
@@ -174,20 +174,27 @@ def refusals_say_why(data: st.DataObject) -> None:
     _walk(data, visit)
 
 
-def _from_scratch(s: Configuration) -> Configuration:
-    return configure(s.world, s.instances.values(), s.attachments(), dict(s.modes))
+def _from_scratch(configuration: Configuration) -> Configuration:
+    return configure(
+        configuration.world, configuration.instances.values(), configuration.attachments(), dict(configuration.modes)
+    )
 
 
 def violations_are_the_twins(data: st.DataObject) -> None:
     """In any modes, and with caps and capacities exceeded."""
-    s = data.draw(scenes()).configuration
-    modes = {ref: data.draw(st.integers(0, s.functionality(ref).last_mode)) for ref in sorted(s.modes)}
-    s = s.with_modes(modes)
+    configuration = data.draw(scenes()).configuration
+    modes = {
+        ref: data.draw(st.integers(0, configuration.functionality(ref).last_mode))
+        for ref in sorted(configuration.modes)
+    }
+    configuration = configuration.with_modes(modes)
     if data.draw(st.booleans()):
-        capped = {name: replace(c, cap=1) for name, c in s.world.connectors.items()}
-        resources = {name: replace(r, capacity=0.2) for name, r in s.world.resources.items()}
-        s = s.with_context(replace(s.world, connectors=Map(capped), resources=Map(resources)))
-    assert (not violations(s)) == twin.valid(twin.of_configuration(s))
+        capped = {name: replace(c, cap=1) for name, c in configuration.world.connectors.items()}
+        resources = {name: replace(r, capacity=0.2) for name, r in configuration.world.resources.items()}
+        configuration = configuration.with_context(
+            replace(configuration.world, connectors=Map(capped), resources=Map(resources))
+        )
+    assert (not violations(configuration)) == twin.valid(twin.of_configuration(configuration))
 
 
 # -- best ------------------------------------------------------------------------------------------------
@@ -198,21 +205,21 @@ def _plain(modes: Map[FunctionalityRef, int]) -> dict[twin.Functionality, int]:
 
 
 def best_is_the_twins(data: st.DataObject) -> None:
-    s = best(data.draw(scenes()).configuration)
-    assert not violations(s)
-    assert _plain(s.modes) == twin.best(twin.of_configuration(s))
-    assert best(s) == s
+    configuration = best(data.draw(scenes()).configuration)
+    assert not violations(configuration)
+    assert _plain(configuration.modes) == twin.best(twin.of_configuration(configuration))
+    assert best(configuration) == configuration
 
 
 def best_is_the_greatest(data: st.DataObject) -> None:
     """Among all valid assignments of a small system, found by trying them; pointwise (F2)."""
-    s = data.draw(scenes(most=3)).configuration
+    configuration = data.draw(scenes(most=3)).configuration
     count = 1
-    for ref in s.modes:
-        count *= len(s.functionality(ref).modes)
+    for ref in configuration.modes:
+        count *= len(configuration.functionality(ref).modes)
     assume(count <= 100)
-    found = _plain(best(s).modes)
-    valid = twin.valid_assignments(twin.of_configuration(s))
+    found = _plain(best(configuration).modes)
+    valid = twin.valid_assignments(twin.of_configuration(configuration))
     assert found in valid
     assert all(found[f] <= modes[f] for modes in valid for f in modes)
     for one in valid:  # closed under the pointwise better of two
@@ -222,40 +229,40 @@ def best_is_the_greatest(data: st.DataObject) -> None:
 def rebalanced_is_best(data: st.DataObject) -> None:
     """After any changes to the structure, several at once, whether or not an action would allow them."""
     scene = data.draw(scenes())
-    s = best(scene.configuration)
+    configuration = best(scene.configuration)
     seeds: set[FunctionalityRef] = set()
     for _ in range(data.draw(st.integers(1, 4))):
-        s = _changed(data, scene, s, seeds)
-    changes = rebalanced(s, sorted(ref for ref in seeds if ref.component in s.instances))
-    assert s.with_modes(changes) == best(s)
-    assert all(s.modes[ref] != index for ref, index in changes.items())
+        configuration = _changed(data, scene, configuration, seeds)
+    changes = rebalanced(configuration, sorted(ref for ref in seeds if ref.component in configuration.instances))
+    assert configuration.with_modes(changes) == best(configuration)
+    assert all(configuration.modes[ref] != index for ref, index in changes.items())
 
 
 def _changed(
-    data: st.DataObject, scene: GeneratedSystem, s: Configuration, seeds: set[FunctionalityRef]
+    data: st.DataObject, scene: GeneratedSystem, configuration: Configuration, seeds: set[FunctionalityRef]
 ) -> Configuration:
     kind = data.draw(st.sampled_from(("attach", "attach", "detach", "detach", "create", "remove")))
-    name = data.draw(st.sampled_from(sorted(s.instances))) if s.instances else ""
+    name = data.draw(st.sampled_from(sorted(configuration.instances))) if configuration.instances else ""
     if kind == "create":
         new = Instance(f"new{len(seeds)}", "new", data.draw(st.sampled_from(scene.components)))
-        if new.name not in s.instances:
-            s = s.with_instance(new)
+        if new.name not in configuration.instances:
+            configuration = configuration.with_instance(new)
             seeds.update(new.functionality_refs())
     elif kind == "remove" and name:
-        for port, connector in s.attached_ports(name):
-            seeds.update(consumers_of(s, port, connector))
-        s = s.without_instance(name)
-    elif kind == "attach" and name and (ports := s.component(name).ports()):
+        for port, connector in configuration.attached_ports(name):
+            seeds.update(consumers_of(configuration, port, connector))
+        configuration = configuration.without_instance(name)
+    elif kind == "attach" and name and (ports := configuration.component(name).ports()):
         port = PortRef(name, data.draw(st.sampled_from(ports)))
-        connector = data.draw(st.sampled_from(sorted(s.world.connectors)))
-        if not s.is_attached(port, connector):
-            s = s.with_attachment(port, connector)
-            seeds.update(consumers_of(s, port, connector))
-    elif kind == "detach" and (attached := sorted(s.attachments())):
+        connector = data.draw(st.sampled_from(sorted(configuration.world.connectors)))
+        if not configuration.is_attached(port, connector):
+            configuration = configuration.with_attachment(port, connector)
+            seeds.update(consumers_of(configuration, port, connector))
+    elif kind == "detach" and (attached := sorted(configuration.attachments())):
         port, connector = data.draw(st.sampled_from(attached))
-        seeds.update(consumers_of(s, port, connector))
-        s = s.without_attachment(port, connector)
-    return s
+        seeds.update(consumers_of(configuration, port, connector))
+        configuration = configuration.without_attachment(port, connector)
+    return configuration
 
 
 def rebalanced_keeps_below_a_ceiling(data: st.DataObject) -> None:
@@ -264,35 +271,37 @@ def rebalanced_keeps_below_a_ceiling(data: st.DataObject) -> None:
         ref: data.draw(st.integers(0, scene.configuration.functionality(ref).last_mode))
         for ref in sorted(scene.configuration.modes)
     }
-    s = _below(scene.configuration, top)
+    configuration = _below(scene.configuration, top)
     seeds: set[FunctionalityRef] = set()
     for _ in range(2):
-        s = _changed(data, scene, s, seeds)
-    top.update({ref: 0 for ref in s.modes if ref not in top})
-    live = sorted(ref for ref in seeds if ref.component in s.instances)
-    assert s.with_modes(rebalanced(s, live, lambda ref: top[ref])) == _below(s, top)
+        configuration = _changed(data, scene, configuration, seeds)
+    top.update({ref: 0 for ref in configuration.modes if ref not in top})
+    live = sorted(ref for ref in seeds if ref.component in configuration.instances)
+    assert configuration.with_modes(rebalanced(configuration, live, lambda ref: top[ref])) == _below(configuration, top)
 
 
-def _below(s: Configuration, top: dict[FunctionalityRef, int]) -> Configuration:
+def _below(configuration: Configuration, top: dict[FunctionalityRef, int]) -> Configuration:
     """The best assignment no better than ``top``, as the twin would find it."""
-    s = s.with_modes({ref: index for ref, index in top.items() if ref in s.modes})
+    configuration = configuration.with_modes({ref: index for ref, index in top.items() if ref in configuration.modes})
     while True:
-        plain = twin.of_configuration(s)
-        unsatisfied = [ref for ref in s.modes if not twin.satisfied(plain, (ref.component, ref.functionality))]
+        plain = twin.of_configuration(configuration)
+        unsatisfied = [
+            ref for ref in configuration.modes if not twin.satisfied(plain, (ref.component, ref.functionality))
+        ]
         if not unsatisfied:
-            return s
-        s = s.with_modes({unsatisfied[0]: s.modes[unsatisfied[0]] + 1})
+            return configuration
+        configuration = configuration.with_modes({unsatisfied[0]: configuration.modes[unsatisfied[0]] + 1})
 
 
 def lowered_is_the_least_degradation(data: st.DataObject) -> None:
     """F3: after detaching, from where one stands."""
-    s = data.draw(scenes()).configuration
+    configuration = data.draw(scenes()).configuration
     seeds: list[FunctionalityRef] = []
-    for port, connector in sorted(s.attachments()):
+    for port, connector in sorted(configuration.attachments()):
         if data.draw(st.booleans()):
-            seeds += consumers_of(s, port, connector)
-            s = s.without_attachment(port, connector)
-    assert s.with_modes(lowered(s, seeds)) == _below(s, dict(s.modes))
+            seeds += consumers_of(configuration, port, connector)
+            configuration = configuration.without_attachment(port, connector)
+    assert configuration.with_modes(lowered(configuration, seeds)) == _below(configuration, dict(configuration.modes))
 
 
 # -- specifications --------------------------------------------------------------------------------------
@@ -351,10 +360,10 @@ def drawn_specifications_are_well_formed(data: st.DataObject) -> None:
     problems = check(specification)
     assert not errors(problems)
     assert problems == check(specification)
-    s = initial(specification)
-    assert not violations(s)
+    configuration = initial(specification)
+    assert not violations(configuration)
     warned = {problem.subject[1] for problem in problems if problem.code == "W033"}
-    assert warned == {ref.component for ref, index in s.modes.items() if index > 0}
+    assert warned == {ref.component for ref, index in configuration.modes.items() if index > 0}
 
 
 PROPERTIES: dict[Property, int] = {  # how many examples at each run of the tests

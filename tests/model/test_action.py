@@ -30,22 +30,25 @@ def talker_and_listener(*, rate: float = 10.0) -> Configuration:
     return best(system(instances, ["talker.out /chatter", "listener.in /chatter"]))
 
 
-def refused(action: Action, s: Configuration) -> list[tuple[str, tuple[str, ...]]]:
+def refused(action: Action, configuration: Configuration) -> list[tuple[str, tuple[str, ...]]]:
     """The failed preconditions with their subjects; the message holds every reason, and nothing has changed."""
     with pytest.raises(ActionRefused) as error:
-        action.apply(s)
-    assert str(error.value) == f"cannot {action.describe(s)}: {'; '.join(str(reason) for reason in action.check(s))}"
-    return [(reason.precondition, reason.subjects) for reason in action.check(s)]
+        action.apply(configuration)
+    assert (
+        str(error.value)
+        == f"cannot {action.describe(configuration)}: {'; '.join(str(reason) for reason in action.check(configuration))}"
+    )
+    return [(reason.precondition, reason.subjects) for reason in action.check(configuration)]
 
 
-def because(action: Action, s: Configuration) -> str:
-    return "; ".join(reason.because for reason in action.check(s))
+def because(action: Action, configuration: Configuration) -> str:
+    return "; ".join(reason.because for reason in action.check(configuration))
 
 
 def test_create() -> None:
-    s = talker_and_listener()
+    configuration = talker_and_listener()
     create = Create(Instance("talker_2", "talker", source("NewTalker")))
-    after = create.apply(s)
+    after = create.apply(configuration)
     assert after.modes[work("talker_2")] == 1
     assert after.attached_ports("talker_2") == []
     assert [instance.name for instance in after.instances_of("talker")] == ["talker", "talker_2"]
@@ -53,9 +56,9 @@ def test_create() -> None:
 
 
 def test_remove_asks_for_isolation_and_undoes_with_its_modes() -> None:
-    s = talker_and_listener()
-    assert refused(Remove("talker"), s) == [("isolated", ("talker.out", "/chatter"))]
-    assert refused(Remove("nobody"), s) == [("live", ("nobody",))]
+    configuration = talker_and_listener()
+    assert refused(Remove("talker"), configuration) == [("isolated", ("talker.out", "/chatter"))]
+    assert refused(Remove("nobody"), configuration) == [("live", ("nobody",))]
     alone = best(system({"talker": source("Talker")}, []))
     undo = Remove("talker").undo(alone)
     assert [step.describe(alone) for step in undo] == ["create talker (Talker)", "upgrade talker.work to normal"]
@@ -63,57 +66,59 @@ def test_remove_asks_for_isolation_and_undoes_with_its_modes() -> None:
 
 def test_attach_an_output_is_judged_by_its_normal_mode() -> None:
     """Else no cycle could be brought up: it is in its last mode when it is attached."""
-    s = system({"talker": source()}, [], topics={"/chatter": at(5)})
-    assert s.modes[work("talker")] == 1
-    assert Attach(port("talker.out"), "/chatter").apply(s).is_attached(port("talker.out"), "/chatter")
+    configuration = system({"talker": source()}, [], topics={"/chatter": at(5)})
+    assert configuration.modes[work("talker")] == 1
+    assert Attach(port("talker.out"), "/chatter").apply(configuration).is_attached(port("talker.out"), "/chatter")
 
 
 def test_attach_says_clause_by_clause_what_does_not_fit() -> None:
-    s = system({"talker": source(rate=1.0), "listener": sink(needs=7.0)}, [], topics={"/chatter": at(5)})
-    assert refused(Attach(port("talker.out"), "/chatter"), s) == [("contract", ("talker.out", "/chatter"))]
-    told = because(Attach(port("talker.out"), "/chatter"), s)
+    configuration = system({"talker": source(rate=1.0), "listener": sink(needs=7.0)}, [], topics={"/chatter": at(5)})
+    assert refused(Attach(port("talker.out"), "/chatter"), configuration) == [("contract", ("talker.out", "/chatter"))]
+    told = because(Attach(port("talker.out"), "/chatter"), configuration)
     assert (
         told == "talker.out in mode normal does not satisfy /chatter (rate: 1 Hz is offered, at least 5 Hz is needed)"
     )
-    told = because(Attach(port("listener.in"), "/chatter"), s)
+    told = because(Attach(port("listener.in"), "/chatter"), configuration)
     assert told == "/chatter does not satisfy what listener.in assumes (rate: 5 Hz is offered, at least 7 Hz is needed)"
 
 
 def test_attach_names_what_is_unknown() -> None:
-    s = talker_and_listener()
-    assert refused(Attach(port("nobody.out"), "/chatter"), s) == [("live", ("nobody",))]
-    assert refused(Attach(port("talker.mouth"), "/chatter"), s) == [("port", ("talker.mouth",))]
-    assert refused(Attach(port("talker.out"), "/nowhere"), s) == [("topic", ("/nowhere",))]
-    assert refused(Attach(port("talker.out"), "/chatter"), s) == [("not attached", ("talker.out", "/chatter"))]
+    configuration = talker_and_listener()
+    assert refused(Attach(port("nobody.out"), "/chatter"), configuration) == [("live", ("nobody",))]
+    assert refused(Attach(port("talker.mouth"), "/chatter"), configuration) == [("port", ("talker.mouth",))]
+    assert refused(Attach(port("talker.out"), "/nowhere"), configuration) == [("topic", ("/nowhere",))]
+    assert refused(Attach(port("talker.out"), "/chatter"), configuration) == [
+        ("not attached", ("talker.out", "/chatter"))
+    ]
 
 
 def test_detach_names_who_would_be_left_unsatisfied() -> None:
-    s = talker_and_listener()
-    assert refused(Detach(port("talker.out"), "/chatter"), s) == [
+    configuration = talker_and_listener()
+    assert refused(Detach(port("talker.out"), "/chatter"), configuration) == [
         ("satisfied", ("listener.work", "listener.in", "/chatter", "talker.out"))
     ]
-    assert because(Detach(port("talker.out"), "/chatter"), s) == (
+    assert because(Detach(port("talker.out"), "/chatter"), configuration) == (
         "without talker.out on /chatter, listener.work in mode normal: assumes in:"
         " nobody satisfies /chatter (it has no publisher)"
     )
-    assert "input listener.in is not attached" in because(Detach(port("listener.in"), "/chatter"), s)
-    assert refused(Detach(port("listener.in"), "/nowhere"), s)[0][0] == "topic"
-    low = Degrade(Map({work("listener"): 1})).apply(s)
+    assert "input listener.in is not attached" in because(Detach(port("listener.in"), "/chatter"), configuration)
+    assert refused(Detach(port("listener.in"), "/nowhere"), configuration)[0][0] == "topic"
+    low = Degrade(Map({work("listener"): 1})).apply(configuration)
     gone = Detach(port("talker.out"), "/chatter").apply(low)
     assert refused(Detach(port("talker.out"), "/chatter"), gone)[0][0] == "attached"
 
 
 def test_degrade_protects_those_outside_the_group() -> None:
-    s = talker_and_listener()
-    assert refused(Degrade(Map({work("talker"): 1})), s) == [
+    configuration = talker_and_listener()
+    assert refused(Degrade(Map({work("talker"): 1})), configuration) == [
         ("satisfied", ("listener.work", "listener.in", "/chatter", "talker.out"))
     ]
-    assert because(Degrade(Map({work("talker"): 1})), s) == (
+    assert because(Degrade(Map({work("talker"): 1})), configuration) == (
         "after degrade talker.work to degraded, listener.work in mode normal: assumes in: nobody satisfies /chatter"
         " (talker.out in mode degraded: nothing is guaranteed)"
     )
     both = Degrade(Map({work("talker"): 1, work("listener"): 1}))
-    assert is_valid(both.apply(s))
+    assert is_valid(both.apply(configuration))
 
 
 def test_degrade_to_a_mode_whose_own_assumptions_do_not_hold() -> None:
@@ -124,25 +129,25 @@ def test_degrade_to_a_mode_whose_own_assumptions_do_not_hold() -> None:
         [],
         [mode("fast", [named("fast")]), mode("slow", [named("slow")]), mode("stop")],
     )
-    s = best(system({"source": source(), "choosy": choosy}, ["source.out /t", "choosy.fast /t"]))
-    assert refused(Degrade(Map({work("choosy"): 1})), s)[0][0] == "satisfied"
-    assert is_valid(Degrade(Map({work("choosy"): 2})).apply(s))
+    configuration = best(system({"source": source(), "choosy": choosy}, ["source.out /t", "choosy.fast /t"]))
+    assert refused(Degrade(Map({work("choosy"): 1})), configuration)[0][0] == "satisfied"
+    assert is_valid(Degrade(Map({work("choosy"): 2})).apply(configuration))
 
 
 def test_mode_changes_must_be_strict_and_known() -> None:
-    s = talker_and_listener()
-    assert refused(Degrade(Map()), s) == [("named", ())]
-    assert refused(Upgrade(Map({work("talker"): 0})), s) == [("mode", ("talker.work",))]
-    assert refused(Degrade(Map({work("talker"): 2})), s) == [("mode", ("talker.work",))]
-    assert refused(Degrade(Map({work("talker"): -1})), s) == [("mode", ("talker.work",))]
-    assert refused(Degrade(Map({work("nobody"): 1})), s) == [("live", ("nobody.work",))]
+    configuration = talker_and_listener()
+    assert refused(Degrade(Map()), configuration) == [("named", ())]
+    assert refused(Upgrade(Map({work("talker"): 0})), configuration) == [("mode", ("talker.work",))]
+    assert refused(Degrade(Map({work("talker"): 2})), configuration) == [("mode", ("talker.work",))]
+    assert refused(Degrade(Map({work("talker"): -1})), configuration) == [("mode", ("talker.work",))]
+    assert refused(Degrade(Map({work("nobody"): 1})), configuration) == [("live", ("nobody.work",))]
 
 
 def test_upgrade_asks_only_for_its_own_assumptions() -> None:
     instances = {"talker": source(), "listener": sink()}
-    s = system(instances, ["talker.out /chatter", "listener.in /chatter"])
-    assert refused(Upgrade(Map({work("listener"): 0})), s)[0][0] == "satisfied"
-    up = Upgrade(Map({work("talker"): 0})).apply(s)
+    configuration = system(instances, ["talker.out /chatter", "listener.in /chatter"])
+    assert refused(Upgrade(Map({work("listener"): 0})), configuration)[0][0] == "satisfied"
+    up = Upgrade(Map({work("talker"): 0})).apply(configuration)
     assert is_valid(Upgrade(Map({work("listener"): 0})).apply(up))
 
 
@@ -151,8 +156,8 @@ def test_upgrade_asks_only_for_its_own_assumptions() -> None:
 
 def two_talkers(new: ComponentSpec, *, raised: bool = True, caps: dict[str, int] | None = None) -> Configuration:
     instances = {"talker": source("Talker"), "talker_2": new, "listener": sink("Listener")}
-    s = system(instances, ["talker.out /chatter", "listener.in /chatter"], caps=caps)
-    high = best(s)
+    configuration = system(instances, ["talker.out /chatter", "listener.in /chatter"], caps=caps)
+    high = best(configuration)
     return high if raised else high.with_modes({work("talker_2"): 1})
 
 
@@ -160,48 +165,54 @@ SWAP = Swap("/chatter", port("talker.out"), port("talker_2.out"))
 
 
 def test_handover_swaps_in_one_step_under_a_cap() -> None:
-    s = two_talkers(source("New"), caps={"/chatter": 1})
-    after = Handover((SWAP,)).apply(s)
+    configuration = two_talkers(source("New"), caps={"/chatter": 1})
+    after = Handover((SWAP,)).apply(configuration)
     assert list(after.publishers_on("/chatter")) == [port("talker_2.out")]
     assert is_valid(after)
-    assert Handover((SWAP,)).undo(s) == (Handover((Swap("/chatter", port("talker_2.out"), port("talker.out")),)),)
+    assert Handover((SWAP,)).undo(configuration) == (
+        Handover((Swap("/chatter", port("talker_2.out"), port("talker.out")),)),
+    )
 
 
 def test_handover_is_judged_by_the_current_mode_of_the_new() -> None:
-    s = two_talkers(source("New"), raised=False)
-    assert refused(Handover((SWAP,)), s) == [("contract", ("talker.out", "talker_2.out", "/chatter"))]
-    assert "talker_2.out in its current mode does not satisfy /chatter" in because(Handover((SWAP,)), s)
+    configuration = two_talkers(source("New"), raised=False)
+    assert refused(Handover((SWAP,)), configuration) == [("contract", ("talker.out", "talker_2.out", "/chatter"))]
+    assert "talker_2.out in its current mode does not satisfy /chatter" in because(Handover((SWAP,)), configuration)
 
 
 def test_handover_is_judged_before_any_swap() -> None:
-    s = two_talkers(source("New"))
+    configuration = two_talkers(source("New"))
     back = Swap("/chatter", port("talker_2.out"), port("talker.out"))
-    assert {kind for kind, _ in refused(Handover((SWAP, back)), s)} == {"old attached", "new not attached", "once"}
-    assert [kind for kind, _ in refused(Handover((SWAP, SWAP)), s)] == ["once", "once"]
-    assert refused(Handover(()), s) == [("named", ())]
+    assert {kind for kind, _ in refused(Handover((SWAP, back)), configuration)} == {
+        "old attached",
+        "new not attached",
+        "once",
+    }
+    assert [kind for kind, _ in refused(Handover((SWAP, SWAP)), configuration)] == ["once", "once"]
+    assert refused(Handover(()), configuration) == [("named", ())]
 
 
 def test_handover_asks_for_outputs() -> None:
-    s = two_talkers(source("New"))
+    configuration = two_talkers(source("New"))
     wrong = Swap("/chatter", port("listener.in"), port("talker_2.out"))
-    assert refused(Handover((wrong,)), s) == [("output", ("listener.in",))]
+    assert refused(Handover((wrong,)), configuration) == [("output", ("listener.in",))]
 
 
 def test_handover_from_an_output_that_no_longer_meets_its_topic_is_undone_by_other_means() -> None:
-    s = two_talkers(source("New")).with_modes({work("talker"): 1, work("listener"): 1})
-    undo = Handover((SWAP,)).undo(s)
+    configuration = two_talkers(source("New")).with_modes({work("talker"): 1, work("listener"): 1})
+    undo = Handover((SWAP,)).undo(configuration)
     assert [step.kind for step in undo] == ["detach", "attach"]
-    after = Handover((SWAP,)).apply(s)
+    after = Handover((SWAP,)).apply(configuration)
     for step in undo:
         after = step.apply(after)
-    assert after == s
+    assert after == configuration
 
 
 def test_all_outputs_of_a_role_swap_together() -> None:
     twin = component("Twin", {}, ["a", "b"], [mode("normal", a=at(10), b=at(10)), mode("degraded")])
-    s = best(system({"old": twin, "new": twin}, ["old.a /a", "old.b /b"]))
+    configuration = best(system({"old": twin, "new": twin}, ["old.a /a", "old.b /b"]))
     swaps = tuple(Swap(f"/{name}", port(f"old.{name}"), port(f"new.{name}")) for name in "ab")
-    after = Handover(swaps).apply(s)
+    after = Handover(swaps).apply(configuration)
     assert after.attached_ports("old") == []
     assert after.attached_ports("new") == [(port("new.a"), "/a"), (port("new.b"), "/b")]
 
@@ -217,15 +228,15 @@ def test_set_touches_changeable_parameters_alone() -> None:
         [mode("normal"), mode("degraded")],
         parameters={"gain": ParameterSpec(0.5, changeable=True), "model": ParameterSpec("small")},
     )
-    s = system({"tuned": kind}, [])
-    assert refused(SetParameters("tuned", Map({"model": "large"})), s) == [("changeable", ("tuned.model",))]
-    assert refused(SetParameters("tuned", Map({"colour": 1})), s) == [("parameter", ("tuned.colour",))]
-    assert refused(SetParameters("tuned", Map({"gain": "much"})), s) == [("type", ("tuned.gain",))]
+    configuration = system({"tuned": kind}, [])
+    assert refused(SetParameters("tuned", Map({"model": "large"})), configuration) == [("changeable", ("tuned.model",))]
+    assert refused(SetParameters("tuned", Map({"colour": 1})), configuration) == [("parameter", ("tuned.colour",))]
+    assert refused(SetParameters("tuned", Map({"gain": "much"})), configuration) == [("type", ("tuned.gain",))]
     set_ = SetParameters("tuned", Map({"gain": 2}))  # a whole number serves as a real one
-    after = set_.apply(s)
+    after = set_.apply(configuration)
     assert after.instances["tuned"].parameters["gain"] == 2
-    (undo,) = set_.undo(s)
-    assert undo.apply(after) == s
+    (undo,) = set_.undo(configuration)
+    assert undo.apply(after) == configuration
 
 
 def test_actions_are_values() -> None:
@@ -237,12 +248,12 @@ def test_actions_are_values() -> None:
 
 def test_a_filter_in_the_middle_falls_before_what_it_feeds_on() -> None:
     """The order the paper's algorithm finds: downstream first."""
-    s = best(
+    configuration = best(
         system(
             {"talker": source(), "filter": filter_(), "listener": sink()},
             ["talker.out /raw", "filter.in /raw", "filter.out /clean", "listener.in /clean"],
         )
     )
     for name in ("listener", "filter", "talker"):
-        s = Degrade(Map({work(name): 1})).apply(s)
-        assert is_valid(s)
+        configuration = Degrade(Map({work(name): 1})).apply(configuration)
+        assert is_valid(configuration)

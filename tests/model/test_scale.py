@@ -72,31 +72,31 @@ def judgements(patch: pytest.MonkeyPatch) -> Iterator[Counter[str]]:
         yield counted
 
 
-def first_of(s: Configuration) -> PortRef:
+def first_of(configuration: Configuration) -> PortRef:
     return PortRef("s1/first", "out")
 
 
-def changes(s: Configuration) -> list[tuple[str, Callable[[], object]]]:
+def changes(configuration: Configuration) -> list[tuple[str, Callable[[], object]]]:
     """Every kind of change, each to the street number 1 or to a newcomer."""
-    first, topic = first_of(s), "/s1/t0"
-    cut = s.without_attachment(first, topic)
+    first, topic = first_of(configuration), "/s1/t0"
+    cut = configuration.without_attachment(first, topic)
     fallen = cut.with_modes(rebalanced(cut, list(cut.consumers(topic))))
     mended = fallen.with_attachment(first, topic)
-    with_new = Create(Instance("new", "new", REPORTER)).apply(s).with_modes({work("new"): 0})
+    with_new = Create(Instance("new", "new", REPORTER)).apply(configuration).with_modes({work("new"): 0})
     all_down = {work(f"s1/{name}"): 1 for name in ("first", "f0", "f1", "f2", "last")}
     swaps = (
         Swap(topic, first, port("new.out")),
         Swap("/diagnostics", PortRef("s1/first", "diagnostics"), port("new.diagnostics")),
     )
     taken: list[tuple[Configuration, Action]] = [
-        (s, Create(Instance("new", "new", REPORTER))),
+        (configuration, Create(Instance("new", "new", REPORTER))),
         (with_new, Remove("new")),
-        (s, Attach(PortRef("s1/last", "in"), "/s2/t0")),
-        (s, Detach(first, topic)),  # refused
-        (s, Detach(PortRef("s1/first", "diagnostics"), "/diagnostics")),
-        (s, Degrade(Map({work("s1/last"): 1}))),
-        (s, Degrade(Map(all_down))),
-        (s.with_modes(all_down), Upgrade(Map(dict.fromkeys(all_down, 0)))),
+        (configuration, Attach(PortRef("s1/last", "in"), "/s2/t0")),
+        (configuration, Detach(first, topic)),  # refused
+        (configuration, Detach(PortRef("s1/first", "diagnostics"), "/diagnostics")),
+        (configuration, Degrade(Map({work("s1/last"): 1}))),
+        (configuration, Degrade(Map(all_down))),
+        (configuration.with_modes(all_down), Upgrade(Map(dict.fromkeys(all_down, 0)))),
         (with_new, Handover(swaps)),
     ]
     found: list[tuple[str, Callable[[], object]]] = [
@@ -113,10 +113,10 @@ def changes(s: Configuration) -> list[tuple[str, Callable[[], object]]]:
 def test_judgements_do_not_depend_on_the_size_of_the_system(monkeypatch: pytest.MonkeyPatch) -> None:
     counts: list[list[tuple[str, Counter[str]]]] = []
     for streets in (4, 400):
-        s = best(structure(city(streets)))
-        assert not violations(s)
+        configuration = best(structure(city(streets)))
+        assert not violations(configuration)
         told = []
-        for name, change in changes(s):
+        for name, change in changes(configuration):
             with judgements(monkeypatch) as counted:
                 change()
             told.append((name, counted))
@@ -137,9 +137,9 @@ def test_a_topic_of_many_publishers_is_walked_once(monkeypatch: pytest.MonkeyPat
     nodes = {f"n{number}": Node(f"n{number}", "Lame", Map({"out": ("/t",)})) for number in range(crowd)}
     nodes |= {f"r{number}": Node(f"r{number}", "Sink", Map({"in": ("/t",)})) for number in range(crowd)}
     connectors = Map({"/t": Connector("/t", at(5))})
-    s = structure(Specification("crowd", connectors=connectors, components=Map(kinds), nodes=Map(nodes)))
+    configuration = structure(Specification("crowd", connectors=connectors, components=Map(kinds), nodes=Map(nodes)))
     with judgements(monkeypatch) as counted:
-        fallen = best(s)
+        fallen = best(configuration)
     assert set(fallen.modes.values()) == {1}
     assert counted["guarantee"] <= 4 * crowd  # not crowd * crowd
     assert counted["mode_satisfied"] <= 6 * crowd

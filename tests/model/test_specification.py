@@ -30,11 +30,11 @@ SPECIFICATION = specification_from_document(DEMO)
 
 
 def test_it_starts_in_best_under_the_names_of_its_roles() -> None:
-    s = initial(SPECIFICATION)
-    assert s == best(structure(SPECIFICATION))
-    assert sorted(s.instances) == ["listener", "talker"]
-    assert set(s.modes.values()) == {0}
-    assert s.attached_ports("talker") == [(PortRef("talker", "out"), "/chatter")]
+    configuration = initial(SPECIFICATION)
+    assert configuration == best(structure(SPECIFICATION))
+    assert sorted(configuration.instances) == ["listener", "talker"]
+    assert set(configuration.modes.values()) == {0}
+    assert configuration.attached_ports("talker") == [(PortRef("talker", "out"), "/chatter")]
 
 
 def test_changes_share_the_world() -> None:
@@ -115,15 +115,15 @@ def test_amounts_are_exact() -> None:
 def test_reasons_in_a_cycle_end() -> None:
     needy = component("Needy", {"in": at(5), "key": at(5)}, ["out"], [mode("normal", [at(5)], out=at(5)), mode("off")])
     wiring = ["a.in /ba", "a.out /ab", "b.in /ab", "b.out /ba", "c.in /ab"]
-    s = system({"a": filter_("A"), "b": filter_("B"), "c": sink("C")}, wiring)
-    assert [reason.split()[0] for reason in reasons_against(s, work("c"))] == ["c.work", "a.work", "b.work"]
+    configuration = system({"a": filter_("A"), "b": filter_("B"), "c": sink("C")}, wiring)
+    assert [reason.split()[0] for reason in reasons_against(configuration, work("c"))] == ["c.work", "a.work", "b.work"]
     assert "input needy.in is not attached" in reasons_against(system({"needy": needy}, []), work("needy"))[0]
 
 
 def test_reasons_ask_no_more_of_a_helper_than_is_needed() -> None:
     """The middle mode of the source would do: so what its best mode lacks is not told."""
     chain = [mode("best", [at(99)], out=at(50)), mode("middle", out=at(10)), mode("off")]
-    s = system({"s": component("S", {}, ["out"], chain), "sink": sink()}, ["s.out /t", "sink.in /t"])
-    (only,) = reasons_against(s, work("sink"))
+    configuration = system({"s": component("S", {}, ["out"], chain), "sink": sink()}, ["s.out /t", "sink.in /t"])
+    (only,) = reasons_against(configuration, work("sink"))
     assert "s.out in mode off: nothing is guaranteed" in only
-    assert reasons_against(s, work("sink"), 1) == ()
+    assert reasons_against(configuration, work("sink"), 1) == ()

@@ -26,10 +26,10 @@ from tests.model.build import (
 )
 
 
-def without(s: Configuration, attachment: str) -> Configuration:
+def without(configuration: Configuration, attachment: str) -> Configuration:
     """In ``best`` of what remains when the attachment is gone."""
     name, topic = attachment.split()
-    return best(s.without_attachment(port(name), topic))
+    return best(configuration.without_attachment(port(name), topic))
 
 
 # -- alternatives and what are none ------------------------------------------------------------------------
@@ -54,25 +54,25 @@ def pair_of_cameras(assumes: list[Assumption]) -> Configuration:
 
 
 def test_stereo_needs_both_by_name() -> None:
-    s = pair_of_cameras([named("left"), named("right")])
-    assert modes_of(s)["user"] == "normal"
-    assert modes_of(without(s, PAIR[0]))["user"] == "degraded"  # the right one does not make good the left
-    assert modes_of(without(s, PAIR[1]))["user"] == "degraded"
+    configuration = pair_of_cameras([named("left"), named("right")])
+    assert modes_of(configuration)["user"] == "normal"
+    assert modes_of(without(configuration, PAIR[0]))["user"] == "degraded"  # the right one does not make good the left
+    assert modes_of(without(configuration, PAIR[1]))["user"] == "degraded"
 
 
 def test_predicates_cannot_tell_left_from_right() -> None:
     """The paper's form: alike inputs are alternatives, even where it is written twice."""
-    s = pair_of_cameras([at(5), at(5)])
-    assert modes_of(without(s, PAIR[0]))["user"] == "normal"
-    assert modes_of(without(without(s, PAIR[0]), PAIR[1]))["user"] == "degraded"
+    configuration = pair_of_cameras([at(5), at(5)])
+    assert modes_of(without(configuration, PAIR[0]))["user"] == "normal"
+    assert modes_of(without(without(configuration, PAIR[0]), PAIR[1]))["user"] == "degraded"
 
 
 @pytest.mark.parametrize("assumes", [[named("left", "right")], [at(5)]], ids=["named", "predicate"])
 def test_front_and_rear_as_alternatives(assumes: list[Assumption]) -> None:
-    s = pair_of_cameras(assumes)
-    assert modes_of(without(s, PAIR[0]))["user"] == "normal"
-    assert modes_of(without(s, PAIR[1]))["user"] == "normal"
-    assert modes_of(without(without(s, PAIR[0]), PAIR[1]))["user"] == "degraded"
+    configuration = pair_of_cameras(assumes)
+    assert modes_of(without(configuration, PAIR[0]))["user"] == "normal"
+    assert modes_of(without(configuration, PAIR[1]))["user"] == "normal"
+    assert modes_of(without(without(configuration, PAIR[0]), PAIR[1]))["user"] == "degraded"
 
 
 def test_front_and_rear_with_modes_between() -> None:
@@ -84,26 +84,28 @@ def test_front_and_rear_with_modes_between() -> None:
         [mode("drive", [named("front"), named("rear")]), mode("crawl", [named("front")]), mode("stop")],
     )
     attachments = ["f.out /front", "r.out /rear", "driver.front /front", "driver.rear /rear"]
-    s = best(system({"f": source("F"), "r": source("R"), "driver": driver}, attachments))
-    assert modes_of(s)["driver"] == "drive"
-    assert modes_of(without(s, "r.out /rear"))["driver"] == "crawl"
-    assert modes_of(without(s, "f.out /front"))["driver"] == "stop"
+    configuration = best(system({"f": source("F"), "r": source("R"), "driver": driver}, attachments))
+    assert modes_of(configuration)["driver"] == "drive"
+    assert modes_of(without(configuration, "r.out /rear"))["driver"] == "crawl"
+    assert modes_of(without(configuration, "f.out /front"))["driver"] == "stop"
 
 
 def test_a_predicate_counts_only_inputs_whose_own_assumption_satisfies_it() -> None:
     """The chain of the paper: connector to input assumption, input assumption to the functionality's."""
     picky = component("Picky", {"in": at(1)}, [], [mode("normal", [at(5)]), mode("degraded")])
-    s = best(system({"source": source(), "picky": picky}, ["source.out /t", "picky.in /t"]))
-    assert modes_of(s)["picky"] == "degraded"  # 10 Hz arrive, but the input promises no more than 1 Hz
+    configuration = best(system({"source": source(), "picky": picky}, ["source.out /t", "picky.in /t"]))
+    assert modes_of(configuration)["picky"] == "degraded"  # 10 Hz arrive, but the input promises no more than 1 Hz
 
 
 # -- shapes --------------------------------------------------------------------------------------------------
 
 
 def test_redundant_publishers() -> None:
-    s = best(system({"a": source("A"), "b": source("B"), "sink": sink()}, ["a.out /t", "b.out /t", "sink.in /t"]))
-    assert not Detach(port("a.out"), "/t").check(s)
-    one = without(s, "a.out /t")
+    configuration = best(
+        system({"a": source("A"), "b": source("B"), "sink": sink()}, ["a.out /t", "b.out /t", "sink.in /t"])
+    )
+    assert not Detach(port("a.out"), "/t").check(configuration)
+    one = without(configuration, "a.out /t")
     assert modes_of(one)["sink"] == "normal"
     reasons = Detach(port("b.out"), "/t").check(one)
     assert [reason.precondition for reason in reasons] == ["satisfied"]
@@ -113,9 +115,9 @@ def test_redundant_publishers() -> None:
 def test_redundant_topics_for_one_input() -> None:
     """An input attached to several topics is satisfied by any of them."""
     attachments = ["a.out /s", "b.out /t", "sink.in /s", "sink.in /t"]
-    s = best(system({"a": source("A"), "b": source("B"), "sink": sink()}, attachments))
-    assert modes_of(without(s, "a.out /s"))["sink"] == "normal"
-    assert modes_of(without(without(s, "a.out /s"), "b.out /t"))["sink"] == "degraded"
+    configuration = best(system({"a": source("A"), "b": source("B"), "sink": sink()}, attachments))
+    assert modes_of(without(configuration, "a.out /s"))["sink"] == "normal"
+    assert modes_of(without(without(configuration, "a.out /s"), "b.out /t"))["sink"] == "degraded"
 
 
 def diamond(*, join: list[Assumption]) -> Configuration:
@@ -132,13 +134,13 @@ def diamond(*, join: list[Assumption]) -> Configuration:
 
 
 def test_diamond_falls_together_and_rises_together() -> None:
-    s = diamond(join=[named("l"), named("r")])
-    assert set(modes_of(s).values()) == {"normal"}
-    dark = s.without_attachment(port("top.out"), "/top")
+    configuration = diamond(join=[named("l"), named("r")])
+    assert set(modes_of(configuration).values()) == {"normal"}
+    dark = configuration.without_attachment(port("top.out"), "/top")
     changes = rebalanced(dark, dark.consumers("/top"))
     assert changes == {work("left"): 1, work("right"): 1, work("bottom"): 1}
     back = dark.with_modes(changes).with_attachment(port("top.out"), "/top")
-    assert back.with_modes(rebalanced(back, back.consumers("/top"))) == s
+    assert back.with_modes(rebalanced(back, back.consumers("/top"))) == configuration
 
 
 def test_diamond_with_one_side_down() -> None:
@@ -154,13 +156,13 @@ def ring() -> Configuration:
 
 def test_cycle_stands_in_best_though_no_single_step_leads_there() -> None:
     low = ring()
-    s = best(low)
-    assert modes_of(s) == {"a": "normal", "b": "normal"}
+    configuration = best(low)
+    assert modes_of(configuration) == {"a": "normal", "b": "normal"}
     assert is_valid(low)
-    assert is_valid(s)
+    assert is_valid(configuration)
     for ref in (work("a"), work("b")):
         assert Upgrade(Map({ref: 0})).check(low)
-        assert Degrade(Map({ref: 1})).check(s)
+        assert Degrade(Map({ref: 1})).check(configuration)
 
 
 def test_cycle_rises_and_falls_as_a_group() -> None:
@@ -172,16 +174,16 @@ def test_cycle_rises_and_falls_as_a_group() -> None:
 
 
 def test_cycle_falls_whole_when_it_is_cut() -> None:
-    s = best(ring())
-    cut = s.without_attachment(port("b.in"), "/ab")
+    configuration = best(ring())
+    cut = configuration.without_attachment(port("b.in"), "/ab")
     assert rebalanced(cut, [work("b")]) == {work("a"): 1, work("b"): 1}
 
 
 def test_long_chain_tells_why() -> None:
     instances = {"detector": filter_("Detector"), "planner": filter_("Planner"), "motor": sink(), "camera": source()}
     upstream = ["detector.in /image", "detector.out /obstacles"]
-    s = best(system(instances, [*upstream, "planner.in /obstacles", "planner.out /path", "motor.in /path"]))
-    reasons = reasons_against(s, work("motor"))
+    configuration = best(system(instances, [*upstream, "planner.in /obstacles", "planner.out /path", "motor.in /path"]))
+    reasons = reasons_against(configuration, work("motor"))
     assert [reason.split()[0] for reason in reasons] == ["motor.work", "planner.work", "detector.work"]
     assert reasons[0] == (
         "motor.work cannot be in mode normal: it assumes in: nobody satisfies /path"
@@ -190,7 +192,7 @@ def test_long_chain_tells_why() -> None:
     assert reasons[-1] == (
         "detector.work cannot be in mode normal: it assumes in: nobody satisfies /image (it has no publisher)"
     )
-    assert reasons_against(s, work("camera")) == ()
+    assert reasons_against(configuration, work("camera")) == ()
 
 
 # -- the environment, caps, resources ----------------------------------------------------------------------------
@@ -200,44 +202,46 @@ def test_environment_on_a_topic_satisfies_that_topic_and_nothing_else() -> None:
     outside = EnvironmentGuarantee("recording", at(10), "/t")
     by_predicate = component("ByPredicate", {}, [], [mode("normal", [at(5)]), mode("degraded")])
     instances = {"sink": sink(), "other": sink("Other"), "predicate": by_predicate}
-    s = best(system(instances, ["sink.in /t", "other.in /u"], environment=[outside]))
-    assert modes_of(s) == {"sink": "normal", "other": "degraded", "predicate": "degraded"}
+    configuration = best(system(instances, ["sink.in /t", "other.in /u"], environment=[outside]))
+    assert modes_of(configuration) == {"sink": "normal", "other": "degraded", "predicate": "degraded"}
 
 
 def test_environment_without_a_topic_satisfies_predicates_alone() -> None:
     device = EnvironmentGuarantee("camera_device", at(10))
     by_predicate = component("ByPredicate", {}, [], [mode("normal", [at(5)]), mode("degraded")])
-    s = best(system({"sink": sink(), "predicate": by_predicate}, ["sink.in /t"], environment=[device]))
-    assert modes_of(s) == {"sink": "degraded", "predicate": "normal"}
+    configuration = best(system({"sink": sink(), "predicate": by_predicate}, ["sink.in /t"], environment=[device]))
+    assert modes_of(configuration) == {"sink": "degraded", "predicate": "normal"}
 
 
 def test_a_weak_environment_satisfies_nothing_but_counts_against_the_cap() -> None:
     weak = EnvironmentGuarantee("slow", at(1), "/t")
-    s = system({"source": source(), "sink": sink()}, ["sink.in /t"], environment=[weak], caps={"/t": 1})
-    assert not Evaluator(s).connector_satisfied("/t")
-    (reason,) = Attach(port("source.out"), "/t").check(s)
+    configuration = system({"source": source(), "sink": sink()}, ["sink.in /t"], environment=[weak], caps={"/t": 1})
+    assert not Evaluator(configuration).connector_satisfied("/t")
+    (reason,) = Attach(port("source.out"), "/t").check(configuration)
     assert reason.precondition == "cap"
     assert "2 publishers (environment slow, source.out), at most 1 allowed" in reason.because
 
 
 def test_caps_count_silent_outputs() -> None:
-    s = system({"a": source("A"), "b": source("B")}, ["a.out /t"], caps={"/t": 1})
-    assert modes_of(s)["a"] == "degraded"  # it publishes nothing at all
-    (reason,) = Attach(port("b.out"), "/t").check(s)
+    configuration = system({"a": source("A"), "b": source("B")}, ["a.out /t"], caps={"/t": 1})
+    assert modes_of(configuration)["a"] == "degraded"  # it publishes nothing at all
+    (reason,) = Attach(port("b.out"), "/t").check(configuration)
     assert reason.precondition == "cap"
     assert reason.subjects == ("b.out", "/t")
 
 
 def test_a_cap_that_the_environment_alone_exceeds_is_a_violation() -> None:
     crowd = [EnvironmentGuarantee(name, at(10), "/t") for name in ("one", "two")]
-    s = system({}, [], topics={"/t": at(5)}, environment=crowd, caps={"/t": 1})
-    assert [violation.kind for violation in violations(s)] == ["cap"]
+    configuration = system({}, [], topics={"/t": at(5)}, environment=crowd, caps={"/t": 1})
+    assert [violation.kind for violation in violations(configuration)] == ["cap"]
 
 
 def test_resources_are_summed_as_they_are_written() -> None:
     third = source("Third", holds={"gpu": 0.1})
-    s = system({"a": source("A", holds={"gpu": 0.1}), "b": source("B", holds={"gpu": 0.1})}, [], resources={"gpu": 0.3})
-    full = Create(Instance("c", "c", third)).apply(s)  # 0.1 + 0.1 + 0.1 is 0.3 here, though not in floats
+    configuration = system(
+        {"a": source("A", holds={"gpu": 0.1}), "b": source("B", holds={"gpu": 0.1})}, [], resources={"gpu": 0.3}
+    )
+    full = Create(Instance("c", "c", third)).apply(configuration)  # 0.1 + 0.1 + 0.1 is 0.3 here, though not in floats
     (reason,) = Create(Instance("d", "d", third)).check(full)
     assert reason.precondition == "capacity"
     assert "0.4 held by a, b, c, d, capacity 0.3" in reason.because
@@ -245,7 +249,7 @@ def test_resources_are_summed_as_they_are_written() -> None:
 
 def test_a_resource_that_is_not_declared_has_capacity_one() -> None:
     device = source("Device", holds={"/dev/video0": 1.0})
-    s = system({"a": device}, [])
-    assert is_valid(s)
-    (reason,) = Create(Instance("b", "b", device)).check(s)
+    configuration = system({"a": device}, [])
+    assert is_valid(configuration)
+    (reason,) = Create(Instance("b", "b", device)).check(configuration)
     assert reason.precondition == "capacity"

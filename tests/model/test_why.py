@@ -16,10 +16,10 @@ from midstride.testing.systems import chain
 
 @given(specifications())
 def test_short_chains_begin_and_end_as_the_whole_ones(specification: Specification) -> None:
-    s = initial(specification)
-    why = Diagnosis(s)
-    for ref in s.modes:
-        whole = reasons_against(s, ref)
+    configuration = initial(specification)
+    why = Diagnosis(configuration)
+    for ref in configuration.modes:
+        whole = reasons_against(configuration, ref)
         assert why.chain(ref, most=10_000) == whole
         short = why.chain(ref, most=1)
         assert bool(short) == bool(whole)
@@ -35,9 +35,9 @@ def dead(nodes: int) -> Configuration:
 
 
 def test_the_end_of_a_long_chain_is_told() -> None:
-    s = dead(50)
-    (last,) = (ref for ref in s.modes if ref.component == "n49")
-    told = Diagnosis(s).chain(last)
+    configuration = dead(50)
+    (last,) = (ref for ref in configuration.modes if ref.component == "n49")
+    told = Diagnosis(configuration).chain(last)
     assert len(told) == 5
     assert told[0].startswith("n49.filter cannot be in mode normal: it assumes in: nobody satisfies /t49")
     assert told[-1].startswith("… in the end n0.filter cannot be in mode ")
@@ -46,10 +46,10 @@ def test_the_end_of_a_long_chain_is_told() -> None:
 
 def test_all_chains_together_cost_no_more_than_the_system() -> None:
     def seconds(nodes: int) -> float:
-        s = dead(nodes)
+        configuration = dead(nodes)
         start = time.process_time()
-        why = Diagnosis(s)
-        for ref in s.modes:
+        why = Diagnosis(configuration)
+        for ref in configuration.modes:
             why.chain(ref)
         return time.process_time() - start
 

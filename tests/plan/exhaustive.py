@@ -63,19 +63,19 @@ class Exhaustive:
     def configuration(self, state: State) -> Configuration:
         known = self._configurations.get(state)
         if known is None:
-            s = self.change.start
+            configuration = self.change.start
             for op in (op for op in self.creates if op in state):
-                s = s.with_instance(self.instances[op.name])
+                configuration = configuration.with_instance(self.instances[op.name])
             for op in (op for op in self.attaches if op in state):
-                s = s.with_attachment(op.port, op.connector)
+                configuration = configuration.with_attachment(op.port, op.connector)
             for op in (op for op in self.detaches if op in state):
-                s = s.without_attachment(op.port, op.connector)
+                configuration = configuration.without_attachment(op.port, op.connector)
             for op in (op for op in self.removes if op in state):
-                s = s.without_instance(op.name)
-            known = self._configurations[state] = best(s)
+                configuration = configuration.without_instance(op.name)
+            known = self._configurations[state] = best(configuration)
         return known
 
-    def levels(self, s: Configuration) -> dict[FunctionalityRef, int]:
+    def levels(self, configuration: Configuration) -> dict[FunctionalityRef, int]:
         start, target = self.change.specification, self.change.target
         found = {}
         for role in set(start.nodes) & set(target.nodes):
@@ -87,11 +87,11 @@ class Exhaustive:
                     if start.nodes[role].attachments.get(output) and target.nodes[role].attachments.get(output)
                 ]
                 level = max(len(old.functionalities[name].modes), len(new.functionalities[name].modes))
-                for instance in s.instances.values():
+                for instance in configuration.instances.values():
                     if instance.role != role or name not in instance.component.functionalities:
                         continue
-                    if all(s.attached_to(PortRef(instance.name, output)) for output in outputs):
-                        level = min(level, s.modes[FunctionalityRef(instance.name, name)])
+                    if all(configuration.attached_to(PortRef(instance.name, output)) for output in outputs):
+                        level = min(level, configuration.modes[FunctionalityRef(instance.name, name)])
                 found[FunctionalityRef(role, name)] = level
         return found
 
@@ -112,39 +112,43 @@ class Exhaustive:
     # -- from one to the next ------------------------------------------------------------------------
 
     def steps(self, state: State) -> Iterator[State]:
-        s = self.configuration(state)
+        configuration = self.configuration(state)
         for op in self.creates:
             holds = self.instances[op.name].component.holds
-            if op not in state and all(s.held.get(r, 0.0) + a <= s.world.capacity(r) + 1e-9 for r, a in holds.items()):
+            if op not in state and all(
+                configuration.held.get(r, 0.0) + a <= configuration.world.capacity(r) + 1e-9 for r, a in holds.items()
+            ):
                 yield state | {op}
         for op in self.removes:
-            if op not in state and not s.attached_ports(op.name):
+            if op not in state and not configuration.attached_ports(op.name):
                 yield state | {op}
         for op in self.detaches:
             if op not in state:
                 yield state | {op}
-        ready = [op for op in self.attaches if op not in state and op.name in s.instances]
+        ready = [op for op in self.attaches if op not in state and op.name in configuration.instances]
         for op in ready:
-            if not s.is_output(op.port) or self._slot(s, op.connector):
+            if not configuration.is_output(op.port) or self._slot(configuration, op.connector):
                 yield state | {op}
-        yield from self._hand_overs(state, s, ready)
+        yield from self._hand_overs(state, configuration, ready)
 
-    def _slot(self, s: Configuration, connector: str) -> bool:
-        cap = s.world.connectors[connector].cap
+    def _slot(self, configuration: Configuration, connector: str) -> bool:
+        cap = configuration.world.connectors[connector].cap
         sibling = self.change.sibling(connector)
-        beside = 0 if sibling is None else len(s.publishers_on(sibling))
-        return cap is None or publishers_count(s, connector) + beside < cap
+        beside = 0 if sibling is None else len(configuration.publishers_on(sibling))
+        return cap is None or publishers_count(configuration, connector) + beside < cap
 
-    def _hand_overs(self, state: State, s: Configuration, ready: list[Op]) -> Iterator[State]:
+    def _hand_overs(self, state: State, configuration: Configuration, ready: list[Op]) -> Iterator[State]:
         """One exchange on one topic, or all of a replaced role at once."""
         together: dict[str, set[Op]] = {}
         for new in ready:
-            if not s.is_output(new.port):
+            if not configuration.is_output(new.port):
                 continue
-            if not satisfies(s.guarantee(new.port), s.world.connectors[new.connector].guarantee):
+            if not satisfies(
+                configuration.guarantee(new.port), configuration.world.connectors[new.connector].guarantee
+            ):
                 continue
             for old in self.detaches:
-                if old in state or old.connector != new.connector or not s.is_output(old.port):
+                if old in state or old.connector != new.connector or not configuration.is_output(old.port):
                     continue
                 yield state | {new, old}
                 if self.change.replaced.get(old.name) == new.name:

@@ -95,13 +95,13 @@ def test_a_fall_says_why_and_for_how_long() -> None:
 
 def test_talker_replaced_again_and_again_never_takes_the_bare_name_back() -> None:
     specification = talker()
-    s, names = initial(specification), []
+    configuration, names = initial(specification), []
     for to in ("NewTalker", "Talker", "NewTalker"):
-        change = Change.replacing(s, specification, "talker", to)
+        change = Change.replacing(configuration, specification, "talker", to)
         plan = sound(STRATEGIES["minimal"](change))
         names += [instance.name for instance in change.coming]
         *_, last = plan.configurations()
-        s, specification = change.settled(last), change.target
+        configuration, specification = change.settled(last), change.target
     assert names == ["talker_2", "talker_3", "talker_2"]
 
 
@@ -154,8 +154,8 @@ def test_obstacle_a_capped_topic_changes_hands_in_one_step(strategy: str) -> Non
     handovers = [step.action for step in plan.steps if isinstance(step.action, Handover)]
     assert len(handovers) == (1 if strategy == "minimal" else 0)
     assert (plan.disruption == 0.0) == (strategy == "minimal")
-    for s in plan.configurations():
-        assert len(s.publishers_on("/cmd_vel")) <= 1
+    for configuration in plan.configurations():
+        assert len(configuration.publishers_on("/cmd_vel")) <= 1
 
 
 # -- chains, diamonds, alternatives --------------------------------------------------------------------
@@ -413,9 +413,9 @@ def test_a_whole_system_is_brought_up_under_its_own_names(strategy: str) -> None
 @pytest.mark.parametrize("strategy", EVERY)
 def test_what_has_crashed_comes_again(strategy: str) -> None:
     specification = chain()
-    s = initial(specification).without_instance("filter")
-    s = s.with_modes({FunctionalityRef("sink", "work"): 1})
-    plan = sound(STRATEGIES[strategy](Change.between(s, specification, specification)))
+    configuration = initial(specification).without_instance("filter")
+    configuration = configuration.with_modes({FunctionalityRef("sink", "work"): 1})
+    plan = sound(STRATEGIES[strategy](Change.between(configuration, specification, specification)))
     *_, last = plan.configurations()
     assert last == initial(specification)
     assert plan.fallen == ()
@@ -443,8 +443,8 @@ def test_what_the_new_environment_keeps_down_is_told_as_fallen() -> None:
         topics={"/image": image},
     )
     target = replace(start.with_node(Node("source", "Source", Map({"out": ("/image",)}))), environment=())
-    s = initial(start).with_modes({FunctionalityRef("eye", "see"): 1})
-    plan = sound(STRATEGIES["minimal"](Change.between(s, start, target)))
+    configuration = initial(start).with_modes({FunctionalityRef("eye", "see"): 1})
+    plan = sound(STRATEGIES["minimal"](Change.between(configuration, start, target)))
     assert fallen(plan) == ["eye.see"]
     assert plan.falls[0].because == "it stands below when the plan begins"
     # While the source comes (1 s) the eye is a level below what it was when its camera still worked.

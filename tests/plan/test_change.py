@@ -47,12 +47,14 @@ def test_a_name_of_the_target_is_nobody_else_s() -> None:
 
 def test_a_first_instance_bears_its_role_s_name_unless_it_is_taken() -> None:
     start = talker()
-    s = initial(start)
-    change = Change.replacing(s, start, "talker", "NewTalker")
+    configuration = initial(start)
+    change = Change.replacing(configuration, start, "talker", "NewTalker")
     *_, last = STRATEGIES["minimal"](change).configurations()
     change = Change.adding(change.settled(last), change.target, Node("talker_2", "Talker"))
     assert [instance.name for instance in change.coming] == ["talker_2_2"]
-    assert [instance.name for instance in Change.adding(s, start, Node("other", "Talker")).coming] == ["other"]
+    assert [instance.name for instance in Change.adding(configuration, start, Node("other", "Talker")).coming] == [
+        "other"
+    ]
 
 
 # -- what differs ------------------------------------------------------------------------------------
@@ -77,9 +79,9 @@ def test_parameters_of_the_node_go_over_those_of_the_component() -> None:
 
 def test_an_instance_of_no_role_leaves() -> None:
     start = talker()
-    s = initial(start)
-    stray = replace(s.instances["talker"], name="talker_7")
-    change = Change.between(s.with_instance(stray), start, start)
+    configuration = initial(start)
+    stray = replace(configuration.instances["talker"], name="talker_7")
+    change = Change.between(configuration.with_instance(stray), start, start)
     assert change.leaving == ("talker_7",)
     assert change.coming == ()
 
@@ -104,15 +106,15 @@ def test_durations_are_declared_else_measured_else_the_default() -> None:
 
 def test_unknown_names_are_suggested() -> None:
     start = talker()
-    s = initial(start)
+    configuration = initial(start)
     with pytest.raises(PlanRefused, match=r"no node talkr; did you mean talker\?"):
-        Change.replacing(s, start, "talkr", "NewTalker")
+        Change.replacing(configuration, start, "talkr", "NewTalker")
     with pytest.raises(PlanRefused, match=r"no component NewTalk; did you mean NewTalker\?"):
-        Change.replacing(s, start, "talker", "NewTalk")
+        Change.replacing(configuration, start, "talker", "NewTalk")
     with pytest.raises(PlanRefused, match=r"no node speaker"):
-        Change.removing(s, start, "speaker")
+        Change.removing(configuration, start, "speaker")
     with pytest.raises(PlanRefused, match=r"no topic /chater; did you mean /chatter\?"):
-        Change.adding(s, start, Node("more", "Talker", Map({"out": ("/chater",)})))
+        Change.adding(configuration, start, Node("more", "Talker", Map({"out": ("/chater",)})))
     with pytest.raises(PlanRefused, match=r"no strategy minimum; did you mean `minimal`\?"):
         planner("minimum")
     assert planner() is STRATEGIES["minimal"]
@@ -163,9 +165,9 @@ def test_contracts_that_do_not_fit() -> None:
     start = talker()
     talk = FunctionalitySpec("talk", (Mode("normal", (), Map({"out": SLOW})), Mode("degraded")), (), ("out",))
     start = replace(start, components=start.components.set("Weak", component("Weak", talk)))
-    s = initial(start)
+    configuration = initial(start)
     with pytest.raises(PlanRefused) as caught:
-        Change.replacing(s, start, "talker", "Weak")
+        Change.replacing(configuration, start, "talker", "Weak")
     assert "talker_2.out cannot be attached to /chatter" in str(caught.value)
     assert "5 Hz is offered, at least 10 Hz is needed" in str(caught.value)
 
@@ -216,7 +218,7 @@ def cells(number: int) -> Specification:
 
 def calls_to_plan(specification: Specification, strategy: str) -> int:
     """How many calls, C functions included, a whole replacement takes: a cost that no busy machine falsifies."""
-    s = initial(specification)
+    configuration = initial(specification)
     count = 0
 
     def note(_: object, event: str, __: object) -> None:
@@ -227,7 +229,7 @@ def calls_to_plan(specification: Specification, strategy: str) -> int:
     sys.setprofile(note)
     try:
         target = request.target(specification)
-        plan = STRATEGIES[strategy](Change.of_request(s, specification, request, target))
+        plan = STRATEGIES[strategy](Change.of_request(configuration, specification, request, target))
     finally:
         sys.setprofile(None)
     assert len(plan.steps) >= 7

@@ -155,8 +155,8 @@ def test_an_exclusive_topic_never_has_two_publishers_on_the_wire() -> None:
         start.with_replaced("n", "New"), connectors=system([], {}, topics={"/cmd": NEED}, caps={"/cmd": 1}).connectors
     )
     plan = sound(changed(start, target, "minimal"))
-    for s in plan.configurations():
-        assert len(s.publishers_on("/cmd")) + len(s.publishers_on("/cmd@2")) <= 1
+    for configuration in plan.configurations():
+        assert len(configuration.publishers_on("/cmd")) + len(configuration.publishers_on("/cmd@2")) <= 1
     assert plan.disruption == 0.0
 
 

@@ -83,8 +83,8 @@ def test_keep_refuses_to_take_the_publisher_away() -> None:
 
 def test_keep_does_not_forbid_to_bring_up_what_is_down() -> None:
     start = bound(talker(), Keep(LISTEN, "normal"))
-    s = initial(start).without_instance("talker").with_modes({LISTEN: 1})
-    plan = sound(STRATEGIES["minimal"](Change.between(s, start, start)))
+    configuration = initial(start).without_instance("talker").with_modes({LISTEN: 1})
+    plan = sound(STRATEGIES["minimal"](Change.between(configuration, start, start)))
     assert told(plan)[-1] == "upgrade listener.listen from degraded to normal"
 
 

@@ -37,17 +37,17 @@ PART = work("Part", ["in"], ["out"])
 def test_a_chain_rises_upstream_first_and_falls_downstream_first() -> None:
     nodes = {f"n{i}": ("Part", {"in": f"/{i}", "out": f"/{i + 1}"}) for i in (3, 1, 2)}
     spec = system([PART, work("Source", outputs=["out"])], {**nodes, "z": ("Source", {"out": "/1"})})
-    s, high = structure(spec), initial(spec)
+    configuration, high = structure(spec), initial(spec)
     order = [["z.work"], ["n1.work"], ["n2.work"], ["n3.work"]]
-    assert groups(upgrades(s, high.modes)) == order
-    assert groups(degradations(high, s.modes)) == order[::-1]
+    assert groups(upgrades(configuration, high.modes)) == order
+    assert groups(degradations(high, configuration.modes)) == order[::-1]
 
 
 def test_a_ring_moves_as_one_and_two_rings_as_two() -> None:
     spec = system([PART], {**ring(3), **ring(2, "m")})
-    s, high = structure(spec), initial(spec)
-    assert groups(upgrades(s, high.modes)) == [["m0.work", "m1.work"], ["n0.work", "n1.work", "n2.work"]]
-    assert [len(group) for group in groups(degradations(high, s.modes))] == [3, 2]
+    configuration, high = structure(spec), initial(spec)
+    assert groups(upgrades(configuration, high.modes)) == [["m0.work", "m1.work"], ["n0.work", "n1.work", "n2.work"]]
+    assert [len(group) for group in groups(degradations(high, configuration.modes))] == [3, 2]
 
 
 def test_a_ring_of_a_thousand_is_still_one_step() -> None:
@@ -75,13 +75,13 @@ def test_a_mode_on_the_way_spares_the_group() -> None:
     pong = component("Pong", functionality("work", ["in"], ["out"]), needs={"in": SLOW})
     nodes = {"ping": ("Ping", {"in": "/pong", "out": "/ping"}), "pong": ("Pong", {"in": "/ping", "out": "/pong"})}
     spec = system([ping, pong], nodes, topics={"/ping": SLOW})
-    s, high = structure(spec), initial(spec)
-    assert [dict(step.modes) for step in upgrades(s, high.modes)] == [
+    configuration, high = structure(spec), initial(spec)
+    assert [dict(step.modes) for step in upgrades(configuration, high.modes)] == [
         {at("ping.work"): 1},
         {at("pong.work"): 0},
         {at("ping.work"): 0},
     ]
-    assert [dict(step.modes) for step in degradations(high, s.modes)] == [
+    assert [dict(step.modes) for step in degradations(high, configuration.modes)] == [
         {at("ping.work"): 1},
         {at("pong.work"): 1},
         {at("ping.work"): 2},
@@ -110,38 +110,38 @@ def test_what_lost_its_support_goes_in_an_order_in_which_each_step_is_valid() ->
     }
     two = component("Two", functionality("work", ["in", "back"], ["out"]))
     spec = system([PART, two, work("Source", outputs=["out"]), work("Sink", ["in"])], nodes)
-    s = initial(spec).without_instance("source")
-    fallen = lowered(s, [at("a.work")])
-    steps = degradations(s, fallen)
+    configuration = initial(spec).without_instance("source")
+    fallen = lowered(configuration, [at("a.work")])
+    steps = degradations(configuration, fallen)
     assert groups(steps) == [["sink.work"], ["a.work", "b.work"]]
     for step in steps:
-        s = step.apply(s)
-    assert s == best(s)
+        configuration = step.apply(configuration)
+    assert configuration == best(configuration)
 
 
-def is_minimal(s: Configuration, step: Upgrade) -> bool:
+def is_minimal(configuration: Configuration, step: Upgrade) -> bool:
     """Whether no part of a group could have risen by itself, not even part of the way."""
     members = sorted(step.modes)
     for size in range(1, len(members)):
         for some in combinations(members, size):
-            if not Upgrade(Map({ref: step.modes[ref] for ref in some})).check(s):
+            if not Upgrade(Map({ref: step.modes[ref] for ref in some})).check(configuration):
                 return False
     return True
 
 
 @given(configurations(), st.data())
-def test_any_two_valid_assignments(s: Configuration, data: st.DataObject) -> None:
+def test_any_two_valid_assignments(configuration: Configuration, data: st.DataObject) -> None:
     """From a drawn valid assignment to ``best`` and back, each step valid, and no group larger than it must be."""
-    high = best(s)
-    raised = upgrades(s, high.modes)
-    here = s
+    high = best(configuration)
+    raised = upgrades(configuration, high.modes)
+    here = configuration
     for up in raised:
         assert is_minimal(here, up)
         here = up.apply(here)
     assert here == high
-    for down in degradations(high, s.modes):
+    for down in degradations(high, configuration.modes):
         here = down.apply(here)
-    assert here == s
+    assert here == configuration
 
 
 @given(st.dictionaries(st.integers(0, 7), st.lists(st.integers(0, 7), max_size=3), max_size=8))

@@ -64,8 +64,8 @@ def planned(change: Change, strategy: str) -> Plan:
 def holds(plan: Plan) -> None:
     verdict = replay(plan)
     assert verdict.holds, f"{verdict}\n" + "\n".join(str(step) for step in plan.steps)
-    for s in plan.configurations():
-        assert violations(s) == []
+    for configuration in plan.configurations():
+        assert violations(configuration) == []
 
 
 @given(SEEDS, NAMES, st.booleans())
@@ -97,14 +97,14 @@ def test_the_json_form_says_the_same(seed: int, strategy: str) -> None:
 @given(SEEDS, NAMES, SEEDS)
 def test_steps_that_commute_may_be_taken_in_any_order(seed: int, strategy: str, order: int) -> None:
     plan = planned(drawn(seed), strategy)
-    rng, left, done, s = Random(order), list(range(len(plan.steps))), set[int](), plan.change.start
+    rng, left, done, configuration = Random(order), list(range(len(plan.steps))), set[int](), plan.change.start
     while left:
         index = rng.choice([index for index in left if done.issuperset(plan.dependencies[index])])
         left.remove(index)
         done.add(index)
-        s = plan.steps[index].action.apply(s)
+        configuration = plan.steps[index].action.apply(configuration)
     *_, last = plan.configurations()
-    assert s == last
+    assert configuration == last
 
 
 @given(SEEDS, NAMES)
@@ -190,14 +190,14 @@ def test_a_change_of_some_roles_is_the_same_either_way(seed: int) -> None:
     """What costs the change finds the same as what walks the system."""
     rng = Random(seed)
     start, target = systems.change(rng, systems.system(rng), 4, world=False)
-    s = initial(start)
+    configuration = initial(start)
     roles = [r for r in {*start.nodes, *target.nodes} if start.nodes.get(r) != target.nodes.get(r)]
     roles += [
         r
         for r in target.nodes
         if r in start.nodes and start.components.get(start.nodes[r].component) != target.component_of(r)
     ]
-    one, other = Change.of_roles(s, start, target, roles), Change.between(s, start, target)
+    one, other = Change.of_roles(configuration, start, target, roles), Change.between(configuration, start, target)
     assert one.final == other.final
     assert one == other
 

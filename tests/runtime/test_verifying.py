@@ -49,8 +49,8 @@ class Scripted(Verifier):
         self.plans.append(plan)
         return self.of_plan
 
-    async def configuration(self, s: Configuration) -> Verdict:
-        self.seen.append(s)
+    async def configuration(self, configuration: Configuration) -> Verdict:
+        self.seen.append(configuration)
         return self.of_live
 
 
@@ -123,7 +123,7 @@ def test_where_components_stand_otherwise_alloy_judges_what_is_live(tmp_path: Pa
     outcome, *_ = changed(tmp_path, verifier, Lying(degraded_by_itself))
     assert outcome["outcome"] == "done"
     assert verifier.seen
-    assert {s.modes[FunctionalityRef("talker_2", "talk")] for s in verifier.seen} == {1}
+    assert {configuration.modes[FunctionalityRef("talker_2", "talk")] for configuration in verifier.seen} == {1}
 
 
 @pytest.mark.parametrize("verdict", [UNKNOWN, VIOLATED], ids=["unknown", "violated"])
@@ -150,7 +150,10 @@ def test_what_stands_behind_a_closed_gate_is_not_attached(tmp_path: Path) -> Non
     outcome, *_ = changed(tmp_path, verifier, Lying(without_its_output))
     assert outcome["outcome"] == "done"
     assert verifier.seen
-    assert all("talker_2" in s.instances and not s.attached_ports("talker_2") for s in verifier.seen)
+    assert all(
+        "talker_2" in configuration.instances and not configuration.attached_ports("talker_2")
+        for configuration in verifier.seen
+    )
 
 
 def test_a_component_that_does_not_answer_is_no_pass(tmp_path: Path) -> None:

@@ -58,17 +58,17 @@ class Batch:
         for instance in world.instances:
             scene.instance(instance)
         scene.overloads()
-        for s in world.configurations.values():
-            self.expected[self.system(number, s)] = True
-        for s in world.invalid:
-            self.expected[self.system(number, s)] = False
+        for configuration in world.configurations.values():
+            self.expected[self.system(number, configuration)] = True
+        for configuration in world.invalid:
+            self.expected[self.system(number, configuration)] = False
         for claim in world.claims:
             self.claim(claim)
 
-    def system(self, number: int, s: Configuration) -> str:
-        where = (number, key(s))
+    def system(self, number: int, configuration: Configuration) -> str:
+        where = (number, key(configuration))
         if where not in self.systems:
-            self.systems[where] = self.scenes[number].system(s, len(self.systems), "a configuration")
+            self.systems[where] = self.scenes[number].system(configuration, len(self.systems), "a configuration")
         return self.systems[where]
 
     def claim(self, claim: Claim) -> None:

@@ -37,8 +37,8 @@ def _create_forgets_capacities(patch: pytest.MonkeyPatch) -> None:
 
 
 def _create_starts_in_the_normal_mode(patch: pytest.MonkeyPatch) -> None:
-    def effect(self: model.Create, s: Configuration) -> Configuration:
-        after = s.with_instance(self.instance)
+    def effect(self: model.Create, configuration: Configuration) -> Configuration:
+        after = configuration.with_instance(self.instance)
         return after.with_modes(dict.fromkeys(self.instance.functionality_refs(), 0))
 
     patch.setattr(model.Create, "effect", effect)
@@ -62,10 +62,10 @@ def _attach_forgets_the_cap(patch: pytest.MonkeyPatch) -> None:
 def _attach_forgets_what_was_attached(patch: pytest.MonkeyPatch) -> None:
     """An input moves from topic to topic instead of having several."""
 
-    def effect(self: model.Attach, s: Configuration) -> Configuration:
-        for connector in s.attached_to(self.port):
-            s = s.without_attachment(self.port, connector)
-        return s.with_attachment(self.port, self.connector)
+    def effect(self: model.Attach, configuration: Configuration) -> Configuration:
+        for connector in configuration.attached_to(self.port):
+            configuration = configuration.without_attachment(self.port, connector)
+        return configuration.with_attachment(self.port, self.connector)
 
     patch.setattr(model.Attach, "effect", effect)
 
@@ -75,24 +75,24 @@ def _detach_asks_nobody(patch: pytest.MonkeyPatch) -> None:
 
 
 def _degrade_asks_only_the_degraded(patch: pytest.MonkeyPatch) -> None:
-    def check(self: model.Degrade, s: Configuration) -> tuple[model.Reason, ...]:
-        reasons = tuple(model._mode_reasons(s, self.modes, "worse"))
-        return reasons or model._unsatisfied(self.effect(s), self.modes, "then")
+    def check(self: model.Degrade, configuration: Configuration) -> tuple[model.Reason, ...]:
+        reasons = tuple(model._mode_reasons(configuration, self.modes, "worse"))
+        return reasons or model._unsatisfied(self.effect(configuration), self.modes, "then")
 
     patch.setattr(model.Degrade, "check", check)
 
 
 def _degrade_goes_all_the_way(patch: pytest.MonkeyPatch) -> None:
-    def effect(self: model.Degrade, s: Configuration) -> Configuration:
-        return s.with_modes({ref: s.functionality(ref).last_mode for ref in self.modes})
+    def effect(self: model.Degrade, configuration: Configuration) -> Configuration:
+        return configuration.with_modes({ref: configuration.functionality(ref).last_mode for ref in self.modes})
 
     patch.setattr(model.Degrade, "effect", effect)
 
 
 def _upgrade_judges_the_mode_it_leaves(patch: pytest.MonkeyPatch) -> None:
-    def check(self: model.Upgrade, s: Configuration) -> tuple[model.Reason, ...]:
-        reasons = tuple(model._mode_reasons(s, self.modes, "better"))
-        return reasons or model._unsatisfied(s, self.modes, "before")
+    def check(self: model.Upgrade, configuration: Configuration) -> tuple[model.Reason, ...]:
+        reasons = tuple(model._mode_reasons(configuration, self.modes, "better"))
+        return reasons or model._unsatisfied(configuration, self.modes, "before")
 
     patch.setattr(model.Upgrade, "check", check)
 
@@ -100,10 +100,13 @@ def _upgrade_judges_the_mode_it_leaves(patch: pytest.MonkeyPatch) -> None:
 def _upgrade_asks_one_by_one(patch: pytest.MonkeyPatch) -> None:
     """A group that only works together is refused."""
 
-    def check(self: model.Upgrade, s: Configuration) -> tuple[model.Reason, ...]:
-        if reasons := tuple(model._mode_reasons(s, self.modes, "better")):
+    def check(self: model.Upgrade, configuration: Configuration) -> tuple[model.Reason, ...]:
+        if reasons := tuple(model._mode_reasons(configuration, self.modes, "better")):
             return reasons
-        alone = [model._unsatisfied(s.with_modes(Map({ref: mode})), [ref], "") for ref, mode in self.modes.items()]
+        alone = [
+            model._unsatisfied(configuration.with_modes(Map({ref: mode})), [ref], "")
+            for ref, mode in self.modes.items()
+        ]
         return tuple(reason for reasons in alone for reason in reasons)
 
     patch.setattr(model.Upgrade, "check", check)
@@ -118,10 +121,10 @@ def _handover_judges_by_the_normal_mode(patch: pytest.MonkeyPatch) -> None:
 
 
 def _handover_keeps_the_old(patch: pytest.MonkeyPatch) -> None:
-    def effect(self: model.Handover, s: Configuration) -> Configuration:
+    def effect(self: model.Handover, configuration: Configuration) -> Configuration:
         for swap in self.swaps:
-            s = s.with_attachment(swap.new, swap.connector)
-        return s
+            configuration = configuration.with_attachment(swap.new, swap.connector)
+        return configuration
 
     patch.setattr(model.Handover, "effect", effect)
 
@@ -131,7 +134,9 @@ def _names_are_predicates(patch: pytest.MonkeyPatch) -> None:
     whole = Evaluator.input_satisfied
 
     def any_input(self: Evaluator, port: PortRef) -> bool:
-        others = {name for f in self.s.component(port.component) if port.port in f.inputs for name in f.inputs}
+        others = {
+            name for f in self.configuration.component(port.component) if port.port in f.inputs for name in f.inputs
+        }
         return any(whole(self, PortRef(port.component, name)) for name in others)
 
     patch.setattr(Evaluator, "input_satisfied", any_input)
@@ -141,8 +146,8 @@ def _the_environment_counts_for_nothing(patch: pytest.MonkeyPatch) -> None:
     """A publisher out of scope does not satisfy its topic."""
 
     def satisfied(self: Evaluator, name: str) -> bool:
-        needed = self.s.world.connectors[name].guarantee
-        return any(satisfies(self.guarantee(output), needed) for output in self.s.publishers_on(name))
+        needed = self.configuration.world.connectors[name].guarantee
+        return any(satisfies(self.guarantee(output), needed) for output in self.configuration.publishers_on(name))
 
     patch.setattr(Evaluator, "connector_satisfied", satisfied)
 

@@ -49,7 +49,7 @@ def test_the_text_of_a_plan_is_readable_and_stays_as_it_is(name: str) -> None:
 def test_what_is_too_much_together_is_what_the_model_says(amount: float, too_much: bool) -> None:
     """Amounts are compared as they are written: half a part in a thousand million counts."""
     holders = [ComponentSpec.of(name, holds={"gpu": held}) for name, held in (("A", 0.5), ("B", amount))]
-    s = structure(
+    configuration = structure(
         Specification(
             "full",
             components=Map({holder.name: holder for holder in holders}),
@@ -57,8 +57,8 @@ def test_what_is_too_much_together_is_what_the_model_says(amount: float, too_muc
             resources=Map({"gpu": Resource("gpu", 1.0)}),
         )
     )
-    assert ("too much gpu together: A, B" in dump_configuration(s, "full").text) == too_much
-    assert (capacity_violation(s, "gpu") is not None) == too_much
+    assert ("too much gpu together: A, B" in dump_configuration(configuration, "full").text) == too_much
+    assert (capacity_violation(configuration, "gpu") is not None) == too_much
 
 
 def test_a_dump_carries_the_specification_along_and_opens_nothing() -> None:
@@ -86,26 +86,28 @@ def test_every_name_becomes_an_identifier_of_its_own(text: str) -> None:
 
 @pytest.mark.parametrize("name", ["talker", "filter", "obstacle"])
 def test_a_configuration_comes_back_from_its_document(name: str) -> None:
-    s = initial(specification(EXAMPLES / name / f"{name}.stride"))
-    s = s.with_modes({ref: s.functionality(ref).last_mode for ref in list(s.modes)[:1]})
-    assert configuration_from_document(configuration_to_document(s)) == s
+    configuration = initial(specification(EXAMPLES / name / f"{name}.stride"))
+    configuration = configuration.with_modes(
+        {ref: configuration.functionality(ref).last_mode for ref in list(configuration.modes)[:1]}
+    )
+    assert configuration_from_document(configuration_to_document(configuration)) == configuration
 
 
 # -- configurations ------------------------------------------------------------------------------------------
 
 
-def broken(s: Configuration, how: str) -> Configuration:
+def broken(configuration: Configuration, how: str) -> Configuration:
     match how:
         case "mode":
-            return s.with_modes({FunctionalityRef("planner", "plan"): 1})
+            return configuration.with_modes({FunctionalityRef("planner", "plan"): 1})
         case "cap":
-            return s.with_attachment(PortRef("left", "out"), "/cmd")
+            return configuration.with_attachment(PortRef("left", "out"), "/cmd")
         case "capacity":
             rover = specification(ROVER)
             large = replace(rover.instance("planner", "planner_2"), component=rover.components["LargePlanner"])
-            return s.with_instance(large)
+            return configuration.with_instance(large)
         case "attachment":
-            return s.with_attachment(PortRef("left", "out"), "/nowhere")
+            return configuration.with_attachment(PortRef("left", "out"), "/nowhere")
     raise ValueError(how)
 
 
@@ -196,8 +198,8 @@ def test_what_is_too_large_for_alloy_is_unknown(large: Specification, words: str
 
 
 def test_the_chain_is_told_and_drawn() -> None:
-    s = broken(initial(specification(ROVER)), "mode")
-    told = chain(s, FunctionalityRef("motor", "drive"), InputAlternatives(("in",)))
+    configuration = broken(initial(specification(ROVER)), "mode")
+    told = chain(configuration, FunctionalityRef("motor", "drive"), InputAlternatives(("in",)))
     finding = Finding("assumption", None, "the configuration", "motor.drive", "it assumes in", "in", told)
     verdict = Verdict(Answer.VIOLATED, "the configuration", "exact", "Alloy", (finding,))
     assert list(chain_lines(told)) == [

@@ -229,19 +229,19 @@ def leads_to_what_is_short(finding: Finding) -> None:
 # -- faults in actions ---------------------------------------------------------------------------------------
 
 
-def born_normal(self: Create, s: Configuration) -> Configuration:
-    s = s.with_instance(self.instance)
-    return s.with_modes(dict.fromkeys(self.instance.functionality_refs(), 0))
+def born_normal(self: Create, configuration: Configuration) -> Configuration:
+    configuration = configuration.with_instance(self.instance)
+    return configuration.with_modes(dict.fromkeys(self.instance.functionality_refs(), 0))
 
 
-def keeps_the_old(self: Handover, s: Configuration) -> Configuration:
+def keeps_the_old(self: Handover, configuration: Configuration) -> Configuration:
     for swap in self.swaps:
-        s = s.with_attachment(swap.new, swap.connector)
-    return s
+        configuration = configuration.with_attachment(swap.new, swap.connector)
+    return configuration
 
 
-def does_nothing(self: Action, s: Configuration) -> Configuration:
-    return s
+def does_nothing(self: Action, configuration: Configuration) -> Configuration:
+    return configuration
 
 
 @pytest.mark.parametrize(
@@ -270,6 +270,6 @@ def test_a_fault_in_an_actions_effect_is_caught(
 def test_a_fault_in_an_actions_precondition_is_caught(alloy: Alloy, monkeypatch: pytest.MonkeyPatch) -> None:
     document = plans()["talker"]
     drop(1)(document)
-    monkeypatch.setattr(Detach, "check", lambda self, s: ())
+    monkeypatch.setattr(Detach, "check", lambda self, configuration: ())
     verdict = judged(document, alloy)
     assert (verdict.failed, verdict.findings[0].subject) == (1, "listener.listen in mode normal")

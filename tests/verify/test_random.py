@@ -48,16 +48,16 @@ def drawn(rng: Random) -> Plan:
 
 def expected(plan: Plan) -> tuple[bool, int | None]:
     """Whether the plan holds, and the first step that does not; what it says it costs is not Alloy's affair."""
-    s = plan.change.start
+    configuration = plan.change.start
     for number, step in enumerate(plan.steps, start=1):
         told = all(
-            s.mode(change.functionality).name == change.before
+            configuration.mode(change.functionality).name == change.before
             for change in step.modes
-            if change.functionality in s.modes
+            if change.functionality in configuration.modes
         )
-        if step.action.check(s) or not told:
+        if step.action.check(configuration) or not told:
             return False, number
-        s = step.action.effect(s)
+        configuration = step.action.effect(configuration)
     whole = Plan.of(plan.strategy, plan.change, plan.steps)
     return replay(whole).holds, None
 

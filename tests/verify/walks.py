@@ -97,19 +97,19 @@ def set_piece() -> strategies.GeneratedSystem:
     """Seldom drawn: two that only work together, inputs that are not alternatives, a topic served from outside."""
     modes = [mode("both", [named("left"), named("right")]), mode("one", [named("left")]), mode("degraded")]
     stereo = component("Stereo", {"left": at(5.0), "right": at(5.0)}, [], modes)
-    s = system(
+    configuration = system(
         {"n0": filter_(), "n1": filter_(), "eye": stereo},
         ["n0.in /b", "n0.out /a", "n1.in /a", "n1.out /b", "eye.left /l", "eye.right /r"],
         environment=[EnvironmentGuarantee("camera", at(10.0), "/l")],
         modes={"n0.work": 0, "n1.work": 0, "eye.work": 1},
     )
-    return strategies.GeneratedSystem(s, (filter_(), source()))
+    return strategies.GeneratedSystem(configuration, (filter_(), source()))
 
 
 def _walk(data: st.DataObject, number: int, scene: strategies.GeneratedSystem, tries: int, most: int) -> World:
-    s = scene.configuration
+    configuration = scene.configuration
     fresh = {component.name: Instance(f"new_{component.name}", "new", component) for component in scene.components[:2]}
-    world = World([*s.instances.values(), *fresh.values()], {key(s): s}, [], [])
+    world = World([*configuration.instances.values(), *fresh.values()], {key(configuration): configuration}, [], [])
     tried: set[Hashable] = set()
     for _ in range(tries):
         before = [*world.configurations.values()][data.draw(st.integers(0, len(world.configurations) - 1))]
@@ -148,6 +148,10 @@ def _refused_result(before: Configuration, action: Action) -> list[Configuration
         return []
 
 
-def key(s: Configuration) -> Hashable:
+def key(configuration: Configuration) -> Hashable:
     """Configurations of one world are the same iff their keys are."""
-    return frozenset(s.instances), frozenset(s.attachments()), frozenset(s.modes.items())
+    return (
+        frozenset(configuration.instances),
+        frozenset(configuration.attachments()),
+        frozenset(configuration.modes.items()),
+    )

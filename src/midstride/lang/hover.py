@@ -35,7 +35,7 @@ def hover(symbol: Symbol, specification: Specification, *, runnable: bool) -> st
 class _Hover:
     def __init__(self, specification: Specification, configuration: Configuration | None) -> None:
         self.specification = specification
-        self.s = configuration
+        self.configuration = configuration
 
     def topic(self, symbol: Symbol) -> Iterator[str]:
         connector = self.specification.connectors.get(symbol.name)
@@ -43,12 +43,15 @@ class _Hover:
             return
         cap = "" if connector.cap is None else f" (at most {connector.cap} publishers)"
         yield f"`{connector.guarantee}`{cap}"
-        if self.s is None:
+        if self.configuration is None:
             return
-        for what, ports in (("from", self.s.publishers_on(symbol.name)), ("to", self.s.subscribers_on(symbol.name))):
+        for what, ports in (
+            ("from", self.configuration.publishers_on(symbol.name)),
+            ("to", self.configuration.subscribers_on(symbol.name)),
+        ):
             if ports:
                 yield f"{what} {', '.join(f'`{port}`' for port in sorted(ports))}"
-        judge = Evaluator(self.s)
+        judge = Evaluator(self.configuration)
         yield "satisfied" if judge.connector_satisfied(symbol.name) else judge.why_connector_unsatisfied(symbol.name)
 
     def component(self, symbol: Symbol) -> Iterator[str]:
@@ -73,11 +76,11 @@ class _Hover:
             yield from self._stands(FunctionalityRef(symbol.name, functionality.name))
 
     def _stands(self, ref: FunctionalityRef) -> Iterator[str]:
-        if self.s is None or ref not in self.s.modes:
+        if self.configuration is None or ref not in self.configuration.modes:
             return
-        yield f"`{ref}` will be in mode **{self.s.mode(ref).name}**"
-        if self.s.modes[ref]:
-            yield from (f"- {reason}" for reason in reasons_against(self.s, ref)[:3])
+        yield f"`{ref}` will be in mode **{self.configuration.mode(ref).name}**"
+        if self.configuration.modes[ref]:
+            yield from (f"- {reason}" for reason in reasons_against(self.configuration, ref)[:3])
 
     def port(self, symbol: Symbol) -> Iterator[str]:
         component = self.specification.components.get(symbol.owner)
@@ -111,7 +114,7 @@ class _Hover:
         declared = self.specification.resources.get(symbol.name)
         if declared is not None:
             yield f"capacity {format_number(declared.capacity)}"
-            held = 0.0 if self.s is None else float(self.s.held.get(symbol.name, 0))
+            held = 0.0 if self.configuration is None else float(self.configuration.held.get(symbol.name, 0))
             yield f"held at first: {format_number(held)}"
 
     def guarantee(self, symbol: Symbol) -> Iterator[str]:

@@ -24,28 +24,30 @@ class ImpactNotes:
         """What follows from an unfit attachment (E020), or None where nothing does."""
         if self._initial is None:
             self._initial = initial(self.specification)
-        s = self._initial
+        configuration = self._initial
         _, role, _, port, index = problem.subject
         attached = PortRef(role, port)
         topic = self.specification.nodes[role].attachments[port][int(index)]
-        first: Iterable[FunctionalityRef] = s.consumers(topic) if s.is_output(attached) else s.users(attached)
-        fallen = self._fallen(s, first)
+        first: Iterable[FunctionalityRef] = (
+            configuration.consumers(topic) if configuration.is_output(attached) else configuration.users(attached)
+        )
+        fallen = self._fallen(configuration, first)
         if not fallen:
             return None
-        told = [f"{ref} will be in mode {s.mode(ref).name}" for ref in fallen[:_SHOWN]]
+        told = [f"{ref} will be in mode {configuration.mode(ref).name}" for ref in fallen[:_SHOWN]]
         more = len(fallen) - _SHOWN
         return ", ".join(told) + (f", and {more} more below their normal modes" if more > 0 else "")
 
-    def _fallen(self, s: Configuration, first: Iterable[FunctionalityRef]) -> list[FunctionalityRef]:
+    def _fallen(self, configuration: Configuration, first: Iterable[FunctionalityRef]) -> list[FunctionalityRef]:
         """Those below their normal modes among ``first``, and those that fall with them, nearest first."""
         found: dict[FunctionalityRef, None] = {}
         waiting = deque(dict.fromkeys(first))
         while waiting:
             ref = waiting.popleft()
-            if ref in found or s.modes[ref] == 0:
+            if ref in found or configuration.modes[ref] == 0:
                 continue
             found[ref] = None
-            for output in s.functionality(ref).outputs:
-                for topic in s.attached_to(PortRef(ref.component, output)):
-                    waiting.extend(sorted(set(s.consumers(topic))))
+            for output in configuration.functionality(ref).outputs:
+                for topic in configuration.attached_to(PortRef(ref.component, output)):
+                    waiting.extend(sorted(set(configuration.consumers(topic))))
         return list(found)

@@ -38,7 +38,14 @@ class Analysis:
 
     def source(self, path: Path) -> Source | None:
         wanted = os.path.normpath(path)
-        return next((s for s in self.loaded.files if s.path is not None and os.path.normpath(s.path) == wanted), None)
+        return next(
+            (
+                configuration
+                for configuration in self.loaded.files
+                if configuration.path is not None and os.path.normpath(configuration.path) == wanted
+            ),
+            None,
+        )
 
 
 class LanguageService:
@@ -112,7 +119,9 @@ class LanguageService:
     def diagnostics(self, path: Path) -> dict[Path, list[Diagnostic]]:
         """The diagnostics of the system that ``path`` belongs to, by file; a file without any has an empty list."""
         analysis = self.analysis(path)
-        found: dict[Path, list[Diagnostic]] = {s.path: [] for s in analysis.loaded.files if s.path is not None}
+        found: dict[Path, list[Diagnostic]] = {
+            configuration.path: [] for configuration in analysis.loaded.files if configuration.path is not None
+        }
         found.setdefault(path, [])
         for diagnostic in analysis.loaded.diagnostics:
             source = None if diagnostic.span is None else diagnostic.span.source

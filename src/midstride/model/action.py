@@ -53,11 +53,11 @@ class Action(ABC):
     kind: ClassVar[str]
 
     @abstractmethod
-    def check(self, s: Configuration) -> tuple[Reason, ...]:
-        """The preconditions that fail in ``s``; empty iff the action may be taken. Changes nothing."""
+    def check(self, configuration: Configuration) -> tuple[Reason, ...]:
+        """The preconditions that fail in ``configuration``; empty iff the action may be taken. Changes nothing."""
 
     @abstractmethod
-    def effect(self, s: Configuration) -> Configuration:
+    def effect(self, configuration: Configuration) -> Configuration:
         """The configuration after the action, whether or not its precondition holds."""
 
     @abstractmethod
@@ -65,14 +65,14 @@ class Action(ABC):
         """The actions that take ``apply(before)`` back to ``before``, each valid in its turn."""
 
     @abstractmethod
-    def describe(self, s: Configuration | None = None) -> str:
+    def describe(self, configuration: Configuration | None = None) -> str:
         """The action in words; with the configuration it is taken in, modes are called by their names."""
 
-    def apply(self, s: Configuration) -> Configuration:
+    def apply(self, configuration: Configuration) -> Configuration:
         """The configuration after the action. Raises ActionRefused where the precondition fails."""
-        if reasons := self.check(s):
-            raise ActionRefused(self.describe(s), reasons)
-        return self.effect(s)
+        if reasons := self.check(configuration):
+            raise ActionRefused(self.describe(configuration), reasons)
+        return self.effect(configuration)
 
     def __str__(self) -> str:
         return self.describe()
@@ -85,24 +85,24 @@ class Create(Action):
     kind: ClassVar[str] = "create"
     instance: Instance
 
-    def check(self, s: Configuration) -> tuple[Reason, ...]:
+    def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         name = self.instance.name
-        if name in s.instances:
+        if name in configuration.instances:
             return (Reason("not live", (name,), f"{name} is live already"),)
-        after = self.effect(s)
+        after = self.effect(configuration)
         return tuple(
             Reason("capacity", (resource,), str(violation))
             for resource in sorted(self.instance.component.holds)
             if (violation := capacity_violation(after, resource)) is not None
         )
 
-    def effect(self, s: Configuration) -> Configuration:
-        return s.with_instance(self.instance)
+    def effect(self, configuration: Configuration) -> Configuration:
+        return configuration.with_instance(self.instance)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Remove(self.instance.name),)
 
-    def describe(self, s: Configuration | None = None) -> str:
+    def describe(self, configuration: Configuration | None = None) -> str:
         return f"create {self.instance.name} ({self.instance.component.name})"
 
 
@@ -113,16 +113,16 @@ class Remove(Action):
     kind: ClassVar[str] = "remove"
     component: str
 
-    def check(self, s: Configuration) -> tuple[Reason, ...]:
-        if self.component not in s.instances:
+    def check(self, configuration: Configuration) -> tuple[Reason, ...]:
+        if self.component not in configuration.instances:
             return (Reason("live", (self.component,), f"{self.component} is not live"),)
         return tuple(
             Reason("isolated", (str(port), connector), f"{port} is still attached to {connector}")
-            for port, connector in s.attached_ports(self.component)
+            for port, connector in configuration.attached_ports(self.component)
         )
 
-    def effect(self, s: Configuration) -> Configuration:
-        return s.without_instance(self.component)
+    def effect(self, configuration: Configuration) -> Configuration:
+        return configuration.without_instance(self.component)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         instance = before.instances[self.component]
@@ -133,16 +133,16 @@ class Remove(Action):
         ]
         return (Create(instance), *raised)
 
-    def describe(self, s: Configuration | None = None) -> str:
+    def describe(self, configuration: Configuration | None = None) -> str:
         return f"remove {self.component}"
 
 
-def _port_reasons(s: Configuration, port: PortRef, connector: str) -> tuple[Reason, ...]:
-    if port.component not in s.instances:
+def _port_reasons(configuration: Configuration, port: PortRef, connector: str) -> tuple[Reason, ...]:
+    if port.component not in configuration.instances:
         return (Reason("live", (port.component,), f"{port.component} is not live"),)
-    if not s.has_port(port):
+    if not configuration.has_port(port):
         return (Reason("port", (str(port),), f"{port.component} has no port {port.port}"),)
-    if connector not in s.world.connectors:
+    if connector not in configuration.world.connectors:
         return (Reason("topic", (connector,), f"{connector} is not a topic of this system"),)
     return ()
 
@@ -155,31 +155,31 @@ class Attach(Action):
     port: PortRef
     connector: str
 
-    def check(self, s: Configuration) -> tuple[Reason, ...]:
-        if reasons := _port_reasons(s, self.port, self.connector):
+    def check(self, configuration: Configuration) -> tuple[Reason, ...]:
+        if reasons := _port_reasons(configuration, self.port, self.connector):
             return reasons
         port, name = str(self.port), self.connector
-        if s.is_attached(self.port, name):
+        if configuration.is_attached(self.port, name):
             return (Reason("not attached", (port, name), f"{port} is attached to {name} already"),)
-        reasons = contract_reasons(s, self.port, s.world.connectors[name])
-        if reasons or not s.is_output(self.port):
+        reasons = contract_reasons(configuration, self.port, configuration.world.connectors[name])
+        if reasons or not configuration.is_output(self.port):
             return reasons
-        violation = cap_violation(self.effect(s), name)
+        violation = cap_violation(self.effect(configuration), name)
         return () if violation is None else (Reason("cap", (port, name), str(violation)),)
 
-    def effect(self, s: Configuration) -> Configuration:
-        return s.with_attachment(self.port, self.connector)
+    def effect(self, configuration: Configuration) -> Configuration:
+        return configuration.with_attachment(self.port, self.connector)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Detach(self.port, self.connector),)
 
-    def describe(self, s: Configuration | None = None) -> str:
+    def describe(self, configuration: Configuration | None = None) -> str:
         return f"attach {self.port} to {self.connector}"
 
 
-def contract_reasons(s: Configuration, port: PortRef, connector: Connector) -> tuple[Reason, ...]:
+def contract_reasons(configuration: Configuration, port: PortRef, connector: Connector) -> tuple[Reason, ...]:
     """Why the contracts of a live port and a connector do not fit, clause by clause; empty iff they do."""
-    component = s.component(port.component)
+    component = configuration.component(port.component)
     if port.port in component.outputs:
         mode = component.owner(port.port).modes[0]
         clauses = explain(normal_guarantee(component, port.port), connector.guarantee)
@@ -200,29 +200,29 @@ class Detach(Action):
     port: PortRef
     connector: str
 
-    def check(self, s: Configuration) -> tuple[Reason, ...]:
-        if reasons := _port_reasons(s, self.port, self.connector):
+    def check(self, configuration: Configuration) -> tuple[Reason, ...]:
+        if reasons := _port_reasons(configuration, self.port, self.connector):
             return reasons
-        if not s.is_attached(self.port, self.connector):
+        if not configuration.is_attached(self.port, self.connector):
             because = f"{self.port} is not attached to {self.connector}"
             return (Reason("attached", (str(self.port), self.connector), because),)
-        after = self.effect(s)
-        if s.is_output(self.port):
+        after = self.effect(configuration)
+        if configuration.is_output(self.port):
             # Only a topic that this output alone satisfied can be missed by anyone.
             if Evaluator(after).connector_satisfied(self.connector):
                 return ()
-            affected: Iterable[FunctionalityRef] = s.consumers(self.connector)
+            affected: Iterable[FunctionalityRef] = configuration.consumers(self.connector)
         else:
-            affected = s.users(self.port)
+            affected = configuration.users(self.port)
         return _unsatisfied(after, affected, f"without {self.port} on {self.connector}", str(self.port), self.connector)
 
-    def effect(self, s: Configuration) -> Configuration:
-        return s.without_attachment(self.port, self.connector)
+    def effect(self, configuration: Configuration) -> Configuration:
+        return configuration.without_attachment(self.port, self.connector)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Attach(self.port, self.connector),)
 
-    def describe(self, s: Configuration | None = None) -> str:
+    def describe(self, configuration: Configuration | None = None) -> str:
         return f"detach {self.port} from {self.connector}"
 
 
@@ -235,28 +235,28 @@ def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], when: s
 
 
 def _mode_reasons(
-    s: Configuration, modes: Mapping[FunctionalityRef, int], direction: Literal["better", "worse"]
+    configuration: Configuration, modes: Mapping[FunctionalityRef, int], direction: Literal["better", "worse"]
 ) -> Iterator[Reason]:
     if not modes:
         yield Reason("named", (), "no functionality is named")
     for ref, index in sorted(modes.items()):
-        instance = s.instances.get(ref.component)
+        instance = configuration.instances.get(ref.component)
         functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
         if functionality is None:
             yield Reason("live", (str(ref),), f"{ref} is not a functionality of a live component")
         elif not 0 <= index <= functionality.last_mode:
             yield Reason("mode", (str(ref),), f"{ref} has no mode number {index}")
-        elif not (index < s.modes[ref] if direction == "better" else index > s.modes[ref]):
-            now, then = functionality.modes[s.modes[ref]].name, functionality.modes[index].name
+        elif not (index < configuration.modes[ref] if direction == "better" else index > configuration.modes[ref]):
+            now, then = functionality.modes[configuration.modes[ref]].name, functionality.modes[index].name
             yield Reason("mode", (str(ref),), f"{then} is not a {direction} mode of {ref} than {now}, which it is in")
 
 
-def _told_modes(modes: Mapping[FunctionalityRef, int], s: Configuration | None) -> str:
-    return ", ".join(f"{ref} to {_mode_name(ref, index, s)}" for ref, index in sorted(modes.items()))
+def _told_modes(modes: Mapping[FunctionalityRef, int], configuration: Configuration | None) -> str:
+    return ", ".join(f"{ref} to {_mode_name(ref, index, configuration)}" for ref, index in sorted(modes.items()))
 
 
-def _mode_name(ref: FunctionalityRef, index: int, s: Configuration | None) -> str:
-    instance = None if s is None else s.instances.get(ref.component)
+def _mode_name(ref: FunctionalityRef, index: int, configuration: Configuration | None) -> str:
+    instance = None if configuration is None else configuration.instances.get(ref.component)
     functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
     if functionality is None or not 0 <= index <= functionality.last_mode:
         return f"mode {index}"
@@ -270,28 +270,28 @@ class Degrade(Action):
     kind: ClassVar[str] = "degrade"
     modes: Map[FunctionalityRef, int]
 
-    def check(self, s: Configuration) -> tuple[Reason, ...]:
-        if reasons := tuple(_mode_reasons(s, self.modes, "worse")):
+    def check(self, configuration: Configuration) -> tuple[Reason, ...]:
+        if reasons := tuple(_mode_reasons(configuration, self.modes, "worse")):
             return reasons
-        after = self.effect(s)
-        judge, was = Evaluator(after), Evaluator(s)
+        after = self.effect(configuration)
+        judge, was = Evaluator(after), Evaluator(configuration)
         affected: dict[FunctionalityRef, None] = dict.fromkeys(self.modes)
         for ref in self.modes:
-            for output in s.functionality(ref).outputs:
+            for output in configuration.functionality(ref).outputs:
                 port = PortRef(ref.component, output)
-                for name in s.connectors_of.get(port, ()):
+                for name in configuration.connectors_of.get(port, ()):
                     if was.connector_satisfied(name) and not judge.connector_satisfied(name):
-                        affected.update(dict.fromkeys(s.consumers(name)))
-        return _unsatisfied(after, affected, f"after {self.describe(s)}")
+                        affected.update(dict.fromkeys(configuration.consumers(name)))
+        return _unsatisfied(after, affected, f"after {self.describe(configuration)}")
 
-    def effect(self, s: Configuration) -> Configuration:
-        return s.with_modes(self.modes)
+    def effect(self, configuration: Configuration) -> Configuration:
+        return configuration.with_modes(self.modes)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Upgrade(Map({ref: before.modes[ref] for ref in self.modes})),)
 
-    def describe(self, s: Configuration | None = None) -> str:
-        return f"degrade {_told_modes(self.modes, s)}"
+    def describe(self, configuration: Configuration | None = None) -> str:
+        return f"degrade {_told_modes(self.modes, configuration)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,19 +301,19 @@ class Upgrade(Action):
     kind: ClassVar[str] = "upgrade"
     modes: Map[FunctionalityRef, int]
 
-    def check(self, s: Configuration) -> tuple[Reason, ...]:
-        if reasons := tuple(_mode_reasons(s, self.modes, "better")):
+    def check(self, configuration: Configuration) -> tuple[Reason, ...]:
+        if reasons := tuple(_mode_reasons(configuration, self.modes, "better")):
             return reasons
-        return _unsatisfied(self.effect(s), self.modes, f"after {self.describe(s)}")
+        return _unsatisfied(self.effect(configuration), self.modes, f"after {self.describe(configuration)}")
 
-    def effect(self, s: Configuration) -> Configuration:
-        return s.with_modes(self.modes)
+    def effect(self, configuration: Configuration) -> Configuration:
+        return configuration.with_modes(self.modes)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Degrade(Map({ref: before.modes[ref] for ref in self.modes})),)
 
-    def describe(self, s: Configuration | None = None) -> str:
-        return f"upgrade {_told_modes(self.modes, s)}"
+    def describe(self, configuration: Configuration | None = None) -> str:
+        return f"upgrade {_told_modes(self.modes, configuration)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,10 +323,10 @@ class Handover(Action):
     kind: ClassVar[str] = "handover"
     swaps: tuple[Swap, ...]
 
-    def check(self, s: Configuration) -> tuple[Reason, ...]:
+    def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if not self.swaps:
             return (Reason("named", (), "no swap is named"),)
-        reasons = [reason for swap in self.swaps for reason in _swap_reasons(s, swap)]
+        reasons = [reason for swap in self.swaps for reason in _swap_reasons(configuration, swap)]
         seen: set[tuple[PortRef, str]] = set()
         for swap in self.swaps:
             for port in (swap.old, swap.new):
@@ -335,18 +335,18 @@ class Handover(Action):
                     reasons.append(Reason("once", subjects, f"{port} occurs twice on {swap.connector}"))
                 seen.add((port, swap.connector))
         if not reasons:
-            after = self.effect(s)
+            after = self.effect(configuration)
             for name in sorted({swap.connector for swap in self.swaps}):
                 if (violation := cap_violation(after, name)) is not None:
                     reasons.append(Reason("cap", (name,), str(violation)))
         return tuple(reasons)
 
-    def effect(self, s: Configuration) -> Configuration:
+    def effect(self, configuration: Configuration) -> Configuration:
         for swap in self.swaps:
-            s = s.with_attachment(swap.new, swap.connector)
+            configuration = configuration.with_attachment(swap.new, swap.connector)
         for swap in self.swaps:
-            s = s.without_attachment(swap.old, swap.connector)
-        return s
+            configuration = configuration.without_attachment(swap.old, swap.connector)
+        return configuration
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         back, apart = [], []
@@ -360,25 +360,25 @@ class Handover(Action):
             steps += [Detach(swap.new, swap.connector), Attach(swap.old, swap.connector)]
         return tuple(steps)
 
-    def describe(self, s: Configuration | None = None) -> str:
+    def describe(self, configuration: Configuration | None = None) -> str:
         return f"hand over {', '.join(str(swap) for swap in self.swaps)}"
 
 
-def _swap_reasons(s: Configuration, swap: Swap) -> Iterator[Reason]:
+def _swap_reasons(configuration: Configuration, swap: Swap) -> Iterator[Reason]:
     for port in (swap.old, swap.new):
-        if reasons := _port_reasons(s, port, swap.connector):
+        if reasons := _port_reasons(configuration, port, swap.connector):
             yield from reasons
             return
-        if not s.is_output(port):
+        if not configuration.is_output(port):
             yield Reason("output", (str(port),), f"{port} is not an output")
             return
     subjects = (str(swap.old), str(swap.new), swap.connector)
-    if not s.is_attached(swap.old, swap.connector):
+    if not configuration.is_attached(swap.old, swap.connector):
         yield Reason("old attached", subjects, f"{swap.old} is not attached to {swap.connector}")
-    if s.is_attached(swap.new, swap.connector):
+    if configuration.is_attached(swap.new, swap.connector):
         yield Reason("new not attached", subjects, f"{swap.new} is attached to {swap.connector} already")
-    guarantee = s.guarantee(swap.new)
-    if clauses := explain(guarantee, s.world.connectors[swap.connector].guarantee):
+    guarantee = configuration.guarantee(swap.new)
+    if clauses := explain(guarantee, configuration.world.connectors[swap.connector].guarantee):
         because = f"{swap.new} in its current mode does not satisfy {swap.connector} ({', '.join(clauses)})"
         yield Reason("contract", subjects, because)
 
@@ -391,8 +391,8 @@ class SetParameters(Action):
     component: str
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
 
-    def check(self, s: Configuration) -> tuple[Reason, ...]:
-        instance = s.instances.get(self.component)
+    def check(self, configuration: Configuration) -> tuple[Reason, ...]:
+        instance = configuration.instances.get(self.component)
         if instance is None:
             return (Reason("live", (self.component,), f"{self.component} is not live"),)
         reasons = []
@@ -410,13 +410,13 @@ class SetParameters(Action):
                 reasons.append(Reason("type", (f"{self.component}.{name}",), because))
         return tuple(reasons)
 
-    def effect(self, s: Configuration) -> Configuration:
-        return s.with_parameters(self.component, self.parameters)
+    def effect(self, configuration: Configuration) -> Configuration:
+        return configuration.with_parameters(self.component, self.parameters)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         old = {name: before.instances[self.component].parameters[name] for name in self.parameters}
         return (SetParameters(self.component, Map(old)),)
 
-    def describe(self, s: Configuration | None = None) -> str:
+    def describe(self, configuration: Configuration | None = None) -> str:
         told = ", ".join(f"{name} = {value}" for name, value in sorted(self.parameters.items()))
         return f"set {told} of {self.component}"

@@ -16,27 +16,27 @@ from midstride.model.contract import satisfies
 from midstride.model.rules import Evaluator
 
 
-def best(s: Configuration) -> Configuration:
-    """``s`` with every functionality in the best mode its structure allows. Walks the system."""
-    overlay = dict.fromkeys(s.modes, 0)
-    _lower(s, overlay, list(overlay))
-    return s.with_modes({ref: index for ref, index in overlay.items() if s.modes[ref] != index})
+def best(configuration: Configuration) -> Configuration:
+    """``configuration`` with every functionality in the best mode its structure allows. Walks the system."""
+    overlay = dict.fromkeys(configuration.modes, 0)
+    _lower(configuration, overlay, list(overlay))
+    return configuration.with_modes({ref: index for ref, index in overlay.items() if configuration.modes[ref] != index})
 
 
 def rebalanced(
-    s: Configuration,
+    configuration: Configuration,
     seeds: Iterable[FunctionalityRef],
     ceiling: Callable[[FunctionalityRef], int] | None = None,
 ) -> dict[FunctionalityRef, int]:
-    """The modes that differ between ``s`` and ``best`` of its structure.
+    """The modes that differ between ``configuration`` and ``best`` of its structure.
 
-    ``s`` stands in ``best`` of a structure from which its own differs only at ``seeds``: the
+    ``configuration`` stands in ``best`` of a structure from which its own differs only at ``seeds``: the
     functionalities whose inputs or connectors were touched (:func:`consumers_of` names them), and
     those of new instances.
     Where a ``ceiling`` is given, nobody is raised above it, and "best" means the best below it.
     """
     overlay: dict[FunctionalityRef, int] = {}
-    judge = Evaluator(s, overlay)
+    judge = Evaluator(configuration, overlay)
     pending = list(seeds)
     touched: dict[FunctionalityRef, None] = dict.fromkeys(pending)
     settled: set[str] = set()  # connectors that are satisfied: a further publisher changes nothing for anyone
@@ -45,31 +45,31 @@ def rebalanced(
         before, highest = judge.mode_index(ref), 0 if ceiling is None else ceiling(ref)
         if before <= highest:
             continue
-        gained = [name for name in affected_connectors(s, ref, before, highest) if name not in settled]
+        gained = [name for name in affected_connectors(configuration, ref, before, highest) if name not in settled]
         settled.update(gained)
         gained = [name for name in gained if not judge.connector_satisfied(name)]
         overlay[ref] = highest
         for name in gained:
-            for consumer in s.consumers(name):
+            for consumer in configuration.consumers(name):
                 touched[consumer] = None
                 pending.append(consumer)
-    _lower(s, overlay, list(touched))
-    return {ref: index for ref, index in overlay.items() if s.modes[ref] != index}
+    _lower(configuration, overlay, list(touched))
+    return {ref: index for ref, index in overlay.items() if configuration.modes[ref] != index}
 
 
-def lowered(s: Configuration, seeds: Iterable[FunctionalityRef]) -> dict[FunctionalityRef, int]:
-    """The modes to fall to so that everybody is satisfied, from those of ``s``; nobody is raised.
+def lowered(configuration: Configuration, seeds: Iterable[FunctionalityRef]) -> dict[FunctionalityRef, int]:
+    """The modes to fall to so that everybody is satisfied, from those of ``configuration``; nobody is raised.
 
-    Only ``seeds`` may be unsatisfied in ``s``, and whoever depends on them. This is the least degradation.
+    Only ``seeds`` may be unsatisfied in ``configuration``, and whoever depends on them. This is the least degradation.
     """
     overlay: dict[FunctionalityRef, int] = {}
-    _lower(s, overlay, list(dict.fromkeys(seeds)))
+    _lower(configuration, overlay, list(dict.fromkeys(seeds)))
     return overlay
 
 
-def consumers_of(s: Configuration, port: PortRef, connector: str) -> list[FunctionalityRef]:
+def consumers_of(configuration: Configuration, port: PortRef, connector: str) -> list[FunctionalityRef]:
     """The functionalities that an attachment of ``port`` to ``connector`` bears on directly."""
-    return list(s.consumers(connector)) if s.is_output(port) else s.users(port)
+    return list(configuration.consumers(connector)) if configuration.is_output(port) else configuration.users(port)
 
 
 class MonotoneEvaluator(Evaluator):
@@ -81,21 +81,24 @@ class MonotoneEvaluator(Evaluator):
 
     __slots__ = ("_supports",)
 
-    def __init__(self, s: Configuration, overlay: Mapping[FunctionalityRef, int]) -> None:
-        super().__init__(s, overlay)
+    def __init__(self, configuration: Configuration, overlay: Mapping[FunctionalityRef, int]) -> None:
+        super().__init__(configuration, overlay)
         self._supports: dict[str, tuple[PortRef | None, Iterator[PortRef]]] = {}
 
     def connector_satisfied(self, name: str) -> bool:
-        connector = self.s.world.connectors.get(name)
+        connector = self.configuration.world.connectors.get(name)
         if connector is None:
             return False
         needed = connector.guarantee
         if name in self._supports:
             support, others = self._supports[name]
         else:
-            if any(satisfies(offer.guarantee, needed) for offer in self.s.world.publishers_out_of_scope(connector)):
+            if any(
+                satisfies(offer.guarantee, needed)
+                for offer in self.configuration.world.publishers_out_of_scope(connector)
+            ):
                 return True
-            others = iter(self.s.publishers_on(name))
+            others = iter(self.configuration.publishers_on(name))
             support = next(others, None)
         while support is not None and not satisfies(self.guarantee(support), needed):
             support = next(others, None)
@@ -103,9 +106,9 @@ class MonotoneEvaluator(Evaluator):
         return support is not None
 
 
-def _lower(s: Configuration, overlay: dict[FunctionalityRef, int], pending: list[FunctionalityRef]) -> None:
+def _lower(configuration: Configuration, overlay: dict[FunctionalityRef, int], pending: list[FunctionalityRef]) -> None:
     """Lower in ``overlay`` whatever is unsatisfied, and whatever is so in turn. All that may be is in ``pending``."""
-    judge = MonotoneEvaluator(s, overlay)
+    judge = MonotoneEvaluator(configuration, overlay)
     waiting = set(pending)
     fallen: set[str] = set()
     while pending:
@@ -116,25 +119,25 @@ def _lower(s: Configuration, overlay: dict[FunctionalityRef, int], pending: list
         if after == before:
             continue
         overlay[ref] = after
-        for name in affected_connectors(s, ref, before, after):
+        for name in affected_connectors(configuration, ref, before, after):
             if name in fallen or judge.connector_satisfied(name):
                 continue
             fallen.add(name)
-            for consumer in s.consumers(name):
+            for consumer in configuration.consumers(name):
                 if consumer not in waiting:
                     waiting.add(consumer)
                     pending.append(consumer)
 
 
-def affected_connectors(s: Configuration, ref: FunctionalityRef, before: int, after: int) -> Iterator[str]:
+def affected_connectors(configuration: Configuration, ref: FunctionalityRef, before: int, after: int) -> Iterator[str]:
     """The connectors that ``ref`` satisfies in one of the two modes and not in the other."""
-    functionality = s.functionality(ref)
+    functionality = configuration.functionality(ref)
     for output in functionality.outputs:
         was, will = functionality.modes[before].guarantee(output), functionality.modes[after].guarantee(output)
         if was is will:
             continue
-        for name in s.connectors_of.get(PortRef(ref.component, output), ()):
-            connector = s.world.connectors.get(name)
+        for name in configuration.connectors_of.get(PortRef(ref.component, output), ()):
+            connector = configuration.world.connectors.get(name)
             if connector is None:
                 continue
             if satisfies(was, connector.guarantee) != satisfies(will, connector.guarantee):

@@ -17,18 +17,18 @@ from midstride.model.rules import Evaluator
 _Aim: TypeAlias = tuple[FunctionalityRef, int]
 
 
-def reasons_against(s: Configuration, ref: FunctionalityRef, mode: int = 0) -> tuple[str, ...]:
+def reasons_against(configuration: Configuration, ref: FunctionalityRef, mode: int = 0) -> tuple[str, ...]:
     """Why ``ref`` cannot be in its mode number ``mode``, then why those cannot help that could; () if it can.
 
     Each functionality on the way is told once, so a cycle ends.
     """
-    judge = Evaluator(s)
+    judge = Evaluator(configuration)
     told: list[str] = []
     seen = {ref}
     waiting = deque([(ref, mode)])
     while waiting:
         current, index = waiting.popleft()
-        functionality = s.functionality(current)
+        functionality = configuration.functionality(current)
         for assumption in functionality.modes[index].assumptions:
             if judge.assumption_satisfied(current, functionality, assumption):
                 continue
@@ -47,9 +47,9 @@ class Diagnosis:
     All of them together cost no more than the configuration: each step of a chain is worked out once.
     """
 
-    def __init__(self, s: Configuration) -> None:
-        self.s = s
-        self._judge = Evaluator(s)
+    def __init__(self, configuration: Configuration) -> None:
+        self.configuration = configuration
+        self._judge = Evaluator(configuration)
         self._steps: dict[_Aim, tuple[tuple[str, ...], tuple[_Aim, ...]]] = {}
         self._ends: dict[_Aim, str] = {}
 
@@ -73,7 +73,7 @@ class Diagnosis:
         """The reasons against one aim, and the aims that would help it."""
         if aim not in self._steps:
             ref, index = aim
-            functionality = self.s.functionality(ref)
+            functionality = self.configuration.functionality(ref)
             told: list[str] = []
             helpers: list[_Aim] = []
             for assumption in functionality.modes[index].assumptions:
@@ -106,18 +106,18 @@ def _helpers(
     judge: Evaluator, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption
 ) -> Iterator[tuple[FunctionalityRef, int]]:
     """The functionalities that would satisfy the assumption if they were in a better mode, and that mode."""
-    s, inputs = judge.s, judge.s.component(ref.component).inputs
+    configuration, inputs = judge.configuration, judge.configuration.component(ref.component).inputs
     if isinstance(assumption, InputAlternatives):
         names = list(assumption.inputs)
     else:
         names = [name for name in functionality.inputs if satisfies(inputs[name], assumption)]
     for name in names:
-        for topic in s.attached_to(PortRef(ref.component, name)):
-            connector = s.world.connectors.get(topic)
+        for topic in configuration.attached_to(PortRef(ref.component, name)):
+            connector = configuration.world.connectors.get(topic)
             if connector is None or not satisfies(connector.guarantee, inputs[name]):
                 continue
-            for output in sorted(s.publishers_on(topic)):
-                owner = s.component(output.component).owner(output.port)
+            for output in sorted(configuration.publishers_on(topic)):
+                owner = configuration.component(output.component).owner(output.port)
                 other = FunctionalityRef(output.component, owner.name)
                 for index in range(judge.mode_index(other) - 1, -1, -1):
                     if satisfies(owner.modes[index].guarantee(output.port), connector.guarantee):

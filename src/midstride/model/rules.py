@@ -45,11 +45,11 @@ class Violation:
 class Evaluator:
     """Judges one configuration; ``overlay`` stands for modes that are only being considered."""
 
-    __slots__ = ("modes", "overlay", "s")
+    __slots__ = ("configuration", "modes", "overlay")
 
-    def __init__(self, s: Configuration, overlay: Mapping[FunctionalityRef, int] | None = None) -> None:
-        self.s = s
-        self.modes = s.modes
+    def __init__(self, configuration: Configuration, overlay: Mapping[FunctionalityRef, int] | None = None) -> None:
+        self.configuration = configuration
+        self.modes = configuration.modes
         self.overlay: Mapping[FunctionalityRef, int] = {} if overlay is None else overlay
 
     def mode_index(self, ref: FunctionalityRef) -> int:
@@ -58,24 +58,26 @@ class Evaluator:
 
     def guarantee(self, output: PortRef) -> Contract:
         """What a live output guarantees in the mode its owner stands in."""
-        owner = self.s.component(output.component).owner(output.port)
+        owner = self.configuration.component(output.component).owner(output.port)
         return owner.modes[self.mode_index(FunctionalityRef(output.component, owner.name))].guarantee(output.port)
 
     def connector_satisfied(self, name: str) -> bool:
-        connector = self.s.world.connectors.get(name)
+        connector = self.configuration.world.connectors.get(name)
         if connector is None:
             return False
         needed = connector.guarantee
-        if any(satisfies(self.guarantee(output), needed) for output in self.s.publishers_on(name)):
+        if any(satisfies(self.guarantee(output), needed) for output in self.configuration.publishers_on(name)):
             return True
-        return any(satisfies(offer.guarantee, needed) for offer in self.s.world.publishers_out_of_scope(connector))
+        return any(
+            satisfies(offer.guarantee, needed) for offer in self.configuration.world.publishers_out_of_scope(connector)
+        )
 
     def input_satisfied(self, port: PortRef) -> bool:
-        assumption = self.s.component(port.component).inputs[port.port]
-        connectors = self.s.world.connectors
+        assumption = self.configuration.component(port.component).inputs[port.port]
+        connectors = self.configuration.world.connectors
         return any(
             satisfies(connectors[name].guarantee, assumption) and self.connector_satisfied(name)
-            for name in self.s.connectors_of.get(port, ())
+            for name in self.configuration.connectors_of.get(port, ())
             if name in connectors
         )
 
@@ -84,15 +86,15 @@ class Evaluator:
     ) -> bool:
         if isinstance(assumption, InputAlternatives):
             return any(self.input_satisfied(PortRef(ref.component, name)) for name in assumption.inputs)
-        inputs = self.s.component(ref.component).inputs
+        inputs = self.configuration.component(ref.component).inputs
         for name in functionality.inputs:
             if satisfies(inputs[name], assumption) and self.input_satisfied(PortRef(ref.component, name)):
                 return True
-        return any(satisfies(offer.guarantee, assumption) for offer in self.s.world.offers())
+        return any(satisfies(offer.guarantee, assumption) for offer in self.configuration.world.offers())
 
     def mode_satisfied(self, ref: FunctionalityRef, index: int) -> bool:
         """Whether every assumption of ``ref``'s mode ``index`` is satisfied."""
-        functionality = self.s.functionality(ref)
+        functionality = self.configuration.functionality(ref)
         return all(self.assumption_satisfied(ref, functionality, a) for a in functionality.modes[index].assumptions)
 
     def satisfied(self, ref: FunctionalityRef) -> bool:
@@ -101,33 +103,33 @@ class Evaluator:
 
     def best_satisfied_mode(self, ref: FunctionalityRef, start: int) -> int:
         """The best mode from ``start`` on that is satisfied; the last one always is (rule M1)."""
-        last = self.s.functionality(ref).last_mode
+        last = self.configuration.functionality(ref).last_mode
         return next((index for index in range(start, last) if self.mode_satisfied(ref, index)), last)
 
     # -- the same, told ------------------------------------------------------------------------------
 
     def why_connector_unsatisfied(self, name: str) -> str:
-        connector = self.s.world.connectors.get(name)
+        connector = self.configuration.world.connectors.get(name)
         if connector is None:
             return f"{name} is not a topic of this system"
         shortfalls = []
-        for output in sorted(self.s.publishers_on(name)):
-            owner = self.s.component(output.component).owner(output.port)
+        for output in sorted(self.configuration.publishers_on(name)):
+            owner = self.configuration.component(output.component).owner(output.port)
             mode = owner.modes[self.mode_index(FunctionalityRef(output.component, owner.name))]
             clauses = explain(self.guarantee(output), connector.guarantee)
             shortfalls.append(f"{output} in mode {mode.name}: {', '.join(clauses)}")
-        for offer in self.s.world.publishers_out_of_scope(connector):
+        for offer in self.configuration.world.publishers_out_of_scope(connector):
             shortfalls.append(f"environment {offer.name}: {', '.join(explain(offer.guarantee, connector.guarantee))}")
         return f"nobody satisfies {name} ({'; '.join(shortfalls) if shortfalls else 'it has no publisher'})"
 
     def why_input_unsatisfied(self, port: PortRef) -> str:
-        attached = self.s.attached_to(port)
+        attached = self.configuration.attached_to(port)
         if not attached:
             return f"input {port} is not attached"
-        assumption = self.s.component(port.component).inputs[port.port]
+        assumption = self.configuration.component(port.component).inputs[port.port]
         reasons = []
         for name in attached:
-            connector = self.s.world.connectors.get(name)
+            connector = self.configuration.world.connectors.get(name)
             if connector is not None and not satisfies(connector.guarantee, assumption):
                 clauses = ", ".join(explain(connector.guarantee, assumption))
                 reasons.append(f"{name} does not satisfy what input {port} assumes ({clauses})")
@@ -140,8 +142,8 @@ class Evaluator:
         if isinstance(assumption, InputAlternatives):
             reasons = [self.why_input_unsatisfied(PortRef(ref.component, name)) for name in assumption.inputs]
             return f"assumes {assumption}: " + "; ".join(reasons)
-        functionality = self.s.functionality(ref)
-        inputs = self.s.component(ref.component).inputs
+        functionality = self.configuration.functionality(ref)
+        inputs = self.configuration.component(ref.component).inputs
         reasons = []
         for name in functionality.inputs:
             if satisfies(inputs[name], assumption):
@@ -156,7 +158,7 @@ class Evaluator:
     def violations_of(self, refs: Iterable[FunctionalityRef]) -> Iterator[Violation]:
         """The unsatisfied assumptions of the functionalities named."""
         for ref in sorted(set(refs)):
-            functionality = self.s.functionality(ref)
+            functionality = self.configuration.functionality(ref)
             mode: Mode = functionality.modes[self.mode_index(ref)]
             for assumption in mode.assumptions:
                 if not self.assumption_satisfied(ref, functionality, assumption):
@@ -168,37 +170,39 @@ class Evaluator:
         """The ports and topics an assumption looks at: its inputs, their topics, and who publishes there."""
         inputs = assumption.inputs if isinstance(assumption, InputAlternatives) else functionality.inputs
         ports = [PortRef(ref.component, name) for name in inputs]
-        topics = [name for port in ports for name in self.s.attached_to(port)]
-        publishers = [port for name in topics for port in sorted(self.s.publishers_on(name))[:_SHOWN]]
+        topics = [name for port in ports for name in self.configuration.attached_to(port)]
+        publishers = [port for name in topics for port in sorted(self.configuration.publishers_on(name))[:_SHOWN]]
         return list(dict.fromkeys([*map(str, ports), *topics, *map(str, publishers)]))
 
 
-def publishers_count(s: Configuration, connector: str) -> int:
+def publishers_count(configuration: Configuration, connector: str) -> int:
     """How many publishers count against the connector's cap: attached outputs, and the environment's."""
-    declared = s.world.connectors[connector]
-    return len(s.publishers_on(connector)) + len(s.world.publishers_out_of_scope(declared))
+    declared = configuration.world.connectors[connector]
+    return len(configuration.publishers_on(connector)) + len(configuration.world.publishers_out_of_scope(declared))
 
 
-def cap_violation(s: Configuration, connector: str) -> Violation | None:
-    declared = s.world.connectors.get(connector)
+def cap_violation(configuration: Configuration, connector: str) -> Violation | None:
+    declared = configuration.world.connectors.get(connector)
     if declared is None or declared.cap is None:
         return None
-    count = publishers_count(s, connector)
+    count = publishers_count(configuration, connector)
     if count <= declared.cap:
         return None
-    names = [f"environment {offer.name}" for offer in s.world.publishers_out_of_scope(declared)]
-    names += [str(port) for port in sorted(s.publishers_on(connector))]
+    names = [f"environment {offer.name}" for offer in configuration.world.publishers_out_of_scope(declared)]
+    names += [str(port) for port in sorted(configuration.publishers_on(connector))]
     because = f"{count} publishers ({_listed(names)}), at most {declared.cap} allowed"
     return Violation("cap", connector, because, (connector, *names[:_SHOWN]))
 
 
-def capacity_violation(s: Configuration, resource: str) -> Violation | None:
-    held, capacity = s.held.get(resource), s.world.capacity(resource)
+def capacity_violation(configuration: Configuration, resource: str) -> Violation | None:
+    held, capacity = configuration.held.get(resource), configuration.world.capacity(resource)
     if held is None or held <= to_fraction(capacity):
         return None
-    holders = _listed(sorted(s.holders[resource]))
+    holders = _listed(sorted(configuration.holders[resource]))
     because = f"{format_number(float(held))} held by {holders}, capacity {format_number(capacity)}"
-    return Violation("capacity", f"resource {resource}", because, (resource, *sorted(s.holders[resource])[:_SHOWN]))
+    return Violation(
+        "capacity", f"resource {resource}", because, (resource, *sorted(configuration.holders[resource])[:_SHOWN])
+    )
 
 
 def _listed(names: list[str]) -> str:
@@ -206,27 +210,29 @@ def _listed(names: list[str]) -> str:
     return ", ".join(names[:_SHOWN]) + (f" and {rest} more" if rest > 0 else "")
 
 
-def violations(s: Configuration) -> list[Violation]:
-    """Every way in which ``s`` is not valid; empty iff it is (semantics.md section 3). Walks the system."""
+def violations(configuration: Configuration) -> list[Violation]:
+    """Every way in which ``configuration`` is not valid; empty iff it is (semantics.md section 3). Walks the system."""
     found: list[Violation] = []
-    for port, connector in sorted(s.attachments()):
+    for port, connector in sorted(configuration.attachments()):
         where = f"{port} on {connector}"
-        if not s.has_port(port):
+        if not configuration.has_port(port):
             found.append(
                 Violation("attachment", where, f"{port} is not a port of a live component", (str(port), connector))
             )
-        elif connector not in s.world.connectors:
+        elif connector not in configuration.world.connectors:
             found.append(
                 Violation("attachment", where, f"{connector} is not a topic of this system", (str(port), connector))
             )
-    found.extend(Evaluator(s).violations_of(s.modes))
-    found.extend(v for name in sorted(s.world.connectors) if (v := cap_violation(s, name)) is not None)
-    found.extend(v for name in sorted(s.held) if (v := capacity_violation(s, name)) is not None)
+    found.extend(Evaluator(configuration).violations_of(configuration.modes))
+    found.extend(
+        v for name in sorted(configuration.world.connectors) if (v := cap_violation(configuration, name)) is not None
+    )
+    found.extend(v for name in sorted(configuration.held) if (v := capacity_violation(configuration, name)) is not None)
     return found
 
 
-def is_valid(s: Configuration) -> bool:
-    return not violations(s)
+def is_valid(configuration: Configuration) -> bool:
+    return not violations(configuration)
 
 
 def normal_guarantee(component: ComponentSpec, output: str) -> Contract:

@@ -27,10 +27,13 @@ from midstride.model.document import (
 from midstride.model.specification import Specification
 
 
-def configuration_to_document(s: Configuration) -> Document:
+def configuration_to_document(configuration: Configuration) -> Document:
     """The document of a configuration."""
     world = Specification(
-        "world", connectors=s.world.connectors, environment=s.world.environment, resources=s.world.resources
+        "world",
+        connectors=configuration.world.connectors,
+        environment=configuration.world.environment,
+        resources=configuration.world.resources,
     )
     return {
         "world": specification_to_document(world),
@@ -41,10 +44,10 @@ def configuration_to_document(s: Configuration) -> Document:
                 "component": component_to_document(instance.component),
                 "parameters": parameters_to_document(instance.parameters),
             }
-            for _, instance in sorted(s.instances.items())
+            for _, instance in sorted(configuration.instances.items())
         ],
-        "attachments": [[str(port), connector] for port, connector in sorted(s.attachments())],
-        "modes": {str(ref): s.mode(ref).name for ref in sorted(s.modes)},
+        "attachments": [[str(port), connector] for port, connector in sorted(configuration.attachments())],
+        "modes": {str(ref): configuration.mode(ref).name for ref in sorted(configuration.modes)},
     }
 
 

@@ -238,11 +238,13 @@ def _hopeless(specification: Specification) -> Iterator[Problem]:
                     yield Problem("W032", (*where, "assumes", str(index)), f"{told}: {because}")
 
 
-def _unsatisfied_topics(s: Configuration) -> Iterator[Problem]:
+def _unsatisfied_topics(configuration: Configuration) -> Iterator[Problem]:
     """Topics that not even the normal modes of their publishers satisfy. An unfit one among them is told as E020."""
-    for name, connector in s.world.connectors.items():
-        offers = s.world.publishers_out_of_scope(connector)
-        if s.publishers_on(name) or any(satisfies(offer.guarantee, connector.guarantee) for offer in offers):
+    for name, connector in configuration.world.connectors.items():
+        offers = configuration.world.publishers_out_of_scope(connector)
+        if configuration.publishers_on(name) or any(
+            satisfies(offer.guarantee, connector.guarantee) for offer in offers
+        ):
             continue
         shortfalls = [f"environment {o.name}: {', '.join(explain(o.guarantee, connector.guarantee))}" for o in offers]
         because = "; ".join(shortfalls) or "it has no publisher"
@@ -250,14 +252,14 @@ def _unsatisfied_topics(s: Configuration) -> Iterator[Problem]:
         yield Problem("W031", ("topics", name), f"nobody satisfies {name}: {because}", help)
 
 
-def _at_first(specification: Specification, s: Configuration) -> Iterator[Problem]:
+def _at_first(specification: Specification, configuration: Configuration) -> Iterator[Problem]:
     """Functionalities that cannot be at their normal mode at first, and `keep`s that so cannot hold."""
-    why = Diagnosis(s)
-    for ref in s.modes:
-        if s.modes[ref] > 0:
+    why = Diagnosis(configuration)
+    for ref in configuration.modes:
+        if configuration.modes[ref] > 0:
             reasons = why.chain(ref)
             path = ("nodes", ref.component)
-            stands = f"it will be in mode {s.mode(ref).name}"
+            stands = f"it will be in mode {configuration.mode(ref).name}"
             message = "; ".join(
                 [f"{reasons[0].replace(' cannot be', ' cannot at first be', 1)} ({stands})", *reasons[1:]]
             )
@@ -265,6 +267,6 @@ def _at_first(specification: Specification, s: Configuration) -> Iterator[Proble
     for index, constraint in enumerate(specification.constraints):
         if isinstance(constraint, Keep):
             ref = constraint.functionality
-            if s.modes[ref] > s.functionality(ref).mode_index(constraint.mode):
-                message = f"`{constraint}` does not hold at first: {ref} will be in mode {s.mode(ref).name}"
+            if configuration.modes[ref] > configuration.functionality(ref).mode_index(constraint.mode):
+                message = f"`{constraint}` does not hold at first: {ref} will be in mode {configuration.mode(ref).name}"
                 yield Problem("W034", ("constraints", str(index)), message)

@@ -230,11 +230,11 @@ class Change:
 
     def settled(self, configuration: Configuration) -> Configuration:
         """``configuration``, reached by the whole plan, in the target's own world and under its own names."""
-        s = configuration
+        configuration = configuration
         for name, identity in self.identities.items():
-            for port in [*s.publishers_on(identity), *s.subscribers_on(identity)]:
-                s = s.without_attachment(port, identity).with_attachment(port, name)
+            for port in [*configuration.publishers_on(identity), *configuration.subscribers_on(identity)]:
+                configuration = configuration.without_attachment(port, identity).with_attachment(port, name)
         for instance in self.renamed:
-            known = replace(s.instances[instance.name], component=instance.component)
-            s = replace(s, instances=s.instances.set(instance.name, known))
-        return s.with_context(self.end_world)
+            known = replace(configuration.instances[instance.name], component=instance.component)
+            configuration = replace(configuration, instances=configuration.instances.set(instance.name, known))
+        return configuration.with_context(self.end_world)

@@ -105,36 +105,36 @@ class ChangeBuilder:
 
     def conclude(self) -> None:
         """Find the final configuration, and refuse a target that cannot stand."""
-        s = self.start
+        configuration = self.start
         seeds: dict[FunctionalityRef, None] = dict.fromkeys(self.pending)
         for port, connector in self.detached:
-            _note_users(s, port, seeds)
-            s = s.without_attachment(port, connector)
+            _note_users(configuration, port, seeds)
+            configuration = configuration.without_attachment(port, connector)
         for name in self.leaving:
-            s = s.without_instance(name)
+            configuration = configuration.without_instance(name)
         for instance in self.coming:
-            s = s.with_instance(instance)
+            configuration = configuration.with_instance(instance)
             seeds.update(dict.fromkeys(instance.functionality_refs()))
         for port, connector in self.attached:
-            if reasons := contract_reasons(s, port, s.world.connectors[connector]):
+            if reasons := contract_reasons(configuration, port, configuration.world.connectors[connector]):
                 raise PlanRefused(f"{port} cannot be attached to {connector}: {reasons[0]}")
-            s = s.with_attachment(port, connector)
-            _note_users(s, port, seeds)
+            configuration = configuration.with_attachment(port, connector)
+            _note_users(configuration, port, seeds)
         for name, parameters in self.parameters:
-            s = s.with_parameters(name, parameters)
+            configuration = configuration.with_parameters(name, parameters)
         for connector in dict.fromkeys(connector for _, connector in [*self.detached, *self.attached]):
-            seeds.update(dict.fromkeys(s.consumers(connector)))
-        live = (ref for ref in seeds if ref.component in s.instances)
-        self.final = s.with_modes(rebalanced(s, live))
+            seeds.update(dict.fromkeys(configuration.consumers(connector)))
+        live = (ref for ref in seeds if ref.component in configuration.instances)
+        self.final = configuration.with_modes(rebalanced(configuration, live))
         resources = dict.fromkeys(r for instance in self.coming for r in instance.component.holds)
         connectors = dict.fromkeys(connector for _, connector in self.attached)
         _meet("the target", self.final, connectors, resources)
 
 
-def _note_users(s: Configuration, port: PortRef, seeds: dict[FunctionalityRef, None]) -> None:
-    """The functionalities that an input of ``s`` serves are seeds; an output's consumers are found by topic."""
-    if not s.is_output(port):
-        seeds.update(dict.fromkeys(s.users(port)))
+def _note_users(configuration: Configuration, port: PortRef, seeds: dict[FunctionalityRef, None]) -> None:
+    """The functionalities that an input of ``configuration`` serves are seeds; an output's consumers are found by topic."""
+    if not configuration.is_output(port):
+        seeds.update(dict.fromkeys(configuration.users(port)))
 
 
 def _values(instance: Instance) -> dict[str, ParameterValue]:
@@ -182,10 +182,10 @@ def _check_node(target: Specification, role: str) -> None:
             raise PlanRefused(f"node {role}: component {component.name} has no parameter {name}; {hint}")
 
 
-def _meet(who: str, s: Configuration, connectors: Iterable[str], resources: Iterable[str]) -> None:
+def _meet(who: str, configuration: Configuration, connectors: Iterable[str], resources: Iterable[str]) -> None:
     """Refuse an end of the change that exceeds a cap or a capacity."""
-    found: list[Violation | None] = [cap_violation(s, name) for name in connectors]
-    found += [capacity_violation(s, name) for name in resources]
+    found: list[Violation | None] = [cap_violation(configuration, name) for name in connectors]
+    found += [capacity_violation(configuration, name) for name in resources]
     for violation in found:
         if violation is not None:
             raise PlanRefused(f"{who} does not fit: {violation}")

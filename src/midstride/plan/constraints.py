@@ -55,11 +55,11 @@ def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints:
     asked = tuple(constraints)
     if not asked:
         return []
-    meter, watch, s = DisruptionMeter(levels), ConstraintMonitor(change, levels, asked), change.start
+    meter, watch, configuration = DisruptionMeter(levels), ConstraintMonitor(change, levels, asked), change.start
     for step in steps:
-        s = step.action.effect(s)
-        meter.step(step.action, step.seconds, s)
-        watch.note(step, s)
+        configuration = step.action.effect(configuration)
+        meter.step(step.action, step.seconds, configuration)
+        watch.note(step, configuration)
     first_breach = dict(watch.broken)
     for constraint in asked:
         if isinstance(constraint, Limit):

@@ -68,14 +68,14 @@ class Levels:
             yield Counted(ref, outputs, worst, max(levels), new.weight)
 
     @staticmethod
-    def _level(s: Configuration, ref: FunctionalityRef, outputs: tuple[str, ...], worst: int) -> int:
+    def _level(configuration: Configuration, ref: FunctionalityRef, outputs: tuple[str, ...], worst: int) -> int:
         level = worst
-        for instance in s.instances_by_role.get(ref.component, ()):
+        for instance in configuration.instances_by_role.get(ref.component, ()):
             own = FunctionalityRef(instance, ref.functionality)
-            mode = s.modes.get(own)
+            mode = configuration.modes.get(own)
             if mode is None or mode >= level:
                 continue
-            if all(PortRef(instance, output) in s.connectors_of for output in outputs):
+            if all(PortRef(instance, output) in configuration.connectors_of for output in outputs):
                 level = mode
         return level
 
@@ -83,12 +83,12 @@ class Levels:
         """The functionality of a role as it is counted; None where start or target does not have it."""
         return next((counted for counted in self.counted(ref.component) if counted.ref == ref), None)
 
-    def level(self, s: Configuration, ref: FunctionalityRef) -> int:
+    def level(self, configuration: Configuration, ref: FunctionalityRef) -> int:
         """The level of a role's functionality: the best mode among those serving it. Raises KeyError if not counted."""
         counted = self.find(ref)
         if counted is None:
             raise KeyError(ref)
-        return self._level(s, ref, counted.outputs, counted.worst)
+        return self._level(configuration, ref, counted.outputs, counted.worst)
 
     def baseline(self, ref: FunctionalityRef) -> int:
         """The worse of the levels in ``best`` of start and of target. Raises KeyError if not counted."""
@@ -97,20 +97,20 @@ class Levels:
             raise KeyError(ref)
         return counted.baseline
 
-    def below(self, s: Configuration, role: str) -> dict[FunctionalityRef, int]:
+    def below(self, configuration: Configuration, role: str) -> dict[FunctionalityRef, int]:
         """How many levels below the baseline the functionalities of ``role`` stand, where they do."""
         found = {}
         for counted in self.counted(role):
-            loss = self._level(s, counted.ref, counted.outputs, counted.worst) - counted.baseline
+            loss = self._level(configuration, counted.ref, counted.outputs, counted.worst) - counted.baseline
             if loss > 0:
                 found[counted.ref] = loss
         return found
 
-    def fallen(self, s: Configuration, roles: Iterable[str] | None = None) -> dict[FunctionalityRef, int]:
+    def fallen(self, configuration: Configuration, roles: Iterable[str] | None = None) -> dict[FunctionalityRef, int]:
         """The same over ``roles``; over all of them, at the cost of a walk, where None."""
         found: dict[FunctionalityRef, int] = {}
         for role in sorted(self.change.target.nodes) if roles is None else roles:
-            found.update(self.below(s, role))
+            found.update(self.below(configuration, role))
         return found
 
     def weight(self, ref: FunctionalityRef) -> float:

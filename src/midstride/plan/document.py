@@ -72,9 +72,13 @@ def _running(change: Change) -> dict[str, str | None]:
     return found
 
 
-def _standing(s: Configuration) -> dict[str, str]:
-    highest = best(s).modes
-    return {str(ref): s.mode(ref).name for ref in sorted(s.modes) if s.modes[ref] != highest[ref]}
+def _standing(configuration: Configuration) -> dict[str, str]:
+    highest = best(configuration).modes
+    return {
+        str(ref): configuration.mode(ref).name
+        for ref in sorted(configuration.modes)
+        if configuration.modes[ref] != highest[ref]
+    }
 
 
 def plan_from_document(document: Mapping[str, Any]) -> Plan:
@@ -111,15 +115,15 @@ def _started(
     """The configuration a plan starts from: instances under their names, in ``best`` but where said otherwise."""
     names = {role: running.get(role, role) for role in specification.nodes}
     live = {role: name for role, name in names.items() if name is not None}
-    s = best(
+    configuration = best(
         configure(
             specification.world,
             (specification.instance(role, name) for role, name in live.items()),
             (pair for role, name in live.items() for pair in specification.attachments_of(role, name)),
         )
     )
-    lower = {ref: s.functionality(ref).mode_index(mode) for ref, mode in _refs(standing)}
-    return s.with_modes(lower)
+    lower = {ref: configuration.functionality(ref).mode_index(mode) for ref, mode in _refs(standing)}
+    return configuration.with_modes(lower)
 
 
 def _refs(named: Mapping[str, str]) -> list[tuple[FunctionalityRef, str]]:

@@ -145,5 +145,5 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
     return "the strategy lowers it"
 
 
-def _by_role(s: Configuration, own: FunctionalityRef) -> FunctionalityRef:
-    return FunctionalityRef(s.instances[own.component].role, own.functionality)
+def _by_role(configuration: Configuration, own: FunctionalityRef) -> FunctionalityRef:
+    return FunctionalityRef(configuration.instances[own.component].role, own.functionality)

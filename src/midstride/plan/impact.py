@@ -85,21 +85,21 @@ def impacts(specification: Specification, roles: Iterable[str] = ()) -> list[Imp
     for role in named:
         if role not in specification.nodes:
             raise PlanRefused(f"there is no node {role}; {suggestion(role, specification.nodes)}")
-    s = initial(specification)
-    found = [_impact(specification, s, role) for role in named]
+    configuration = initial(specification)
+    found = [_impact(specification, configuration, role) for role in named]
     return sorted(found, key=lambda impact: (not impact.single_point_of_failure, -impact.loss, impact.role))
 
 
-def _impact(specification: Specification, s: Configuration, role: str) -> Impact:
-    instance = s.instances[role]
+def _impact(specification: Specification, configuration: Configuration, role: str) -> Impact:
+    instance = configuration.instances[role]
     users: dict[FunctionalityRef, None] = {}
-    for port, connector in s.attached_ports(role):
-        if s.is_output(port):
-            users.update(dict.fromkeys(s.consumers(connector)))
-    without = s.without_instance(role)
+    for port, connector in configuration.attached_ports(role):
+        if configuration.is_output(port):
+            users.update(dict.fromkeys(configuration.consumers(connector)))
+    without = configuration.without_instance(role)
     modes = lowered(without, [ref for ref in users if ref.component != role])
     after = without.with_modes(modes)
-    falls = sorted(_falls(s, after, modes), key=lambda fall: (-fall.loss, fall.functionality))
+    falls = sorted(_falls(configuration, after, modes), key=lambda fall: (-fall.loss, fall.functionality))
     own = tuple(name for name in instance.component.functionality_order)
     return Impact(role, specification.nodes[role].component, tuple(falls), own)
 

@@ -69,15 +69,17 @@ def minimal(change: Change) -> Plan:
 
 def _no_room(change: Change) -> list[str]:
     """Why not all that comes can be there before anything goes: the resources that there is not enough of for both."""
-    s, told = change.start, []
+    configuration, told = change.start, []
     for resource in sorted({name for instance in change.coming for name in instance.component.holds}):
         coming = [instance for instance in change.coming if resource in instance.component.holds]
-        together = s.held.get(resource, 0) + sum(to_fraction(instance.component.holds[resource]) for instance in coming)
-        if together > to_fraction(s.world.capacity(resource)):
-            names = [name for name in change.leaving if resource in s.component(name).holds]
+        together = configuration.held.get(resource, 0) + sum(
+            to_fraction(instance.component.holds[resource]) for instance in coming
+        )
+        if together > to_fraction(configuration.world.capacity(resource)):
+            names = [name for name in change.leaving if resource in configuration.component(name).holds]
             who = " and ".join([*names, *(instance.name for instance in coming)])
             told.append(
-                f"{who} do not fit at once: {resource} has a capacity of {format_number(s.world.capacity(resource))}"
+                f"{who} do not fit at once: {resource} has a capacity of {format_number(configuration.world.capacity(resource))}"
             )
     return told
 

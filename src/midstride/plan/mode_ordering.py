@@ -36,31 +36,36 @@ class Support(Protocol):
 _ENUMERABLE: Final = 12
 
 
-def upgrades(s: Configuration, modes: Mapping[FunctionalityRef, int]) -> list[Upgrade]:
-    """From ``s`` to the better ``modes``, which are valid in it."""
-    return [Upgrade(Map(step)) for step in _raised(s, {r: i for r, i in modes.items() if i != s.modes[r]})]
+def upgrades(configuration: Configuration, modes: Mapping[FunctionalityRef, int]) -> list[Upgrade]:
+    """From ``configuration`` to the better ``modes``, which are valid in it."""
+    return [
+        Upgrade(Map(step))
+        for step in _raised(configuration, {r: i for r, i in modes.items() if i != configuration.modes[r]})
+    ]
 
 
-def degradations(s: Configuration, modes: Mapping[FunctionalityRef, int]) -> list[Degrade]:
-    """From ``s`` to the worse ``modes``, which are valid in it.
+def degradations(configuration: Configuration, modes: Mapping[FunctionalityRef, int]) -> list[Degrade]:
+    """From ``configuration`` to the worse ``modes``, which are valid in it.
 
-    Where ``s`` itself is not valid (a publisher is gone), those that lost their support come in
+    Where ``configuration`` itself is not valid (a publisher is gone), those that lost their support come in
     an order, and if need be in groups, in which each step's own precondition holds.
     """
-    below = s.with_modes(dict(modes))
+    below = configuration.with_modes(dict(modes))
     steps: list[Degrade] = []
-    for step in _raised(below, {ref: s.modes[ref] for ref, index in modes.items() if index != s.modes[ref]}):
+    for step in _raised(
+        below, {ref: configuration.modes[ref] for ref, index in modes.items() if index != configuration.modes[ref]}
+    ):
         steps.append(Degrade(Map({ref: below.modes[ref] for ref in step})))
         below = below.with_modes(step)
     return steps[::-1]
 
 
-def _raised(s: Configuration, wanted: Modes) -> Iterator[Modes]:
+def _raised(configuration: Configuration, wanted: Modes) -> Iterator[Modes]:
     """The groups that rise together, in order, until every one stands as ``wanted``."""
-    rank = {ref: place for place, ref in enumerate(sorted(wanted, key=lambda ref: _declared(s, ref)))}
+    rank = {ref: place for place, ref in enumerate(sorted(wanted, key=lambda ref: _declared(configuration, ref)))}
     by_rank = list(rank)
     overlay: Modes = {}
-    judge = Evaluator(s, overlay)
+    judge = Evaluator(configuration, overlay)
     waiting = list(range(len(by_rank)))
 
     def rise(step: Modes) -> Modes:
@@ -69,7 +74,7 @@ def _raised(s: Configuration, wanted: Modes) -> Iterator[Modes]:
             if wanted[ref] == index:
                 del wanted[ref]
         for ref in step:
-            for consumer in _consumers(s, ref):
+            for consumer in _consumers(configuration, ref):
                 if consumer in wanted:
                     heapq.heappush(waiting, rank[consumer])
         return step
@@ -81,17 +86,17 @@ def _raised(s: Configuration, wanted: Modes) -> Iterator[Modes]:
                 yield rise({ref: wanted[ref]})
         if wanted:
             ordered = sorted(wanted, key=rank.__getitem__)
-            yield rise(_part_way(judge, wanted, ordered) or _group(s, overlay, wanted, ordered))
+            yield rise(_part_way(judge, wanted, ordered) or _group(configuration, overlay, wanted, ordered))
 
 
-def _declared(s: Configuration, ref: FunctionalityRef) -> tuple[str, int]:
-    return ref.component, s.component(ref.component).functionality_order.index(ref.functionality)
+def _declared(configuration: Configuration, ref: FunctionalityRef) -> tuple[str, int]:
+    return ref.component, configuration.component(ref.component).functionality_order.index(ref.functionality)
 
 
-def _consumers(s: Configuration, ref: FunctionalityRef) -> Iterator[FunctionalityRef]:
-    for output in s.functionality(ref).outputs:
-        for name in s.connectors_of.get(PortRef(ref.component, output), ()):
-            yield from s.consumers(name)
+def _consumers(configuration: Configuration, ref: FunctionalityRef) -> Iterator[FunctionalityRef]:
+    for output in configuration.functionality(ref).outputs:
+        for name in configuration.connectors_of.get(PortRef(ref.component, output), ()):
+            yield from configuration.consumers(name)
 
 
 def _part_way(judge: Evaluator, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
@@ -104,25 +109,25 @@ def _part_way(judge: Evaluator, wanted: Modes, ordered: list[FunctionalityRef]) 
     return {}
 
 
-def _group(s: Configuration, overlay: Modes, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
+def _group(configuration: Configuration, overlay: Modes, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
     """A smallest group of ``wanted`` that can rise together, none being able to rise alone."""
 
     def supports_itself(group: Sequence[FunctionalityRef], asked: Sequence[FunctionalityRef] | None = None) -> bool:
-        judge = Evaluator(s, {**overlay, **{ref: wanted[ref] for ref in group}})
+        judge = Evaluator(configuration, {**overlay, **{ref: wanted[ref] for ref in group}})
         return all(judge.mode_satisfied(ref, wanted[ref]) for ref in (group if asked is None else asked))
 
     # Whom each one cannot do without, even if all the others rise: a tangle of these must rise as one.
     raised = {**overlay, **wanted}
-    judge = Evaluator(s, raised)
+    judge = Evaluator(configuration, raised)
     suppliers: dict[FunctionalityRef, list[FunctionalityRef]] = {ref: [] for ref in ordered}
     for ref in ordered:
-        for consumer in dict.fromkeys(_consumers(s, ref)):
+        for consumer in dict.fromkeys(_consumers(configuration, ref)):
             if consumer in suppliers and consumer != ref:
                 suppliers[consumer].append(ref)
     needed: dict[FunctionalityRef, list[FunctionalityRef]] = {ref: [] for ref in ordered}
     for ref, candidates in suppliers.items():
         for supplier in candidates:
-            raised[supplier] = overlay.get(supplier, s.modes[supplier])
+            raised[supplier] = overlay.get(supplier, configuration.modes[supplier])
             if not judge.mode_satisfied(ref, wanted[ref]):
                 needed[ref].append(supplier)
             raised[supplier] = wanted[supplier]

@@ -81,16 +81,16 @@ def _creations(core: SearchState, turn: OrderGate) -> Iterator[Move]:
 
 def _making_room(core: SearchState, need: Need, turn: OrderGate) -> list[tuple[str, ...]]:
     """The least sets of components whose removal gives back what is needed."""
-    s, role_of = core.draft.s, core.draft.change.role_of
+    configuration, role_of = core.draft.configuration, core.draft.change.role_of
 
     def enough(names: Iterable[str]) -> bool:
-        given = [s.component(name).holds for name in names]
+        given = [configuration.component(name).holds for name in names]
         return all(sum(to_fraction(holds.get(r, 0.0)) for holds in given) >= lack for r, lack in need)
 
     holders = [
         name
         for name in core.removes
-        if role_of(name) in turn and any(resource in s.component(name).holds for resource, _ in need)
+        if role_of(name) in turn and any(resource in configuration.component(name).holds for resource, _ in need)
     ]
     holders.sort(key=lambda name: (not core.is_relieved(name), role_of(name) in core.draft.change.target.nodes))
     found = [(name,) for name in holders if enough((name,))]
@@ -112,14 +112,14 @@ def _making_room(core: SearchState, need: Need, turn: OrderGate) -> list[tuple[s
 
 def _attachments(core: SearchState, turn: OrderGate) -> Iterator[Move]:
     """Taking a slot of a capped topic; or making one, by handing over to the one that waits or by detaching."""
-    s, change = core.draft.s, core.draft.change
+    configuration, change = core.draft.configuration, core.draft.change
     for port, connector in core.attaches:
         if not core.may_attach(port, turn):
             continue
         if core.slots(connector) >= 1:
             yield Move("attach", attachment=(port, connector))
         for other, on in core.detaches:
-            if on not in (connector, change.sibling(connector)) or not s.is_output(other):
+            if on not in (connector, change.sibling(connector)) or not configuration.is_output(other):
                 continue
             if change.role_of(other.component) not in turn:
                 continue
@@ -144,7 +144,7 @@ def _parts(core: SearchState, turn: OrderGate) -> Iterator[Move]:
     for new, swaps in core.swaps.items():
         if core.draft.change.role_of(new) not in turn:
             continue
-        live = new in core.draft.s.instances
+        live = new in core.draft.configuration.instances
         if core.is_wanted(swaps) or (live and (not core.fits(new, swaps, turn) or core.costs(swaps))):
             yield Move("part", (new,))
 

@@ -87,8 +87,8 @@ def _go(draft: PlanBuilder, roles: set[str]) -> None:
 
 
 def _detach(draft: PlanBuilder, port: PortRef, connector: str) -> None:
-    seeds = consumers_of(draft.s, port, connector)
-    after = draft.s.without_attachment(port, connector)
+    seeds = consumers_of(draft.configuration, port, connector)
+    after = draft.configuration.without_attachment(port, connector)
     affected = _affected(after, seeds)
     draft.touched.update(dict.fromkeys(affected))
     draft.lower_to(affected)
@@ -113,8 +113,10 @@ def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
 
 
 def _lower_to_last(draft: PlanBuilder, refs: Iterable[FunctionalityRef]) -> None:
-    s = draft.s
-    modes = {ref: last for ref in refs if s.modes[ref] != (last := s.functionality(ref).last_mode)}
+    configuration = draft.configuration
+    modes = {
+        ref: last for ref in refs if configuration.modes[ref] != (last := configuration.functionality(ref).last_mode)
+    }
     draft.touched.update(dict.fromkeys(modes))
     draft.lower_to(modes)
 
@@ -146,8 +148,8 @@ def _bring(draft: PlanBuilder, instance: Instance, attachments: list[Attachment]
     for port, connector in inputs:
         draft.attach(port, connector)
     for ref in instance.functionality_refs():
-        index = Evaluator(draft.s).best_satisfied_mode(ref, 0)
-        if index < draft.s.modes[ref]:
+        index = Evaluator(draft.configuration).best_satisfied_mode(ref, 0)
+        if index < draft.configuration.modes[ref]:
             draft.raise_to({ref: index})
     for port, connector in outputs:
         _possible(draft, Attach(port, connector))
@@ -157,6 +159,6 @@ def _bring(draft: PlanBuilder, instance: Instance, attachments: list[Attachment]
 
 def _possible(draft: PlanBuilder, action: Action) -> None:
     """Refuse where an ``order`` lets something come before what it needs to be gone is."""
-    if reasons := action.check(draft.s):
+    if reasons := action.check(draft.configuration):
         because = "; ".join(str(reason) for reason in reasons)
         raise PlanRefused(f"in the order that the constraints ask for, {action.describe()} is impossible: {because}")

@@ -47,10 +47,10 @@ class Plan:
         alone; of any other, nothing is claimed.
         """
         meter = DisruptionMeter(levels or Levels(change))
-        s = change.start
+        configuration = change.start
         for step in steps:
-            s = step.action.effect(s)
-            meter.step(step.action, step.seconds, s)
+            configuration = step.action.effect(configuration)
+            meter.step(step.action, step.seconds, configuration)
         return cls(
             strategy=strategy,
             change=change,
@@ -77,11 +77,11 @@ class Plan:
 
     def configurations(self) -> Iterator[Configuration]:
         """The configurations on the way: the start, and then one after each step."""
-        s = self.change.start
-        yield s
+        configuration = self.change.start
+        yield configuration
         for step in self.steps:
-            s = step.action.effect(s)
-            yield s
+            configuration = step.action.effect(configuration)
+            yield configuration
 
     @cached_property
     def falls(self) -> tuple[Degradation, ...]:

@@ -31,13 +31,13 @@ class PlanBuilder:
     notes which of the user's constraints are broken.
     """
 
-    __slots__ = ("ceiling", "change", "meter", "s", "steps", "touched", "watch")
+    __slots__ = ("ceiling", "change", "configuration", "meter", "steps", "touched", "watch")
 
     def __init__(
         self, change: Change, levels: Levels, ceiling: Ceiling | None = None, watch: ConstraintMonitor | None = None
     ) -> None:
         self.change = change
-        self.s = change.start
+        self.configuration = change.start
         self.steps: list[Step] = []
         self.meter = DisruptionMeter(levels)
         self.touched: dict[FunctionalityRef, None] = dict.fromkeys(change.pending)
@@ -51,7 +51,7 @@ class PlanBuilder:
 
     def copy(self) -> PlanBuilder:
         twin = PlanBuilder.__new__(PlanBuilder)
-        twin.change, twin.s, twin.ceiling = self.change, self.s, self.ceiling
+        twin.change, twin.configuration, twin.ceiling = self.change, self.configuration, self.ceiling
         twin.steps, twin.meter, twin.touched = list(self.steps), self.meter.copy(), dict(self.touched)
         twin.watch = None if self.watch is None else self.watch.copy()
         return twin
@@ -61,32 +61,32 @@ class PlanBuilder:
         roles = tuple(dict.fromkeys(self.change.role_of(name) for name in instances_touched(action)))
         component = action.instance.component if isinstance(action, Create) else None
         if isinstance(action, Remove):
-            component = self.s.component(action.component)
+            component = self.configuration.component(action.component)
         seconds = self.change.seconds(action.kind, component)
-        step = Step(action, seconds, roles, mode_changes(self.s, action))
-        self.s = action.effect(self.s)
-        self.meter.step(action, seconds, self.s)
+        step = Step(action, seconds, roles, mode_changes(self.configuration, action))
+        self.configuration = action.effect(self.configuration)
+        self.meter.step(action, seconds, self.configuration)
         self.steps.append(step)
         if self.watch is not None:
-            self.watch.note(step, self.s)
+            self.watch.note(step, self.configuration)
 
     # -- modes ---------------------------------------------------------------------------------------
 
     def rise(self) -> None:
         """Upgrade whoever can stand better since the last time."""
         if self.touched:
-            live = [ref for ref in self.touched if ref.component in self.s.instances]
+            live = [ref for ref in self.touched if ref.component in self.configuration.instances]
             self.touched = {}
-            self.raise_to(rebalanced(self.s, live, self.ceiling))
+            self.raise_to(rebalanced(self.configuration, live, self.ceiling))
 
     def raise_to(self, modes: Modes) -> None:
         """Upgrade to ``modes``, upstream first."""
-        for upgrade in upgrades(self.s, modes):
+        for upgrade in upgrades(self.configuration, modes):
             self.do(upgrade)
 
     def lower_to(self, modes: Modes) -> None:
         """Degrade to ``modes``, downstream first."""
-        for degradation in degradations(self.s, modes):
+        for degradation in degradations(self.configuration, modes):
             self.do(degradation)
 
     # -- structure -----------------------------------------------------------------------------------
@@ -98,18 +98,18 @@ class PlanBuilder:
     def attach(self, port: PortRef, connector: str) -> None:
         """Attach; :meth:`rise` later, once for many."""
         self.do(Attach(port, connector))
-        self.touched.update(dict.fromkeys(consumers_of(self.s, port, connector)))
+        self.touched.update(dict.fromkeys(consumers_of(self.configuration, port, connector)))
 
     def hand_over(self, swaps: Sequence[Swap]) -> None:
         self.do(Handover(tuple(swaps)))
         for swap in swaps:
-            self.touched.update(dict.fromkeys(self.s.consumers(swap.connector)))
+            self.touched.update(dict.fromkeys(self.configuration.consumers(swap.connector)))
 
     def detach(self, attachments: Iterable[Attachment]) -> None:
         """Degrade to ``best`` of what will remain without all of these, then detach them one by one."""
         self.rise()
         pairs = list(attachments)
-        left = self.s
+        left = self.configuration
         seeds: dict[FunctionalityRef, None] = {}
         for port, connector in pairs:
             seeds.update(dict.fromkeys(consumers_of(left, port, connector)))

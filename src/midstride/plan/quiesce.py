@@ -20,24 +20,24 @@ def quiesce(change: Change) -> Plan:
 
 def reachable(change: Change) -> list[FunctionalityRef]:
     """The functionalities live at the start that the change can reach, sorted."""
-    s = change.start
+    configuration = change.start
     found: dict[FunctionalityRef, None] = {}
     for name in change.leaving:
-        found.update(dict.fromkeys(s.instances[name].functionality_refs()))
+        found.update(dict.fromkeys(configuration.instances[name].functionality_refs()))
     for port, connector in (*change.detached, *change.attached):
         component = change.component_of(port.component)
-        if port.component in s.instances:
+        if port.component in configuration.instances:
             owners = component.users(port.port) if port.port in component.inputs else [component.owner(port.port)]
             found.update(dict.fromkeys(FunctionalityRef(port.component, owner.name) for owner in owners))
         if component.has_output(port.port):
-            found.update(dict.fromkeys(s.consumers(connector)))
+            found.update(dict.fromkeys(configuration.consumers(connector)))
     pending = list(found)
     while pending:
         ref = pending.pop()
-        for output in s.functionality(ref).outputs:
+        for output in configuration.functionality(ref).outputs:
             port = PortRef(ref.component, output)
-            for connector in s.connectors_of.get(port, ()):
-                for consumer in consumers_of(s, port, connector):
+            for connector in configuration.connectors_of.get(port, ()):
+                for consumer in consumers_of(configuration, port, connector):
                     if consumer not in found:
                         found[consumer] = None
                         pending.append(consumer)

@@ -159,10 +159,10 @@ class _Marks:
 
 def _falling(change: Change, steps: Sequence[Step], levels: Levels) -> set[int]:
     """The steps by which something falls below its baseline, or further below it."""
-    meter, s, found = DisruptionMeter(levels), change.start, set()
+    meter, configuration, found = DisruptionMeter(levels), change.start, set()
     for index, step in enumerate(steps):
-        s = step.action.effect(s)
-        if any(moved.after > moved.before for moved in meter.step(step.action, step.seconds, s)):
+        configuration = step.action.effect(configuration)
+        if any(moved.after > moved.before for moved in meter.step(step.action, step.seconds, configuration)):
             found.add(index)
     return found
 

@@ -124,12 +124,12 @@ class SearchState:
     def is_relieved(self, name: str) -> bool:
         """Whether a component that leaves has been replaced already, and nothing rests on its outputs any more."""
         new = self.draft.change.replaced.get(name)
-        return new in self.draft.s.instances and new not in self.swaps
+        return new in self.draft.configuration.instances and new not in self.swaps
 
     def lack(self, resource: str, amount: Fraction) -> Fraction:
         """How much of the resource is missing for so much more of it; more than 0 where there is no room."""
-        s = self.draft.s
-        return s.held.get(resource, _NOTHING) + amount - to_fraction(s.world.capacity(resource))
+        configuration = self.draft.configuration
+        return configuration.held.get(resource, _NOTHING) + amount - to_fraction(configuration.world.capacity(resource))
 
     def _attach(self, turn: OrderGate) -> bool:
         """Attach what fits beside everything else that is to come on its topic, or may have to."""
@@ -154,17 +154,19 @@ class SearchState:
         return port.port in self.draft.change.component_of(port.component).inputs
 
     def may_attach(self, port: PortRef, turn: OrderGate) -> bool:
-        return port.component in self.draft.s.instances and self.draft.change.role_of(port.component) in turn
+        return (
+            port.component in self.draft.configuration.instances and self.draft.change.role_of(port.component) in turn
+        )
 
     def slots(self, connector: str) -> float:
         """How many more publishers the topic takes. What is one topic on the wire counts as one."""
-        s = self.draft.s
-        cap = s.world.connectors[connector].cap
+        configuration = self.draft.configuration
+        cap = configuration.world.connectors[connector].cap
         if cap is None:
             return math.inf
         sibling = self.draft.change.sibling(connector)
-        beside = 0 if sibling is None else len(s.publishers_on(sibling))
-        return cap - publishers_count(s, connector) - beside
+        beside = 0 if sibling is None else len(configuration.publishers_on(sibling))
+        return cap - publishers_count(configuration, connector) - beside
 
     def _hand_over(self, turn: OrderGate) -> bool:
         progress = False
@@ -194,23 +196,25 @@ class SearchState:
         return any(connector == swap.connector and not self._is_input(port) for port, connector in self.attaches)
 
     def _is_capped(self, connector: str) -> bool:
-        return self.draft.s.world.connectors[connector].cap is not None
+        return self.draft.configuration.world.connectors[connector].cap is not None
 
     def fits(self, new: str, swaps: Sequence[Swap], turn: OrderGate) -> bool:
         return self.draft.change.role_of(new) in turn and all(self.good(swap) for swap in swaps)
 
     def good(self, swap: Swap) -> bool:
         """Whether the new one may take over, as it stands now."""
-        return swap.new.component in self.draft.s.instances and self.satisfies_topic(swap.new, swap.connector)
+        return swap.new.component in self.draft.configuration.instances and self.satisfies_topic(
+            swap.new, swap.connector
+        )
 
     def satisfies_topic(self, output: PortRef, connector: str) -> bool:
-        s = self.draft.s
-        return satisfies(s.guarantee(output), s.world.connectors[connector].guarantee)
+        configuration = self.draft.configuration
+        return satisfies(configuration.guarantee(output), configuration.world.connectors[connector].guarantee)
 
     def costs(self, swaps: tuple[Swap, ...]) -> bool:
         """Whether the role would fall, or fall further, by handing over now."""
         draft = self.draft
-        after = Handover(swaps).effect(draft.s)
+        after = Handover(swaps).effect(draft.configuration)
         below = draft.meter.levels.below(after, draft.change.role_of(swaps[0].new.component))
         return any(loss > draft.meter.below.get(ref, 0) for ref, loss in below.items())
 

@@ -70,14 +70,14 @@ class Step:
         return self.describe()
 
 
-def mode_changes(s: Configuration, action: Action) -> tuple[ModeChange, ...]:
-    """The mode changes of an action about to be taken in ``s``, sorted."""
+def mode_changes(configuration: Configuration, action: Action) -> tuple[ModeChange, ...]:
+    """The mode changes of an action about to be taken in ``configuration``, sorted."""
     if not isinstance(action, (Degrade, Upgrade)):
         return ()
     changes = []
     for ref, index in sorted(action.modes.items()):
-        modes = s.functionality(ref).modes
-        changes.append(ModeChange(ref, modes[s.modes[ref]].name, modes[index].name))
+        modes = configuration.functionality(ref).modes
+        changes.append(ModeChange(ref, modes[configuration.modes[ref]].name, modes[index].name))
     return tuple(changes)
 
 

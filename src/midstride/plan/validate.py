@@ -68,22 +68,26 @@ def replay_document(document: Mapping[str, Any]) -> ReplayResult:
 def replay(plan: Plan) -> ReplayResult:
     """The verdict on a plan. It stops at the first step that is refused, since what follows has no meaning."""
     findings: list[ReplayFinding] = []
-    s = plan.change.start
-    findings.extend(ReplayFinding(None, f"the start is not valid: {violation}") for violation in violations(s))
+    configuration = plan.change.start
+    findings.extend(
+        ReplayFinding(None, f"the start is not valid: {violation}") for violation in violations(configuration)
+    )
     ledger = _Ledger(plan)
     for number, step in enumerate(plan.steps, start=1):
-        reasons = [str(reason) for reason in step.action.check(s)] or list(_misfits(plan, s, step.action))
+        reasons = [str(reason) for reason in step.action.check(configuration)] or list(
+            _misfits(plan, configuration, step.action)
+        )
         if reasons:
             findings += [ReplayFinding(number, f"{step.describe()}: {reason}") for reason in reasons]
             return ReplayResult("violated", tuple(findings), number)
-        before, s = s, step.action.effect(s)
-        ledger.enter(step.action, step.seconds, before, s)
-    findings += [ReplayFinding(None, because) for because in _end(plan, s)]
+        before, configuration = configuration, step.action.effect(configuration)
+        ledger.enter(step.action, step.seconds, before, configuration)
+    findings += [ReplayFinding(None, because) for because in _end(plan, configuration)]
     findings += [ReplayFinding(None, because) for because in ledger.differences()]
     return ReplayResult("violated" if findings else "holds", tuple(findings), len(plan.steps))
 
 
-def _misfits(plan: Plan, s: Configuration, action: Action) -> Iterator[str]:
+def _misfits(plan: Plan, configuration: Configuration, action: Action) -> Iterator[str]:
     """What is wrong with a new instance as such: its role, what it is, its name."""
     if not isinstance(action, Create):
         return
@@ -96,7 +100,7 @@ def _misfits(plan: Plan, s: Configuration, action: Action) -> Iterator[str]:
         yield f"{new.name} is not what the target says of {new.role}"
     nodes = {*change.specification.nodes, *change.target.nodes}
     if new.name == new.role:
-        if s.instances_of(new.role):
+        if configuration.instances_of(new.role):
             yield f"{new.name} would bear its role's name, and is not the first"
     elif not new.name.startswith(f"{new.role}_") or new.name in nodes:
         yield f"{new.name} is no name for an instance of {new.role}"
@@ -105,27 +109,31 @@ def _misfits(plan: Plan, s: Configuration, action: Action) -> Iterator[str]:
 # -- the end ---------------------------------------------------------------------------------------------
 
 
-def _end(plan: Plan, s: Configuration) -> Iterator[str]:
+def _end(plan: Plan, configuration: Configuration) -> Iterator[str]:
     """In what the configuration reached differs from the target as it would start by itself."""
     target = initial(plan.change.target)
-    for role in sorted({*s.instances_by_role, *target.instances_by_role}):
-        names = [instance.name for instance in s.instances_of(role)]
+    for role in sorted({*configuration.instances_by_role, *target.instances_by_role}):
+        names = [instance.name for instance in configuration.instances_of(role)]
         if role not in target.instances_by_role:
             yield f"{', '.join(names)} is left of {role}, which the target does not have"
         elif len(names) != 1:
             yield f"{role} has {len(names)} instances at the end ({', '.join(names) or 'none'})"
         else:
-            yield from _role_end(s, s.instances[names[0]], target, target.instances[role])
+            yield from _role_end(configuration, configuration.instances[names[0]], target, target.instances[role])
 
 
-def _role_end(s: Configuration, instance: Instance, target: Configuration, wanted: Instance) -> Iterator[str]:
+def _role_end(
+    configuration: Configuration, instance: Instance, target: Configuration, wanted: Instance
+) -> Iterator[str]:
     if not instance.component.same_body(wanted.component):
         yield f"{instance.name} is a {instance.component.name} at the end, {wanted.component.name} is wanted"
         return
     if instance.parameters != wanted.parameters:
         yield f"{instance.name} has other parameters at the end than the target says"
     for port in wanted.component.ports():
-        attached = [s.world.connectors[name] for name in s.attached_to(PortRef(instance.name, port))]
+        attached = [
+            configuration.world.connectors[name] for name in configuration.attached_to(PortRef(instance.name, port))
+        ]
         have = sorted({connector.topic for connector in attached})
         want = target.attached_to(PortRef(wanted.name, port))
         if have != want:
@@ -136,7 +144,7 @@ def _role_end(s: Configuration, instance: Instance, target: Configuration, wante
             if topic in want and connector.guarantee != target.world.connectors[topic].guarantee:
                 yield f"{instance.name}.{port} is attached to the old {topic} at the end"
     for functionality in wanted.component:
-        now = s.modes[FunctionalityRef(instance.name, functionality.name)]
+        now = configuration.modes[FunctionalityRef(instance.name, functionality.name)]
         then = target.modes[FunctionalityRef(wanted.name, functionality.name)]
         if now != then:
             names = functionality.modes[now].name, functionality.modes[then].name
@@ -166,17 +174,17 @@ def _counted(start: Specification, target: Specification) -> Iterator[_Counted]:
             yield _Counted(FunctionalityRef(role, name), needed, max(len(was.modes), len(will.modes)))
 
 
-def _levels(s: Configuration, every: Iterable[_Counted]) -> Levels:
+def _levels(configuration: Configuration, every: Iterable[_Counted]) -> Levels:
     """The level of every role's functionality that both have: section 6, word for word."""
     found: Levels = {}
     for counted in every:
         role, name = counted.ref
         found[counted.ref] = min(
             (
-                s.modes[FunctionalityRef(instance.name, name)]
-                for instance in s.instances_of(role)
+                configuration.modes[FunctionalityRef(instance.name, name)]
+                for instance in configuration.instances_of(role)
                 if name in instance.component.functionalities
-                and all(s.attached_to(PortRef(instance.name, output)) for output in counted.needed)
+                and all(configuration.attached_to(PortRef(instance.name, output)) for output in counted.needed)
             ),
             default=counted.worst,
         )
@@ -204,8 +212,8 @@ class _Ledger:
         self.roles: list[set[str]] = []
         self.broken: dict[str, None] = {}
 
-    def _now(self, s: Configuration) -> Levels:
-        return _levels(s, self.counted)
+    def _now(self, configuration: Configuration) -> Levels:
+        return _levels(configuration, self.counted)
 
     def _below(self, ref: FunctionalityRef, levels: Levels) -> int:
         return max(0, levels[ref] - self.baseline[ref])

@@ -42,37 +42,37 @@ class ActionDriver:
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     _exported: dict[str, str] = field(default_factory=dict)  # by role: a change removes of each at most one instance
 
-    async def perform(self, action: Action, s: Configuration, because: str) -> None:
-        """Carry out ``action``, whose precondition holds in ``s``. Raises MidstrideError.
+    async def perform(self, action: Action, configuration: Configuration, because: str) -> None:
+        """Carry out ``action``, whose precondition holds in ``configuration``. Raises MidstrideError.
 
         ``because`` is the reason that components give for the modes they are in.
         """
-        if self._is_void(action, s):
+        if self._is_void(action, configuration):
             return
         match action:
             case Create():
                 await self._create(action)
             case Remove():
-                await self._remove(action, s)
+                await self._remove(action, configuration)
             case Attach():
-                await self._attach(action, s)
+                await self._attach(action, configuration)
             case Detach():
-                await self._detach(action, s)
+                await self._detach(action, configuration)
             case Degrade() | Upgrade():
-                await self._set_modes(action, s, because)
+                await self._set_modes(action, configuration, because)
             case Handover():
-                await self._hand_over(action, s)
+                await self._hand_over(action, configuration)
             case SetParameters():
                 await self.link.change(action.component, "set", parameters=dict(action.parameters))
 
-    def _is_void(self, action: Action, s: Configuration) -> bool:
+    def _is_void(self, action: Action, configuration: Configuration) -> bool:
         """Whether nothing is to be done on the components: the action only takes something from a process that has
         ended, or the port has its endpoint on that topic, and keeps it, by another contract of the topic."""
         match action:
             case Attach(port, connector):
-                return _has_endpoint(s, port, connector)
+                return _has_endpoint(configuration, port, connector)
             case Detach(port, connector):
-                return self.is_gone(port.component) or _has_endpoint(s, port, connector)
+                return self.is_gone(port.component) or _has_endpoint(configuration, port, connector)
             case Degrade(modes):
                 return all(self.is_gone(ref.component) for ref in modes)
             case Remove(component):
@@ -86,8 +86,8 @@ class ActionDriver:
         if state is not None:
             await self._give(action.instance.name, state)
 
-    async def _remove(self, action: Remove, s: Configuration) -> None:
-        instance = s.instances[action.component]
+    async def _remove(self, action: Remove, configuration: Configuration) -> None:
+        instance = configuration.instances[action.component]
         if not self.rolling_back:  # else it is what this very change has created, and what comes back has its own
             try:
                 exported = await self.link.read(action.component, "export_state")
@@ -109,10 +109,12 @@ class ActionDriver:
                 raise
             self.tell("note", f"{instance} has not taken up its state again: {error}", {})
 
-    async def _attach(self, action: Attach, s: Configuration) -> None:
-        port, output = action.port, s.is_output(action.port)
-        peers = len(s.subscribers_on(action.connector) if output else s.publishers_on(action.connector))
-        topic = s.world.connectors[action.connector].topic
+    async def _attach(self, action: Attach, configuration: Configuration) -> None:
+        port, output = action.port, configuration.is_output(action.port)
+        peers = len(
+            configuration.subscribers_on(action.connector) if output else configuration.publishers_on(action.connector)
+        )
+        topic = configuration.world.connectors[action.connector].topic
         gate = {"gate": "open"} if output else {}
         await self._or_undone(
             self.link.change(
@@ -124,9 +126,9 @@ class ActionDriver:
             topic=topic,
         )
 
-    async def _detach(self, action: Detach, s: Configuration) -> None:
-        port, topic = action.port, s.world.connectors[action.connector].topic
-        gate = {"gate": "open"} if s.is_output(port) else {}
+    async def _detach(self, action: Detach, configuration: Configuration) -> None:
+        port, topic = action.port, configuration.world.connectors[action.connector].topic
+        gate = {"gate": "open"} if configuration.is_output(port) else {}
         reply = await self._or_undone(
             self.link.change(port.component, "detach", timeout=DETACH_TIMEOUT, port=port.port, topic=topic),
             port.component,
@@ -138,29 +140,34 @@ class ActionDriver:
         )
         if reply.get("last"):
             self.last_numbers[port] = int(reply["last"])
-        if reply.get("acknowledged") is None and s.is_output(port):
+        if reply.get("acknowledged") is None and configuration.is_output(port):
             self.tell("note", f"{port}: nobody can tell whether its last messages on {topic} arrived", {})
 
-    async def _set_modes(self, action: Degrade | Upgrade, s: Configuration, because: str) -> None:
+    async def _set_modes(self, action: Degrade | Upgrade, configuration: Configuration, because: str) -> None:
         """The functionalities of each component at once, the components one after the other."""
         changed: list[tuple[str, dict[str, str]]] = []
         try:
             for component, modes in by_component(action.modes).items():
-                changed.append((component, {ref.functionality: s.mode(ref).name for ref in modes}))
-                wanted = {ref.functionality: s.functionality(ref).modes[index].name for ref, index in modes.items()}
+                changed.append((component, {ref.functionality: configuration.mode(ref).name for ref in modes}))
+                wanted = {
+                    ref.functionality: configuration.functionality(ref).modes[index].name
+                    for ref, index in modes.items()
+                }
                 await self.link.change(component, "modes", self.drain_timeout, modes=wanted, because=because)
         except Exception:
             for component, before in reversed(changed):
                 await self.link.take_back(component, "modes", self.drain_timeout, modes=before, because="roll-back")
             raise
 
-    async def _hand_over(self, action: Handover, s: Configuration) -> None:
+    async def _hand_over(self, action: Handover, configuration: Configuration) -> None:
         for old, new in sorted({(swap.old.component, swap.new.component) for swap in action.swaps}):
-            if old != new and s.instances[old].role == s.instances[new].role:  # else nobody is replaced
+            if (
+                old != new and configuration.instances[old].role == configuration.instances[new].role
+            ):  # else nobody is replaced
                 await self._carry_state(old, new)
         if self.before_handover is not None:
-            await self.before_handover(s, action)
-        handed = await hand_over(self.link, s, action)
+            await self.before_handover(configuration, action)
+        handed = await hand_over(self.link, configuration, action)
         self.last_numbers.update(handed.last)
         for warning in handed.warnings:
             self.tell("note", warning, {})
@@ -195,10 +202,11 @@ def by_component(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[Functi
     return found
 
 
-def _has_endpoint(s: Configuration, port: PortRef, connector: str) -> bool:
+def _has_endpoint(configuration: Configuration, port: PortRef, connector: str) -> bool:
     """Whether ``port`` is attached to another connector of the same topic: to its contract before or after a
     change. The components know the topic alone."""
-    connectors = s.world.connectors
+    connectors = configuration.world.connectors
     return any(
-        other != connector and connectors[other].topic == connectors[connector].topic for other in s.attached_to(port)
+        other != connector and connectors[other].topic == connectors[connector].topic
+        for other in configuration.attached_to(port)
     )

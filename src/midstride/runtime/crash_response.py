@@ -14,24 +14,24 @@ from midstride.model.configuration import Configuration
 
 
 def settled(
-    s: Configuration,
+    configuration: Configuration,
     gone: Iterable[str],
     worse: Mapping[FunctionalityRef, int],
     owing: Iterable[FunctionalityRef] = (),
 ) -> tuple[Configuration, dict[FunctionalityRef, int]]:
-    """``s`` without the instances in ``gone`` and with the modes in ``worse``; and the modes to lower others to.
+    """``configuration`` without the instances in ``gone`` and with the modes in ``worse``; and the modes to lower others to.
 
     ``owing`` are those that were to be lowered before, and could not be.
     """
     touched: set[FunctionalityRef] = set(owing)
     for name in gone:
-        for port, connector in s.attached_ports(name):
-            if s.is_output(port):
-                touched.update(s.consumers(connector))
-        s = s.without_instance(name)
+        for port, connector in configuration.attached_ports(name):
+            if configuration.is_output(port):
+                touched.update(configuration.consumers(connector))
+        configuration = configuration.without_instance(name)
     for ref in worse:
-        for output in s.functionality(ref).outputs:
-            for connector in s.attached_to(PortRef(ref.component, output)):
-                touched.update(s.consumers(connector))
-    s = s.with_modes(worse)
-    return s, lowered(s, [ref for ref in touched if ref.component in s.instances])
+        for output in configuration.functionality(ref).outputs:
+            for connector in configuration.attached_to(PortRef(ref.component, output)):
+                touched.update(configuration.consumers(connector))
+    configuration = configuration.with_modes(worse)
+    return configuration, lowered(configuration, [ref for ref in touched if ref.component in configuration.instances])

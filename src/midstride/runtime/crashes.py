@@ -30,18 +30,18 @@ class Crashes:
         self.unsettled.pop(name, None)
         self.missing.pop(name, None)
 
-    def settle(self, s: Configuration) -> dict[str, Exited]:
-        """Those of the model ``s`` that are to be taken out of it; they are missing from now on."""
-        gone = {name: event for name, event in self.unsettled.items() if name in s.instances}
+    def settle(self, configuration: Configuration) -> dict[str, Exited]:
+        """Those of the model ``configuration`` that are to be taken out of it; they are missing from now on."""
+        gone = {name: event for name, event in self.unsettled.items() if name in configuration.instances}
         self.unsettled = {}
         self.missing |= gone
-        self._roles |= {name: s.instances[name].role for name in gone}
+        self._roles |= {name: configuration.instances[name].role for name in gone}
         return gone
 
-    def forget(self, s: Configuration, roles: Collection[str]) -> None:
+    def forget(self, configuration: Configuration, roles: Collection[str]) -> None:
         """Whose role is played again, by whatever instance, or is none of ``roles`` any more, is not missing."""
         self.missing = {
             name: event
             for name, event in self.missing.items()
-            if (role := self._roles[name]) in roles and not s.instances_by_role.get(role)
+            if (role := self._roles[name]) in roles and not configuration.instances_by_role.get(role)
         }

@@ -100,19 +100,21 @@ class Executor:
 
         There is no order to keep and no precondition to check: what they assume is gone already.
         """
-        s = self.configuration
+        configuration = self.configuration
         each = list(by_component(modes).values())
-        results = await asyncio.gather(*(self._lower(s, own, because) for own in each))
+        results = await asyncio.gather(*(self._lower(configuration, own, because) for own in each))
         left = {ref for own, lowered in zip(each, results, strict=True) if not lowered for ref in own}
         if len(left) < len(modes):
-            self.configuration = s.with_modes({ref: index for ref, index in modes.items() if ref not in left})
+            self.configuration = configuration.with_modes(
+                {ref: index for ref, index in modes.items() if ref not in left}
+            )
             await self.moved(self.configuration)
         return left
 
-    async def _lower(self, s: Configuration, modes: Mapping[FunctionalityRef, int], because: str) -> bool:
+    async def _lower(self, configuration: Configuration, modes: Mapping[FunctionalityRef, int], because: str) -> bool:
         action = Degrade(Map(modes))
         try:
-            await self.performer.perform(action, s, because)
+            await self.performer.perform(action, configuration, because)
         except MidstrideError as error:
             self._tell("note", f"{self.describe(action)} failed: {error}", {})
             return False

@@ -73,8 +73,8 @@ class HandoverResult:
     warnings: tuple[str, ...] = ()
 
 
-async def hand_over(link: ComponentClient, s: Configuration, action: Handover) -> HandoverResult:
-    """Carry out ``action`` on the components of ``s``.
+async def hand_over(link: ComponentClient, configuration: Configuration, action: Handover) -> HandoverResult:
+    """Carry out ``action`` on the components of ``configuration``.
 
     Raises StepFailed with the reason; then the old publishers have their topics as before and the
     new ones no endpoint there.
@@ -86,47 +86,47 @@ async def hand_over(link: ComponentClient, s: Configuration, action: Handover) -
     try:
         for swap in swaps:
             begun.append(swap)
-            warnings.append(await _stand_by(link, s, swap))
+            warnings.append(await _stand_by(link, configuration, swap))
         for swap in swaps:
-            await _await_probation(link, s, swap)
+            await _await_probation(link, configuration, swap)
         for old, new in sorted({(swap.old.component, swap.new.component) for swap in swaps}):
             await _meet(link, new, old)
         for lead in LEADS:
-            cuts = await _agree(link, s, swaps, lead)
-            if await _told(link, s, cuts, last_try=lead == LEADS[-1]):
+            cuts = await _agree(link, configuration, swaps, lead)
+            if await _told(link, configuration, cuts, last_try=lead == LEADS[-1]):
                 break
-        last = await _await_cuts(link, s, cuts)
+        last = await _await_cuts(link, configuration, cuts)
     except (Exception, asyncio.CancelledError) as error:
-        fallen = await _fallen(link, s, swaps) if isinstance(error, MidstrideError) else None
-        await _take_back(link, s, cuts, begun)
+        fallen = await _fallen(link, configuration, swaps) if isinstance(error, MidstrideError) else None
+        await _take_back(link, configuration, cuts, begun)
         if isinstance(error, MidstrideError):
             raise StepFailed(fallen or str(error)) from error
         raise
-    warnings += [await _retire(link, s, swap) for swap in swaps]
+    warnings += [await _retire(link, configuration, swap) for swap in swaps]
     return HandoverResult(last, tuple(warning for warning in warnings if warning))
 
 
-async def _fallen(link: ComponentClient, s: Configuration, swaps: Iterable[Swap]) -> str | None:
+async def _fallen(link: ComponentClient, configuration: Configuration, swaps: Iterable[Swap]) -> str | None:
     """Why a new side cannot take over that has degraded by itself: that is the reason, whatever it then refused."""
     for swap in swaps:
-        owner = s.component(swap.new.component).owner(swap.new.port)
+        owner = configuration.component(swap.new.component).owner(swap.new.port)
         try:
             view = (await link.peek(swap.new.component))["functionalities"].get(owner.name, {})
         except MidstrideError:
             continue
         ref = FunctionalityRef(swap.new.component, owner.name)
-        if view and owner.mode_index(view["mode"]) > s.modes[ref]:
+        if view and owner.mode_index(view["mode"]) > configuration.modes[ref]:
             return f"{ref} has gone to {view['mode']} by itself: {str(view.get('because')).strip()}"
     return None
 
 
-async def _told(link: ComponentClient, s: Configuration, cuts: list[Cut], last_try: bool) -> bool:
+async def _told(link: ComponentClient, configuration: Configuration, cuts: list[Cut], last_try: bool) -> bool:
     """Tell both sides of each cut. False where one was told too late, and nothing is agreed any more."""
     try:
         for cut in cuts:  # the old side first: it alone can go on by itself
-            await link.change(cut.old, "cut_out", **_out_arguments(s, cut))
+            await link.change(cut.old, "cut_out", **_out_arguments(configuration, cut))
         for cut in cuts:
-            await link.change(cut.new, "cut_in", **_in_arguments(s, cut))
+            await link.change(cut.new, "cut_in", **_in_arguments(configuration, cut))
     except CommandRefused:
         if last_try:
             raise
@@ -141,14 +141,14 @@ async def _cancel(link: ComponentClient, cuts: list[Cut]) -> None:
             await link.take_back(side, "cancel_cut", cut=cut.id)
 
 
-def _topic(s: Configuration, connector: str) -> str:
-    return s.world.connectors[connector].topic
+def _topic(configuration: Configuration, connector: str) -> str:
+    return configuration.world.connectors[connector].topic
 
 
-async def _stand_by(link: ComponentClient, s: Configuration, swap: Swap) -> str | None:
+async def _stand_by(link: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
     """The new publisher on the topic, its gate closed, matched with every subscriber the model knows of, and with as
     many as the old one is matched with; else what is to be told."""
-    topic = _topic(s, swap.connector)
+    topic = _topic(configuration, swap.connector)
     readers = int((await link.read(swap.old.component, "grid", port=swap.old.port, topic=topic))["readers"])
     reply = await link.change(
         swap.new.component,
@@ -157,7 +157,7 @@ async def _stand_by(link: ComponentClient, s: Configuration, swap: Swap) -> str 
         port=swap.new.port,
         topic=topic,
         gate="closed",
-        peers=len(s.subscribers_on(swap.connector)),
+        peers=len(configuration.subscribers_on(swap.connector)),
         everyone=readers,
         patience=OTHERS_PATIENCE,
     )
@@ -182,8 +182,8 @@ async def _meet(link: ComponentClient, new: str, old: str) -> None:
     raise refused
 
 
-async def _await_probation(link: ComponentClient, s: Configuration, swap: Swap) -> None:
-    guarantee = s.guarantee(swap.new)
+async def _await_probation(link: ComponentClient, configuration: Configuration, swap: Swap) -> None:
+    guarantee = configuration.guarantee(swap.new)
     rate = guarantee.rate if isinstance(guarantee, Predicate) else None
     timeout = PROBATION + (10 / rate if rate else 0.0)
     seen = await link.read(
@@ -191,7 +191,7 @@ async def _await_probation(link: ComponentClient, s: Configuration, swap: Swap) 
         "await_write",
         timeout=timeout,
         port=swap.new.port,
-        topic=_topic(s, swap.connector),
+        topic=_topic(configuration, swap.connector),
     )
     if wrong := seen.get("wrong_type"):
         raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {wrong}")
@@ -199,12 +199,12 @@ async def _await_probation(link: ComponentClient, s: Configuration, swap: Swap) 
         raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
 
 
-async def _agree(link: ComponentClient, s: Configuration, swaps: Iterable[Swap], lead: float) -> list[Cut]:
+async def _agree(link: ComponentClient, configuration: Configuration, swaps: Iterable[Swap], lead: float) -> list[Cut]:
     """One cut for the outputs of each functionality pair; all at the slot nearest to one common moment."""
     groups: dict[tuple[str, str, str], Cut] = {}
     moment: int | None = None
     for swap in swaps:
-        owner = s.component(swap.old.component).owner(swap.old.port).name
+        owner = configuration.component(swap.old.component).owner(swap.old.port).name
         cut = groups.setdefault(
             (swap.old.component, swap.new.component, owner), Cut(swap.old.component, swap.new.component, [])
         )
@@ -224,31 +224,31 @@ async def _agree(link: ComponentClient, s: Configuration, swaps: Iterable[Swap],
     return list(groups.values())
 
 
-def _declared_period(s: Configuration, cut: Cut) -> float | None:
+def _declared_period(configuration: Configuration, cut: Cut) -> float | None:
     """The longest of the periods that the cut's topics require; None where one states no rate."""
-    rates = [s.world.connectors[swap.connector].guarantee.rate for swap in cut.swaps]
+    rates = [configuration.world.connectors[swap.connector].guarantee.rate for swap in cut.swaps]
     rates = [
-        rate or (g.rate if isinstance(g := s.guarantee(swap.old), Predicate) else None)
+        rate or (g.rate if isinstance(g := configuration.guarantee(swap.old), Predicate) else None)
         for rate, swap in zip(rates, cut.swaps, strict=True)
     ]
     return None if any(rate is None for rate in rates) else max(1 / rate for rate in rates if rate)
 
 
-def _out_arguments(s: Configuration, cut: Cut) -> dict[str, Any]:
+def _out_arguments(configuration: Configuration, cut: Cut) -> dict[str, Any]:
     return {
         "cut": cut.id,
-        "swaps": [{"port": swap.old.port, "topic": _topic(s, swap.connector)} for swap in cut.swaps],
+        "swaps": [{"port": swap.old.port, "topic": _topic(configuration, swap.connector)} for swap in cut.swaps],
         "at": cut.at,
-        "resume_after": cut.resume_after(_declared_period(s, cut)),
+        "resume_after": cut.resume_after(_declared_period(configuration, cut)),
     }
 
 
-def _in_arguments(s: Configuration, cut: Cut) -> dict[str, Any]:
+def _in_arguments(configuration: Configuration, cut: Cut) -> dict[str, Any]:
     return {
         "cut": cut.id,
         # What is written neither at a rate nor for a message is written once: at the cut, again.
         "swaps": [
-            {"port": swap.new.port, "topic": _topic(s, swap.connector), "latch": cut.trigger == "none"}
+            {"port": swap.new.port, "topic": _topic(configuration, swap.connector), "latch": cut.trigger == "none"}
             for swap in cut.swaps
         ],
         "at": cut.at,
@@ -257,10 +257,12 @@ def _in_arguments(s: Configuration, cut: Cut) -> dict[str, Any]:
     }
 
 
-async def _await_cuts(link: ComponentClient, s: Configuration, cuts: list[Cut]) -> dict[PortRef, int | None]:
+async def _await_cuts(
+    link: ComponentClient, configuration: Configuration, cuts: list[Cut]
+) -> dict[PortRef, int | None]:
     last: dict[PortRef, int | None] = {}
     for cut in cuts:
-        patience = LEADS[-1] + cut.resume_after(_declared_period(s, cut)) + 2.0
+        patience = LEADS[-1] + cut.resume_after(_declared_period(configuration, cut)) + 2.0
         arriving, leaving = await asyncio.gather(
             link.read(cut.new, "await_cut", timeout=patience, cut=cut.id),
             link.read(cut.old, "await_cut", timeout=patience, cut=cut.id),
@@ -270,22 +272,22 @@ async def _await_cuts(link: ComponentClient, s: Configuration, cuts: list[Cut]) 
         if leaving["outcome"] != "done":
             raise StepFailed(f"{cut.old} had taken up again before it learnt that {cut.new} had written")
         for swap in cut.swaps:
-            told = leaving["last"].get(f"{swap.old.port} {_topic(s, swap.connector)}")
+            told = leaving["last"].get(f"{swap.old.port} {_topic(configuration, swap.connector)}")
             last[swap.old] = int(told[0]) if told else None
     return last
 
 
-async def _take_back(link: ComponentClient, s: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
+async def _take_back(link: ComponentClient, configuration: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
     """Old publishers as before, new ones off the topic. What cannot be reached is left to the roll-back."""
     await _cancel(link, cuts)
     for swap in begun:
-        topic = _topic(s, swap.connector)
+        topic = _topic(configuration, swap.connector)
         await link.take_back(swap.new.component, "detach", DETACH_TIMEOUT, port=swap.new.port, topic=topic)
 
 
-async def _retire(link: ComponentClient, s: Configuration, swap: Swap) -> str | None:
+async def _retire(link: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
     """Take the old endpoint off the topic. The swap has happened: an old side that will not let go is only told."""
-    topic = _topic(s, swap.connector)
+    topic = _topic(configuration, swap.connector)
     try:
         await link.change(swap.old.component, "detach", timeout=DETACH_TIMEOUT, port=swap.old.port, topic=topic)
     except MidstrideError as error:

@@ -261,8 +261,8 @@ class Manager:
             return {**outcome, "verdict": verdict.to_document()}
 
     def _watch(self, plan: Plan) -> StepVerifier:
-        def told(s: Configuration) -> Awaitable[ObservedConfiguration]:
-            return live(s, self._link, self._backend.clock, self._crashes.unsettled)
+        def told(configuration: Configuration) -> Awaitable[ObservedConfiguration]:
+            return live(configuration, self._link, self._backend.clock, self._crashes.unsettled)
 
         return StepVerifier(self._verifier, tuple(plan.configurations()), told, self._verified)
 
@@ -429,17 +429,17 @@ class Manager:
         for name in gone:
             self._launcher.handles.pop(name, None)
             self._link.forget(name)
-        s = self.configuration
-        worse = await status.own_degradations(s, self._link, self._backend.clock, gone)
+        configuration = self.configuration
+        worse = await status.own_degradations(configuration, self._link, self._backend.clock, gone)
         if not gone and not worse and not self._pending_degradations:
             return
         because = [f"{name} has ended by itself" for name in sorted(gone)]
         for ref, index in sorted(worse.items()):
-            words = f"{ref} has gone to {s.functionality(ref).modes[index].name} by itself"
+            words = f"{ref} has gone to {configuration.functionality(ref).modes[index].name} by itself"
             self.events.add("degraded", words, functionality=str(ref))
             because.append(words)
             self._fell.add(ref)
-        self.configuration, fallen = settled(s, gone, worse, self._pending_degradations)
+        self.configuration, fallen = settled(configuration, gone, worse, self._pending_degradations)
         self.revision += 1
         reason = "; ".join(because) or "what it assumes was gone before it could be reached"
         self._pending_degradations = await self._executor().lower(fallen, reason)

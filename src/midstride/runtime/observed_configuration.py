@@ -25,24 +25,24 @@ class ObservedConfiguration:
 
 
 async def live(
-    s: Configuration, link: ComponentClient, clock: Clock, gone: Container[str] = ()
+    configuration: Configuration, link: ComponentClient, clock: Clock, gone: Container[str] = ()
 ) -> ObservedConfiguration:
-    """``s`` with the modes and attachments that its components tell; without those in ``gone``, which have ended."""
-    for name in [name for name in s.instances if name in gone]:
-        s = s.without_instance(name)
-    states = await observed(sorted(s.instances), link, clock, TIMEOUT)
+    """``configuration`` with the modes and attachments that its components tell; without those in ``gone``, which have ended."""
+    for name in [name for name in configuration.instances if name in gone]:
+        configuration = configuration.without_instance(name)
+    states = await observed(sorted(configuration.instances), link, clock, TIMEOUT)
     for name, state in states.items():
         if state is not None:
-            s = _as_told(s, name, state)
-    return ObservedConfiguration(s, tuple(name for name, state in states.items() if state is None))
+            configuration = _as_told(configuration, name, state)
+    return ObservedConfiguration(configuration, tuple(name for name, state in states.items() if state is None))
 
 
-def _as_told(s: Configuration, name: str, state: dict[str, Any]) -> Configuration:
+def _as_told(configuration: Configuration, name: str, state: dict[str, Any]) -> Configuration:
     modes = {}
     for functionality, view in state["functionalities"].items():
         ref = FunctionalityRef(name, functionality)
-        modes[ref] = s.functionality(ref).mode_index(view["mode"])
-    s = s.with_modes(modes)
+        modes[ref] = configuration.functionality(ref).mode_index(view["mode"])
+    configuration = configuration.with_modes(modes)
     # A component knows topics alone; what stands behind a closed gate is not attached yet, or no longer.
     told = {
         (PortRef(name, port), topic)
@@ -51,13 +51,13 @@ def _as_told(s: Configuration, name: str, state: dict[str, Any]) -> Configuratio
         if view["gate"] != "closed"
     }
     known = set()
-    for port, connector in s.attached_ports(name):
-        pair = (port, s.world.connectors[connector].topic)
+    for port, connector in configuration.attached_ports(name):
+        pair = (port, configuration.world.connectors[connector].topic)
         known.add(pair)
         if pair not in told:
-            s = s.without_attachment(port, connector)
+            configuration = configuration.without_attachment(port, connector)
     if unknown := sorted(told - known):
-        by_topic = {connector.topic: key for key, connector in s.world.connectors.items()}
+        by_topic = {connector.topic: key for key, connector in configuration.world.connectors.items()}
         for port, topic in unknown:
-            s = s.with_attachment(port, by_topic.get(topic, topic))
-    return s
+            configuration = configuration.with_attachment(port, by_topic.get(topic, topic))
+    return configuration

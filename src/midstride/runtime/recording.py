@@ -31,10 +31,10 @@ class Exchange:
     new: PortRef
 
 
-def exchanges(s: Configuration, actions: Iterable[Action]) -> list[Exchange]:
+def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[Exchange]:
     """The publishers that ``actions`` exchange, whether by hand-over or by taking away and putting back."""
     found: list[Exchange] = []
-    roles = {name: instance.role for name, instance in s.instances.items()}
+    roles = {name: instance.role for name, instance in configuration.instances.items()}
     gone: list[tuple[str, PortRef]] = []
     for action in actions:
         match action:
@@ -42,7 +42,7 @@ def exchanges(s: Configuration, actions: Iterable[Action]) -> list[Exchange]:
                 roles[instance.name] = instance.role
             case Handover(swaps):
                 found.extend(Exchange(swap.connector, swap.old, swap.new) for swap in swaps)
-            case Detach(port, connector) if s.has_port(port) and s.is_output(port):
+            case Detach(port, connector) if configuration.has_port(port) and configuration.is_output(port):
                 gone.append((connector, port))
             case Attach(port, connector):
                 found.extend(
@@ -77,15 +77,15 @@ class Recording:
     # Where recording is on, and since when (ns); None where the answer was lost.
     _begun: dict[PortRef, int | None] = field(default_factory=dict)
 
-    async def begin(self, s: Configuration, actions: Sequence[Action]) -> None:
+    async def begin(self, configuration: Configuration, actions: Sequence[Action]) -> None:
         """Turn recording on at each subscriber that is there before and after."""
         leaving = {action.component for action in actions if isinstance(action, Remove)}
-        for exchange in exchanges(s, actions):
-            topic = s.world.connectors[exchange.connector].topic
-            guarantee = _normal(s, exchange.old)
+        for exchange in exchanges(configuration, actions):
+            topic = configuration.world.connectors[exchange.connector].topic
+            guarantee = _normal(configuration, exchange.old)
             period = 1 / guarantee.rate if guarantee is not None and guarantee.rate else None
             grid_period = await self._grid_period(exchange.old)
-            for port in sorted(s.subscribers_on(exchange.connector)):
+            for port in sorted(configuration.subscribers_on(exchange.connector)):
                 if port.component in leaving:
                     continue
                 try:
@@ -103,13 +103,13 @@ class Recording:
             begun = self._begun[port] = int(reply["now"])
         return begun
 
-    async def witness(self, s: Configuration, action: Handover) -> None:
+    async def witness(self, configuration: Configuration, action: Handover) -> None:
         """Just before a hand-over: have the new side of a message-driven output note what there is to answer."""
         for swap in action.swaps:
             try:
                 if (await self.link.read(swap.old.component, "grid", port=swap.old.port))["trigger"] != "message":
                     continue
-                owner = s.component(swap.new.component).owner(swap.new.port)
+                owner = configuration.component(swap.new.component).owner(swap.new.port)
                 inputs = [PortRef(swap.new.component, name) for name in owner.inputs]
                 if len(inputs) == 1:
                     await self._begin(inputs[0])
@@ -183,8 +183,8 @@ def _report(
     )
 
 
-def _normal(s: Configuration, output: PortRef) -> Predicate | None:
-    guarantee = s.component(output.component).owner(output.port).modes[0].guarantee(output.port)
+def _normal(configuration: Configuration, output: PortRef) -> Predicate | None:
+    guarantee = configuration.component(output.component).owner(output.port).modes[0].guarantee(output.port)
     return guarantee if isinstance(guarantee, Predicate) else None
 
 

@@ -30,8 +30,10 @@ class Verifier:
     async def plan(self, plan: Plan) -> Verdict:
         return await self._beside(lambda asking: verify_plan(plan, asking=asking))
 
-    async def configuration(self, s: Configuration) -> Verdict:
-        return await self._beside(lambda asking: verify_configuration(s, told="what is live", asking=asking))
+    async def configuration(self, configuration: Configuration) -> Verdict:
+        return await self._beside(
+            lambda asking: verify_configuration(configuration, told="what is live", asking=asking)
+        )
 
     async def _beside(self, ask: Callable[[Asking], Verdict]) -> Verdict:
         stop = Event()
@@ -50,9 +52,9 @@ class StepVerifier:
     live: Callable[[Configuration], Awaitable[ObservedConfiguration]]
     tell: Callable[[Verdict], object]
 
-    async def look(self, s: Configuration) -> None:
+    async def look(self, configuration: Configuration) -> None:
         """Raises VerificationError where what is live is not known, or is not known to be valid."""
-        found = await self.live(s)
+        found = await self.live(configuration)
         if found.silent:
             raise VerificationError(f"what is live is not known: {', '.join(found.silent)} did not answer")
         if found.configuration in self.judged:

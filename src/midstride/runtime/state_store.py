@@ -34,23 +34,25 @@ class StateStore:
         """The process of ``instance`` has been started. It is kept until it is in the configuration, or has ended."""
         self._started[instance.name] = instance
 
-    def save(self, specification: Specification, s: Configuration) -> None:
+    def save(self, specification: Specification, configuration: Configuration) -> None:
         """Keep the state. A disk that refuses does not stop a change half way: it is told."""
         try:
-            self.require(specification, s)
+            self.require(specification, configuration)
         except ManagerError as error:
             if self.unwritten is None:
                 self._tell(f"{error}; a later manager would not find everything again")
             self.unwritten = str(error)
 
-    def require(self, specification: Specification, s: Configuration) -> None:
+    def require(self, specification: Specification, configuration: Configuration) -> None:
         """Keep the state. Raises ManagerError where the disk refuses."""
         handles = self._launcher.handles
         self._started = {
-            name: instance for name, instance in self._started.items() if name in handles and name not in s.instances
+            name: instance
+            for name, instance in self._started.items()
+            if name in handles and name not in configuration.instances
         }
-        instances = [*s.instances.values(), *self._started.values()]
-        attachments = list(s.attachments())
+        instances = [*configuration.instances.values(), *self._started.values()]
+        attachments = list(configuration.attachments())
         self._workspace.save(state_document(specification, self._backend, self._token, instances, attachments, handles))
         self.unwritten = None
 

@@ -48,34 +48,40 @@ async def _peek(name: str, link: ComponentClient) -> State | None:
 
 
 async def own_degradations(
-    s: Configuration, link: ComponentClient, clock: Clock, gone: Container[str]
+    configuration: Configuration, link: ComponentClient, clock: Clock, gone: Container[str]
 ) -> dict[FunctionalityRef, int]:
     """The functionalities that stand in a worse mode than the model says, by their own word; ``gone`` are not asked.
 
     The caller takes them into the model: the components that say so are expected at the revision they say it at.
     """
-    states = await observed(sorted(name for name in s.instances if name not in gone), link, clock, timeout=1.0)
+    states = await observed(
+        sorted(name for name in configuration.instances if name not in gone), link, clock, timeout=1.0
+    )
     worse: dict[FunctionalityRef, int] = {}
     for name, state in states.items():
         for functionality, view in (state or {}).get("functionalities", {}).items():
             ref = FunctionalityRef(name, functionality)
-            index = s.functionality(ref).mode_index(view["mode"])
-            if index > s.modes[ref]:
+            index = configuration.functionality(ref).mode_index(view["mode"])
+            if index > configuration.modes[ref]:
                 worse[ref] = index
                 link.accept(name, state or {})
     return worse
 
 
-async def status(s: Configuration, link: ComponentClient, clock: Clock, gone: Mapping[str, Exited]) -> State:
+async def status(
+    configuration: Configuration, link: ComponentClient, clock: Clock, gone: Mapping[str, Exited]
+) -> State:
     """The document of ``midstride status``."""
-    states = await observed(sorted(s.instances), link, clock)
-    found = violations(s)
-    components = [_component(s, instance, states[name]) for name, instance in sorted(s.instances.items())]
+    states = await observed(sorted(configuration.instances), link, clock)
+    found = violations(configuration)
+    components = [
+        _component(configuration, instance, states[name]) for name, instance in sorted(configuration.instances.items())
+    ]
     differing = [row["name"] for row in components if not row["as_modelled"]]
     crashed = [
         {"name": name, "status": exited.status, "log": exited.log_tail}
         for name, exited in sorted(gone.items())
-        if name not in s.instances
+        if name not in configuration.instances
     ]
     return {
         "valid": not found and not differing and all(row["reachable"] for row in components),
@@ -85,22 +91,22 @@ async def status(s: Configuration, link: ComponentClient, clock: Clock, gone: Ma
         "topics": [
             {
                 "name": name,
-                "satisfied": Evaluator(s).connector_satisfied(name),
-                "publishers": [str(port) for port in sorted(s.publishers_on(name))],
-                "subscribers": [str(port) for port in sorted(s.subscribers_on(name))],
+                "satisfied": Evaluator(configuration).connector_satisfied(name),
+                "publishers": [str(port) for port in sorted(configuration.publishers_on(name))],
+                "subscribers": [str(port) for port in sorted(configuration.subscribers_on(name))],
             }
-            for name in sorted(s.world.connectors)
+            for name in sorted(configuration.world.connectors)
         ],
     }
 
 
-def _component(s: Configuration, instance: Instance, state: State | None) -> State:
+def _component(configuration: Configuration, instance: Instance, state: State | None) -> State:
     own = (state or {}).get("functionalities", {})
     functionalities = []
     as_modelled = True
     for ref in instance.functionality_refs():
-        functionality = s.functionality(ref)
-        modelled = s.mode(ref).name
+        functionality = configuration.functionality(ref)
+        modelled = configuration.mode(ref).name
         view = own.get(ref.functionality)
         mode = modelled if view is None else view["mode"]
         as_modelled = as_modelled and mode == modelled
@@ -129,21 +135,21 @@ def _component(s: Configuration, instance: Instance, state: State | None) -> Sta
             {
                 "port": str(port),
                 "connector": connector,
-                "gate": ports.get(port.port, {}).get(s.world.connectors[connector].topic, {}).get("gate"),
+                "gate": ports.get(port.port, {}).get(configuration.world.connectors[connector].topic, {}).get("gate"),
             }
-            for port, connector in s.attached_ports(instance.name)
+            for port, connector in configuration.attached_ports(instance.name)
         ],
     }
 
 
-async def why(s: Configuration, link: ComponentClient, clock: Clock, functionality: str) -> State:
+async def why(configuration: Configuration, link: ComponentClient, clock: Clock, functionality: str) -> State:
     """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
     asked = FunctionalityRef.parse(functionality)
-    every = [ref for instance in s.instances.values() for ref in instance.functionality_refs()]
+    every = [ref for instance in configuration.instances.values() for ref in instance.functionality_refs()]
     matching = [ref for ref in every if ref == asked] or [
         ref
         for ref in every
-        if ref.functionality == asked.functionality and s.instances[ref.component].role == asked.component
+        if ref.functionality == asked.functionality and configuration.instances[ref.component].role == asked.component
     ]
     if not matching:
         known = ", ".join(sorted(map(str, every))[:12]) or "none"
@@ -151,24 +157,24 @@ async def why(s: Configuration, link: ComponentClient, clock: Clock, functionali
     ref = sorted(matching)[0]
     state = (await observed([ref.component], link, clock))[ref.component]
     view = (state or {}).get("functionalities", {}).get(ref.functionality, {})
-    mode = view.get("mode", s.mode(ref).name)
+    mode = view.get("mode", configuration.mode(ref).name)
     return {
         "functionality": str(ref),
         "mode": mode,
-        "normal": s.functionality(ref).modes[0].name == mode,
+        "normal": configuration.functionality(ref).modes[0].name == mode,
         "because": view.get("because"),
-        "chain": _chain(s, ref),
+        "chain": _chain(configuration, ref),
         "inputs": {
-            str(PortRef(ref.component, name)): Evaluator(s).input_satisfied(PortRef(ref.component, name))
-            for name in s.functionality(ref).inputs
+            str(PortRef(ref.component, name)): Evaluator(configuration).input_satisfied(PortRef(ref.component, name))
+            for name in configuration.functionality(ref).inputs
         },
     }
 
 
-def _chain(s: Configuration, ref: FunctionalityRef) -> list[str]:
+def _chain(configuration: Configuration, ref: FunctionalityRef) -> list[str]:
     """For each better mode than the current one: what it assumes that does not hold."""
-    judge, functionality, told = Evaluator(s), s.functionality(ref), []
-    for index in range(s.modes[ref]):
+    judge, functionality, told = Evaluator(configuration), configuration.functionality(ref), []
+    for index in range(configuration.modes[ref]):
         mode = functionality.modes[index]
         missing = [a for a in mode.assumptions if not judge.assumption_satisfied(ref, functionality, a)]
         told += [f"not {mode.name}: it {judge.why_assumption_unsatisfied(ref, a)}" for a in missing]

@@ -38,27 +38,31 @@ _SETTINGS: Final[tuple[tuple[str, ParameterValue], ...]] = (
 @st.composite
 def actions(draw: st.DrawFn, scene: GeneratedSystem, *, kinds: tuple[str, ...] = _KINDS) -> Action:
     """Actions that speak of what there is, and now and then of what there is not. Many, not all, may be taken."""
-    s = scene.configuration
+    configuration = scene.configuration
     kind = draw(st.sampled_from(kinds))
-    names = [*sorted(s.instances), "nobody"]
+    names = [*sorted(configuration.instances), "nobody"]
     if kind == "create":
         name = draw(st.sampled_from(("fresh", names[0])))
         return Create(Instance(name, name, draw(st.sampled_from(scene.components))))
     if kind == "remove":
-        isolated = [name for name in names[:-1] if not s.attached_ports(name)]
+        isolated = [name for name in names[:-1] if not configuration.attached_ports(name)]
         return Remove(draw(st.sampled_from(isolated * 3 + names)))
     if kind == "set":
         return SetParameters(draw(st.sampled_from(names)), Map([draw(st.sampled_from(_SETTINGS))]))
     if kind == "degrade":
-        return Degrade(Map(_moved(draw, s, better=False)))
+        return Degrade(Map(_moved(draw, configuration, better=False)))
     if kind == "upgrade":
-        return Upgrade(Map(_moved(draw, s, better=True)))
-    attached = sorted(s.attachments())
-    ports = [PortRef(name, port) for name in names[:-1] for port in s.component(name).ports()]
-    topics = sorted(s.world.connectors)
+        return Upgrade(Map(_moved(draw, configuration, better=True)))
+    attached = sorted(configuration.attachments())
+    ports = [PortRef(name, port) for name in names[:-1] for port in configuration.component(name).ports()]
+    topics = sorted(configuration.world.connectors)
     if kind == "attach":
-        free = [(port, topic) for port in ports for topic in topics if not s.is_attached(port, topic)]
-        fit = [pair for pair in free if not contract_reasons(s, pair[0], s.world.connectors[pair[1]])]
+        free = [(port, topic) for port in ports for topic in topics if not configuration.is_attached(port, topic)]
+        fit = [
+            pair
+            for pair in free
+            if not contract_reasons(configuration, pair[0], configuration.world.connectors[pair[1]])
+        ]
         strange = [
             (PortRef("nobody", "out0"), topics[0]),
             (PortRef(names[0], "in0"), "/none"),
@@ -73,37 +77,45 @@ def actions(draw: st.DrawFn, scene: GeneratedSystem, *, kinds: tuple[str, ...] =
                 )
             )
         )
-    return Handover(_swaps(draw, s, ports, attached))
+    return Handover(_swaps(draw, configuration, ports, attached))
 
 
-def _moved(draw: st.DrawFn, s: Configuration, *, better: bool) -> dict[FunctionalityRef, int]:
+def _moved(draw: st.DrawFn, configuration: Configuration, *, better: bool) -> dict[FunctionalityRef, int]:
     """New modes for one functionality or a group; now and then one that is not better (worse) at all."""
-    refs = sorted(s.modes)
-    movable = [ref for ref in refs if (s.modes[ref] > 0 if better else s.modes[ref] < s.functionality(ref).last_mode)]
+    refs = sorted(configuration.modes)
+    movable = [
+        ref
+        for ref in refs
+        if (
+            configuration.modes[ref] > 0
+            if better
+            else configuration.modes[ref] < configuration.functionality(ref).last_mode
+        )
+    ]
     if not refs:
         return {}
     count = draw(st.sampled_from((1, 1, 1, 2, 3, 0)))
     chosen = [draw(st.sampled_from(movable * 4 + refs)) for _ in range(count)]
     modes = {}
     for ref in dict.fromkeys(chosen):
-        last, now = s.functionality(ref).last_mode, s.modes[ref]
+        last, now = configuration.functionality(ref).last_mode, configuration.modes[ref]
         proper = range(now) if better else range(now + 1, last + 1)
         modes[ref] = draw(st.sampled_from(proper or range(last + 2)))
     return modes
 
 
 def _swaps(
-    draw: st.DrawFn, s: Configuration, ports: list[PortRef], attached: list[tuple[PortRef, str]]
+    draw: st.DrawFn, configuration: Configuration, ports: list[PortRef], attached: list[tuple[PortRef, str]]
 ) -> tuple[Swap, ...]:
-    outputs = [port for port in ports if s.is_output(port)]
-    leaving = [pair for pair in attached if s.is_output(pair[0])]
+    outputs = [port for port in ports if configuration.is_output(port)]
+    leaving = [pair for pair in attached if configuration.is_output(pair[0])]
     if not attached:
         return ()
     swaps = []
     for _ in range(draw(st.sampled_from((1, 1, 1, 2, 2, 0)))):
         old, connector = draw(st.sampled_from(leaving * 4 + attached))
-        needed = s.world.connectors[connector].guarantee
-        able = [port for port in outputs if satisfies(s.guarantee(port), needed)]
-        free = [port for port in able if not s.is_attached(port, connector)]
+        needed = configuration.world.connectors[connector].guarantee
+        able = [port for port in outputs if satisfies(configuration.guarantee(port), needed)]
+        free = [port for port in able if not configuration.is_attached(port, connector)]
         swaps.append(Swap(connector, old, draw(st.sampled_from(free * 6 + outputs * 2 + ports))))
     return tuple(swaps)

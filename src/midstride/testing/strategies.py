@@ -238,14 +238,16 @@ def specifications(draw: st.DrawFn, *, most: int = 6) -> Specification:
     befalls one functionality is felt by the next, round in circles as often as not.
     """
     bare = draw(st.one_of(_networks(most), _networks(most), _motley(most)))
-    s = structure(bare)
+    configuration = structure(bare)
     connectors = dict(bare.connectors)
     capped = draw(st.sampled_from((None, *sorted(connectors))))
     if capped is not None:
-        count = len(s.publishers_on(capped)) + len(s.world.publishers_out_of_scope(connectors[capped]))
+        count = len(configuration.publishers_on(capped)) + len(
+            configuration.world.publishers_out_of_scope(connectors[capped])
+        )
         connectors[capped] = replace(connectors[capped], cap=count + draw(st.integers(0, 1)))
     spare = draw(st.sampled_from((0.0, 0.3, 2.0)))
-    resources = {name: Resource(name, float(s.held.get(name, 0)) + spare or 1.0) for name in RESOURCES}
+    resources = {name: Resource(name, float(configuration.held.get(name, 0)) + spare or 1.0) for name in RESOURCES}
     whole = replace(bare, connectors=Map(connectors), resources=Map(resources))
     timing = draw(st.sampled_from(({}, {"create": 0.25, "handover": 0.0})))
     return replace(whole, constraints=draw(_constraints(whole)), timing=Map(timing))
@@ -388,14 +390,15 @@ def configurations(draw: st.DrawFn, *, most: int = 6) -> Configuration:
 @st.composite
 def scenes(draw: st.DrawFn, *, most: int = 6) -> GeneratedSystem:
     specification = draw(specifications(most=most))
-    s = structure(specification)
+    configuration = structure(specification)
     # Any valid assignment is the best one below itself: so all of them are drawn, the best one more often.
     highest = {
-        ref: draw(st.sampled_from((0, 0, *range(s.functionality(ref).last_mode + 1)))) for ref in sorted(s.modes)
+        ref: draw(st.sampled_from((0, 0, *range(configuration.functionality(ref).last_mode + 1))))
+        for ref in sorted(configuration.modes)
     }
-    s = s.with_modes(highest)
+    configuration = configuration.with_modes(highest)
     components_ = tuple(component for _, component in sorted(specification.components.items()))
-    return GeneratedSystem(s.with_modes(lowered(s, sorted(s.modes))), components_)
+    return GeneratedSystem(configuration.with_modes(lowered(configuration, sorted(configuration.modes))), components_)
 
 
 @cache

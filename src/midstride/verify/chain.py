@@ -9,49 +9,49 @@ from midstride.model.rules import Evaluator
 from midstride.verify.verdict import CauseLink
 
 
-def chain(s: Configuration, ref: FunctionalityRef, assumption: Assumption) -> CauseLink:
+def chain(configuration: Configuration, ref: FunctionalityRef, assumption: Assumption) -> CauseLink:
     """From a live functionality, by one of its assumptions, its inputs and their topics, to whoever publishes there."""
-    judge = Evaluator(s)
-    functionality = s.functionality(ref)
+    judge = Evaluator(configuration)
+    functionality = configuration.functionality(ref)
     holds = judge.assumption_satisfied(ref, functionality, assumption)
     ports = assumption.inputs if isinstance(assumption, InputAlternatives) else functionality.inputs
     under = [_input(judge, PortRef(ref.component, port), assumption) for port in ports]
     if not isinstance(assumption, InputAlternatives):
         under += [
             CauseLink("environment", offer.name, str(offer.guarantee), satisfies(offer.guarantee, assumption))
-            for offer in s.world.offers()
+            for offer in configuration.world.offers()
         ]
     named = CauseLink("assumption", f"assumes {assumption}", "", holds, tuple(under))
-    return CauseLink("functionality", str(ref), f"in mode {s.mode(ref).name}", holds, (named,))
+    return CauseLink("functionality", str(ref), f"in mode {configuration.mode(ref).name}", holds, (named,))
 
 
 def _input(judge: Evaluator, port: PortRef, assumption: Assumption) -> CauseLink:
-    s = judge.s
-    needed = s.component(port.component).inputs[port.port]
+    configuration = judge.configuration
+    needed = configuration.component(port.component).inputs[port.port]
     told = str(needed)
     counts = isinstance(assumption, InputAlternatives) or satisfies(needed, assumption)
     if not counts:
         told += ": not what is assumed"
-    topics = tuple(_topic(judge, name, port) for name in s.attached_to(port))
+    topics = tuple(_topic(judge, name, port) for name in configuration.attached_to(port))
     if not topics:
         told += ": not attached"
     return CauseLink("input", str(port), told, counts and judge.input_satisfied(port), topics)
 
 
 def _topic(judge: Evaluator, name: str, port: PortRef) -> CauseLink:
-    s = judge.s
-    connector = s.world.connectors.get(name)
+    configuration = judge.configuration
+    connector = configuration.world.connectors.get(name)
     if connector is None:
         return CauseLink("topic", name, "not a topic of this system", False)
-    clauses = explain(connector.guarantee, s.component(port.component).inputs[port.port])
+    clauses = explain(connector.guarantee, configuration.component(port.component).inputs[port.port])
     publishers = []
-    for output in sorted(s.publishers_on(name)):
-        owner = s.component(output.component).owner(output.port)
+    for output in sorted(configuration.publishers_on(name)):
+        owner = configuration.component(output.component).owner(output.port)
         mode = owner.modes[judge.mode_index(FunctionalityRef(output.component, owner.name))]
         guarantee = judge.guarantee(output)
         good = satisfies(guarantee, connector.guarantee)
         publishers.append(CauseLink("output", str(output), f"in mode {mode.name}: {guarantee}", good))
-    for offer in s.world.publishers_out_of_scope(connector):
+    for offer in configuration.world.publishers_out_of_scope(connector):
         good = satisfies(offer.guarantee, connector.guarantee)
         publishers.append(CauseLink("environment", offer.name, str(offer.guarantee), good))
     told = f"{connector.guarantee}" + (f": {', '.join(clauses)}" if clauses else "")

@@ -62,14 +62,14 @@ def verify_plan(
 
 
 def verify_configuration(
-    s: Configuration,
+    configuration: Configuration,
     name: str = "configuration",
     told: str = "the configuration",
     *,
     asking: Asking | None = None,
 ) -> Verdict:
     """Whether a configuration is valid. UNKNOWN as above."""
-    return _judged(told, lambda _: dump_configuration(s, name, told), asking or Asking())
+    return _judged(told, lambda _: dump_configuration(configuration, name, told), asking or Asking())
 
 
 def verify_specification(specification: Specification, *, asking: Asking | None = None) -> Verdict:

@@ -54,13 +54,13 @@ class Dump:
         return f"exact: {count} configuration{'s' if count != 1 else ''}, {self.atoms} atoms"
 
 
-def dump_configuration(s: Configuration, name: str, told: str = "the configuration") -> Dump:
+def dump_configuration(configuration: Configuration, name: str, told: str = "the configuration") -> Dump:
     """One configuration, to be judged by the specification's validity. Raises TooLarge."""
     universe = AlloyAtoms()
-    scene = WorldEncoder(universe, s.world)
-    for instance in _sorted(s):
+    scene = WorldEncoder(universe, configuration.world)
+    for instance in _sorted(configuration):
         scene.instance(instance)
-    bare, strays = _attached(s)
+    bare, strays = _attached(configuration)
     scene.overloads()
     system = scene.system(bare, 0, told)
     judged = Judged(detail=configuration_detail(system))
@@ -68,7 +68,7 @@ def dump_configuration(s: Configuration, name: str, told: str = "the configurati
         subject=told,
         text=written(universe, f"{name}: {told}", judged),
         bearers=universe.names.bearers,
-        configurations=(s,),
+        configurations=(configuration,),
         fields=frozenset(judged.fields),
         checks=judged.checks,
         strays=strays,
@@ -126,8 +126,8 @@ def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
     )
 
 
-def _sorted(s: Configuration) -> list[Instance]:
-    return sorted(s.instances.values(), key=lambda instance: instance.name)
+def _sorted(configuration: Configuration) -> list[Instance]:
+    return sorted(configuration.instances.values(), key=lambda instance: instance.name)
 
 
 class _Way:
@@ -136,10 +136,10 @@ class _Way:
     def __init__(self, scene: WorldEncoder, plan: Plan) -> None:
         self.strays: list[Stray] = []
         self.impossible: set[int] = set()
-        s = plan.change.start
-        for instance in _sorted(s):
+        configuration = plan.change.start
+        for instance in _sorted(configuration):
             scene.instance(instance)
-        taken = [s]
+        taken = [configuration]
         for number, step in enumerate(plan.steps, start=1):
             action = step.action
             try:
@@ -151,32 +151,35 @@ class _Way:
                 self.impossible.add(number)
             else:
                 if isinstance(action, SetParameters):  # parameters have no part in the specification
-                    self.strays += [Stray(number, str(reason)) for reason in action.check(s)]
-                self.strays += [Stray(number, told) for told in _told_otherwise(s, step)]
+                    self.strays += [Stray(number, str(reason)) for reason in action.check(configuration)]
+                self.strays += [Stray(number, told) for told in _told_otherwise(configuration, step)]
                 # Where it cannot even be carried out, that its precondition fails is for Alloy to say.
                 with suppress(KeyError):
-                    s = action.effect(s)
-            taken.append(s)
+                    configuration = action.effect(configuration)
+            taken.append(configuration)
         self.configurations = tuple(taken)
 
 
-def _told_otherwise(s: Configuration, step: Step) -> Iterator[str]:
+def _told_otherwise(configuration: Configuration, step: Step) -> Iterator[str]:
     """Where a step says that a functionality leaves another mode than the one it is in."""
     for change in step.modes:
-        if change.functionality in s.modes and s.mode(change.functionality).name != change.before:
-            now = s.mode(change.functionality).name
+        if (
+            change.functionality in configuration.modes
+            and configuration.mode(change.functionality).name != change.before
+        ):
+            now = configuration.mode(change.functionality).name
             yield f"it says that {change.functionality} is in mode {change.before}, and there it is in mode {now}"
 
 
-def _attached(s: Configuration) -> tuple[Configuration, tuple[Stray, ...]]:
-    """``s`` without the attachments that cannot be dumped, since they are none of this system."""
+def _attached(configuration: Configuration) -> tuple[Configuration, tuple[Stray, ...]]:
+    """``configuration`` without the attachments that cannot be dumped, since they are none of this system."""
     strays = []
-    for port, connector in sorted(s.attachments()):
-        if connector not in s.world.connectors or not s.has_port(port):
-            missing = connector if s.has_port(port) else port
+    for port, connector in sorted(configuration.attachments()):
+        if connector not in configuration.world.connectors or not configuration.has_port(port):
+            missing = connector if configuration.has_port(port) else port
             strays.append(Stray(None, f"{port} is attached to {connector}, and there is no {missing} in this system"))
-            s = s.without_attachment(port, connector)
-    return s, tuple(strays)
+            configuration = configuration.without_attachment(port, connector)
+    return configuration, tuple(strays)
 
 
 def _goal(plan: Plan, end: Configuration) -> tuple[Configuration | None, list[Stray]]:

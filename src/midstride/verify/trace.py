@@ -187,14 +187,14 @@ class _Tracer:
             yield Finding("precondition", number, where, action.kind, f"its precondition does not hold ({because})")
 
     def _configuration(self, at: int, where: str) -> Iterator[Finding]:
-        s, number = self.dump.configurations[at], at or None
+        configuration, number = self.dump.configurations[at], at or None
         found = False
         for ref, assumption in self._all("unsatisfied"):
             found = True
-            yield self._lacking(s, ref, assumption, number, where, "assumption")
+            yield self._lacking(configuration, ref, assumption, number, where, "assumption")
         for (connector,) in self._all("crowded"):
             found = True
-            violation = cap_violation(s, str(connector))
+            violation = cap_violation(configuration, str(connector))
             because = _DISAGREE if violation is None else violation.because
             yield Finding("cap", number, where, str(connector), because)
         for (group,) in self._all("overloaded"):
@@ -207,16 +207,16 @@ class _Tracer:
             )
 
     def _lacking(
-        self, s: Configuration, ref: object, assumption: object, number: int | None, where: str, kind: str
+        self, configuration: Configuration, ref: object, assumption: object, number: int | None, where: str, kind: str
     ) -> Finding:
         assert isinstance(ref, FunctionalityRef)
         model: Assumption = assumption  # type: ignore[assignment]
-        functionality = s.functionality(ref)
-        judge = Evaluator(s)
+        functionality = configuration.functionality(ref)
+        judge = Evaluator(configuration)
         agreed = not judge.assumption_satisfied(ref, functionality, model)
         because = judge.why_assumption_unsatisfied(ref, model) if agreed else f"assumes {model}: {_DISAGREE}"
-        subject = f"{ref} in mode {s.mode(ref).name}"
-        told = chain(s, ref, model)
+        subject = f"{ref} in mode {configuration.mode(ref).name}"
+        told = chain(configuration, ref, model)
         if kind == "precondition":
             return Finding("precondition", number, where, subject, because, str(model), told)
         return Finding("assumption", number, where, subject, because, str(model), told)

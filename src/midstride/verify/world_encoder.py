@@ -160,17 +160,17 @@ class WorldEncoder:
 
     # -- configurations -----------------------------------------------------------------------------------
 
-    def system(self, s: Configuration, number: int, told: str) -> str:
+    def system(self, configuration: Configuration, number: int, told: str) -> str:
         """Dump a configuration of this world; the atom."""
         universe = self.universe
         atom = universe.atom("System", f"{self.prefix}S{number}", SystemName(number, told))
-        for name in sorted(s.instances):
+        for name in sorted(configuration.instances):
             universe.add("comps", atom, self.components[name])
         for connector in self.connectors.values():
             universe.add("conns", atom, connector)
-        for port, connector in sorted(s.attachments()):
+        for port, connector in sorted(configuration.attachments()):
             universe.add("roles", atom, self.connectors[connector], self.ports[port])
-        for ref, index in sorted(s.modes.items()):
+        for ref, index in sorted(configuration.modes.items()):
             universe.add("cur_mode", atom, self.functionalities[ref], self.modes[ref, index])
         for offer in self.offers:
             universe.add("env_guars", atom, offer)

@@ -112,8 +112,8 @@ def _live(system: str | None, asking: Asking) -> Verdict:
 
     client, workspace = find(system)
     document = client.get("/configuration")
-    s = configuration_from_document(document["configuration"])
-    verdict = verify_configuration(s, workspace.name, f"{workspace.name} as it runs", asking=asking)
+    configuration = configuration_from_document(document["configuration"])
+    verdict = verify_configuration(configuration, workspace.name, f"{workspace.name} as it runs", asking=asking)
     if (silent := ", ".join(document["silent"])) and verdict.answer is Answer.HOLDS:
         because = f"it holds only if what the manager believes of {silent} is true: no answer came from there"
         return replace(verdict, answer=Answer.UNKNOWN, because=because)
