@@ -195,20 +195,39 @@ def test_what_is_linked_and_named_is_there(page: Path) -> None:
         assert (SOURCE / path).exists() or (ROOT / path).exists(), f"{name_of(page)} names {path}"
 
 
-def test_every_class_of_the_glossary_exists() -> None:
-    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    rooms = [entry.name for entry in SOURCE.iterdir() if entry.is_dir()]
-    names = [name for name in re.findall(r"`([a-z_]+(?:\.[A-Za-z_]+)+)`", text) if name.split(".")[0] in rooms]
-    assert len(names) > 30
-    for name in names:
-        module = f"midstride.{name}"
-        attributes: list[str] = []
-        while True:
-            try:
-                found: object = importlib.import_module(module)
-                break
-            except ModuleNotFoundError:
-                module, _, attribute = module.rpartition(".")
-                attributes.insert(0, attribute)
-        for attribute in attributes:
+def test_every_name_in_the_glossary_exists() -> None:
+    """The last column of each row holds nothing but names below ``midstride``."""
+    rows = [
+        line for line in (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8").splitlines() if line[:4] == "| **"
+    ]
+    assert len(rows) > 40
+    for row in rows:
+        cell = row.rstrip("|").rpartition("|")[2]
+        names = re.findall(r"`([^`]+)`", cell)
+        assert names and cell.strip() == ", ".join(f"`{name}`" for name in names), row
+        for name in names:
+            assert _resolves(f"midstride.{name}"), name
+
+
+def _resolves(name: str) -> bool:
+    """Whether ``name`` is a module, or an attribute of one."""
+    module, attributes = name, list[str]()
+    while True:
+        try:
+            found: object = importlib.import_module(module)
+            break
+        except ModuleNotFoundError:
+            module, _, attribute = module.rpartition(".")
+            attributes.insert(0, attribute)
+    for index, attribute in enumerate(attributes):
+        if hasattr(found, attribute):
             found = getattr(found, attribute)
+        else:  # a field of a dataclass, which is the last part of a name
+            return index == len(attributes) - 1 and attribute in getattr(found, "__annotations__", {})
+    return True
+
+
+def test_a_wrong_name_in_the_glossary_fails() -> None:
+    assert _resolves("midstride.plan.plan.Plan.disruption")
+    assert not _resolves("midstride.plan.plan.Plan.disruptoin")
+    assert not _resolves("midstride.plan.plann.Plan")
