@@ -45,7 +45,7 @@ def test_the_sample_means_what_it_says() -> None:
         "sensor_msgs/msg/Image", 15, fields=(("width", Interval(640)), ("encoding", OneOf.of(["rgb8", "bgr8"])))
     )
     assert patrol.connectors["/scan"].guarantee == scan
-    assert patrol.connectors["/cmd_vel"].cap == 1
+    assert patrol.connectors["/cmd_vel"].max_publishers == 1
     assert {name: resource.capacity for name, resource in patrol.resources.items()} == {
         "gpu_memory": 8192,
         "/dev/video0": 1,
@@ -56,7 +56,7 @@ def test_the_sample_means_what_it_says() -> None:
     ]
     detector = patrol.components["ObstacleDetector"]
     assert detector.run == "python3 -m patrol.detector"
-    assert detector.holds == Map({"/dev/video0": 1.0, "gpu_memory": 2048.0})
+    assert detector.resource_usage == Map({"/dev/video0": 1.0, "gpu_memory": 2048.0})
     assert detector.parameters == Map({"threshold": ParameterSpec(0.4, True), "model": ParameterSpec("small.onnx")})
     detect = detector.functionalities["detect"]
     assert detect.weight == 3
@@ -65,10 +65,10 @@ def test_the_sample_means_what_it_says() -> None:
     assert detect.modes[0].guarantees == Map({"out": Predicate("sensor_msgs/msg/Range", 10)})
     stereo = patrol.components["StereoDetector"]
     assert stereo.run == "python3 -m patrol.stereo"
-    assert (stereo.inputs, stereo.functionalities, stereo.holds) == (
+    assert (stereo.inputs, stereo.functionalities, stereo.resource_usage) == (
         detector.inputs,
         detector.functionalities,
-        detector.holds,
+        detector.resource_usage,
     )
     assert patrol.components["MotorController"].allows == (Endpoint("service", "~/reset"),)
     assert patrol.nodes["controller"].attachments == Map({"obstacles": ("/obstacles",), "cmd": ("/cmd_vel",)})
@@ -176,7 +176,7 @@ def test_like_takes_over_and_overrides_part_by_part() -> None:
         """
     )
     base, child = found.components["Base"], found.components["Child"]
-    assert (child.run, child.takes, child.holds) == ("child", None, Map())
+    assert (child.run, child.startup_seconds, child.resource_usage) == ("child", None, Map())
     assert child.parameters == Map({"a": ParameterSpec(2), "b": ParameterSpec("x", True), "c": ParameterSpec(True)})
     assert child.input_order == ("in", "more")
     assert child.functionality_order == ("f", "g")

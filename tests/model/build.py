@@ -97,7 +97,7 @@ def system(
 
 def modes_of(configuration: Configuration) -> dict[str, str]:
     """Each instance's mode, by name, for components of one functionality."""
-    return {ref.component: configuration.mode(ref).name for ref in configuration.modes}
+    return {ref.instance: configuration.mode(ref).name for ref in configuration.modes}
 
 
 def work(name: str) -> FunctionalityRef:

@@ -176,7 +176,7 @@ def refusals_say_why(data: st.DataObject) -> None:
 
 def _from_scratch(configuration: Configuration) -> Configuration:
     return configure(
-        configuration.world, configuration.instances.values(), configuration.attachments(), dict(configuration.modes)
+        configuration.context, configuration.instances.values(), configuration.attachments(), dict(configuration.modes)
     )
 
 
@@ -189,10 +189,10 @@ def violations_are_the_twins(data: st.DataObject) -> None:
     }
     configuration = configuration.with_modes(modes)
     if data.draw(st.booleans()):
-        capped = {name: replace(c, cap=1) for name, c in configuration.world.connectors.items()}
-        resources = {name: replace(r, capacity=0.2) for name, r in configuration.world.resources.items()}
+        capped = {name: replace(c, max_publishers=1) for name, c in configuration.context.connectors.items()}
+        resources = {name: replace(r, capacity=0.2) for name, r in configuration.context.resources.items()}
         configuration = configuration.with_context(
-            replace(configuration.world, connectors=Map(capped), resources=Map(resources))
+            replace(configuration.context, connectors=Map(capped), resources=Map(resources))
         )
     assert (not violations(configuration)) == twin.valid(twin.of_configuration(configuration))
 
@@ -201,7 +201,7 @@ def violations_are_the_twins(data: st.DataObject) -> None:
 
 
 def _plain(modes: Map[FunctionalityRef, int]) -> dict[twin.Functionality, int]:
-    return {(ref.component, ref.functionality): index for ref, index in modes.items()}
+    return {(ref.instance, ref.functionality): index for ref, index in modes.items()}
 
 
 def best_is_the_twins(data: st.DataObject) -> None:
@@ -233,7 +233,7 @@ def rebalanced_is_best(data: st.DataObject) -> None:
     seeds: set[FunctionalityRef] = set()
     for _ in range(data.draw(st.integers(1, 4))):
         configuration = _changed(data, scene, configuration, seeds)
-    changes = rebalanced(configuration, sorted(ref for ref in seeds if ref.component in configuration.instances))
+    changes = rebalanced(configuration, sorted(ref for ref in seeds if ref.instance in configuration.instances))
     assert configuration.with_modes(changes) == best(configuration)
     assert all(configuration.modes[ref] != index for ref, index in changes.items())
 
@@ -254,7 +254,7 @@ def _changed(
         configuration = configuration.without_instance(name)
     elif kind == "attach" and name and (ports := configuration.component(name).ports()):
         port = PortRef(name, data.draw(st.sampled_from(ports)))
-        connector = data.draw(st.sampled_from(sorted(configuration.world.connectors)))
+        connector = data.draw(st.sampled_from(sorted(configuration.context.connectors)))
         if not configuration.is_attached(port, connector):
             configuration = configuration.with_attachment(port, connector)
             seeds.update(consumers_of(configuration, port, connector))
@@ -276,7 +276,7 @@ def rebalanced_keeps_below_a_ceiling(data: st.DataObject) -> None:
     for _ in range(2):
         configuration = _changed(data, scene, configuration, seeds)
     top.update({ref: 0 for ref in configuration.modes if ref not in top})
-    live = sorted(ref for ref in seeds if ref.component in configuration.instances)
+    live = sorted(ref for ref in seeds if ref.instance in configuration.instances)
     assert configuration.with_modes(rebalanced(configuration, live, lambda ref: top[ref])) == _below(configuration, top)
 
 
@@ -286,7 +286,7 @@ def _below(configuration: Configuration, top: dict[FunctionalityRef, int]) -> Co
     while True:
         plain = twin.of_configuration(configuration)
         unsatisfied = [
-            ref for ref in configuration.modes if not twin.satisfied(plain, (ref.component, ref.functionality))
+            ref for ref in configuration.modes if not twin.satisfied(plain, (ref.instance, ref.functionality))
         ]
         if not unsatisfied:
             return configuration
@@ -363,7 +363,7 @@ def drawn_specifications_are_well_formed(data: st.DataObject) -> None:
     configuration = initial(specification)
     assert not violations(configuration)
     warned = {problem.subject[1] for problem in problems if problem.code == "W033"}
-    assert warned == {ref.component for ref, index in configuration.modes.items() if index > 0}
+    assert warned == {ref.instance for ref, index in configuration.modes.items() if index > 0}
 
 
 PROPERTIES: dict[Property, int] = {  # how many examples at each run of the tests

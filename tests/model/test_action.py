@@ -34,9 +34,8 @@ def refused(action: Action, configuration: Configuration) -> list[tuple[str, tup
     """The failed preconditions with their subjects; the message holds every reason, and nothing has changed."""
     with pytest.raises(ActionRefused) as error:
         action.apply(configuration)
-    assert (
-        str(error.value)
-        == f"cannot {action.describe(configuration)}: {'; '.join(str(reason) for reason in action.check(configuration))}"
+    assert str(error.value) == f"cannot {action.describe(configuration)}: " + "; ".join(
+        str(reason) for reason in action.check(configuration)
     )
     return [(reason.precondition, reason.subjects) for reason in action.check(configuration)]
 

@@ -111,7 +111,7 @@ def test_it_says_what_it_shows() -> None:
     assert not isinstance(image, InputAlternatives)
     assert image.constraint("height") == Interval(0, 1080, low_open=True)
     assert image.constraint("encoding") == OneOf.of(["rgb8", "bgr8"])
-    assert specification.connectors["/stop"].cap == 1
+    assert specification.connectors["/stop"].max_publishers == 1
     assert specification.environment[1].topic == "/scan"
     assert specification.constraints[2] == Order("detector", "robot1/detector")
     assert dict(specification.parameters_of("detector")) == {"model": "small.onnx", "threshold": 0.25, "zones": [1, 2]}

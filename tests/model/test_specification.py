@@ -40,7 +40,7 @@ def test_it_starts_in_best_under_the_names_of_its_roles() -> None:
 def test_changes_share_the_world() -> None:
     other = SPECIFICATION.with_node(Node("third", "Talker", Map({"out": ("/chatter",)})))
     assert other.roles() == ["listener", "talker", "third"]
-    assert other.world is SPECIFICATION.world
+    assert other.context is SPECIFICATION.context
     assert other.without_node("third") == SPECIFICATION
     assert SPECIFICATION.with_replaced("talker", "Listener").component_of("talker").name == "Listener"
     with pytest.raises(KeyError):
@@ -48,7 +48,7 @@ def test_changes_share_the_world() -> None:
     with pytest.raises(KeyError):
         SPECIFICATION.without_node("nobody")
     raised = replace(SPECIFICATION, environment=())
-    assert raised.world == SPECIFICATION.world
+    assert raised.context == SPECIFICATION.context
 
 
 def test_a_role_that_goes_takes_its_constraints_along() -> None:
@@ -69,10 +69,10 @@ def test_an_instance_has_a_value_for_every_parameter() -> None:
 
 def test_a_component_is_its_body() -> None:
     talker = SPECIFICATION.components["Talker"]
-    assert talker.same_body(replace(talker, name="Other", takes=3.0, parameters=Map()))
+    assert talker.same_body(replace(talker, name="Other", startup_seconds=3.0, parameters=Map()))
     for other in (
         replace(talker, run="python3 other.py"),
-        replace(talker, holds=Map({"gpu": 0.25})),
+        replace(talker, resource_usage=Map({"gpu": 0.25})),
         replace(talker, allows=(Endpoint("topic", "/tf"),)),
         source("Talker", 11.0),
     ):
@@ -96,7 +96,7 @@ def test_a_body_has_no_order_but_that_of_its_modes() -> None:
 def test_a_topic_is_its_contract() -> None:
     connector = Connector("/t", at(5))
     assert connector.topic == "/t"
-    assert connector.same_contract(Connector("/t#2", at(5), cap=1, topic="/t"))
+    assert connector.same_contract(Connector("/t#2", at(5), max_publishers=1, topic="/t"))
     assert not connector.same_contract(Connector("/t", at(6)))
     assert not connector.same_contract(Connector("/u", at(5)))
 

@@ -36,7 +36,7 @@ def dead(nodes: int) -> Configuration:
 
 def test_the_end_of_a_long_chain_is_told() -> None:
     configuration = dead(50)
-    (last,) = (ref for ref in configuration.modes if ref.component == "n49")
+    (last,) = (ref for ref in configuration.modes if ref.instance == "n49")
     told = Diagnosis(configuration).chain(last)
     assert len(told) == 5
     assert told[0].startswith("n49.filter cannot be in mode normal: it assumes in: nobody satisfies /t49")

@@ -130,14 +130,14 @@ class State:
 
 
 def of_configuration(s: Configuration) -> State:
-    world = s.world
+    world = s.context
     return State(
         live={name: component_to_document(instance.component) for name, instance in s.instances.items()},
-        attached={(port.component, port.port, connector) for port, connector in s.attachments()},
-        modes={(ref.component, ref.functionality): index for ref, index in s.modes.items()},
+        attached={(port.instance, port.port, connector) for port, connector in s.attachments()},
+        modes={(ref.instance, ref.functionality): index for ref, index in s.modes.items()},
         parameters={name: dict(instance.parameters) for name, instance in s.instances.items()},
         connectors={
-            name: {"guarantee": predicate_to_document(c.guarantee), "cap": c.cap, "topic": c.topic}
+            name: {"guarantee": predicate_to_document(c.guarantee), "cap": c.max_publishers, "topic": c.topic}
             for name, c in world.connectors.items()
         },
         environment=[
@@ -220,7 +220,7 @@ def allowed(s: State, action: Action) -> bool:
     if isinstance(action, Create):
         return action.instance.name not in s.live and capacities_hold(effect(s, action))
     if isinstance(action, Remove):
-        return action.component in s.live and not any(c == action.component for c, _, _ in s.attached)
+        return action.instance in s.live and not any(c == action.instance for c, _, _ in s.attached)
     if isinstance(action, (Attach, Detach)):
         (c, p), k = action.port, action.connector
         if c not in s.live or p not in ports_of(s.live[c]) or k not in s.connectors:
@@ -249,9 +249,9 @@ def allowed(s: State, action: Action) -> bool:
     if isinstance(action, Handover):
         return bool(action.swaps) and _handover_allowed(s, action)
     assert isinstance(action, SetParameters)
-    if action.component not in s.live:
+    if action.instance not in s.live:
         return False
-    declared = s.live[action.component].get("parameters", {})
+    declared = s.live[action.instance].get("parameters", {})
     for name, value in action.parameters.items():
         if name not in declared or not declared[name].get("changeable"):
             return False
@@ -306,19 +306,19 @@ def effect(s: State, action: Action) -> State:
         for functionality, body in after.live[name]["functionalities"].items():
             after.modes[name, functionality] = len(body["modes"]) - 1
     elif isinstance(action, Remove):
-        del after.live[action.component], after.parameters[action.component]
-        after.modes = {f: index for f, index in s.modes.items() if f[0] != action.component}
+        del after.live[action.instance], after.parameters[action.instance]
+        after.modes = {f: index for f, index in s.modes.items() if f[0] != action.instance}
     elif isinstance(action, Attach):
         after.attached.add((*action.port, action.connector))
     elif isinstance(action, Detach):
         after.attached.remove((*action.port, action.connector))
     elif isinstance(action, (Degrade, Upgrade)):
-        after.modes.update({(ref.component, ref.functionality): index for ref, index in action.modes.items()})
+        after.modes.update({(ref.instance, ref.functionality): index for ref, index in action.modes.items()})
     elif isinstance(action, Handover):
         after.attached -= {(*swap.old, swap.connector) for swap in action.swaps}
         after.attached |= {(*swap.new, swap.connector) for swap in action.swaps}
     elif isinstance(action, SetParameters):
-        after.parameters[action.component].update(action.parameters)
+        after.parameters[action.instance].update(action.parameters)
     return after
 
 

@@ -46,8 +46,8 @@ class Exhaustive:
         self.change = change
         self.creates = [Op("create", instance.name) for instance in change.coming]
         self.removes = [Op("remove", name) for name in change.leaving]
-        self.attaches = [Op("attach", port.component, port, connector) for port, connector in change.attached]
-        self.detaches = [Op("detach", port.component, port, connector) for port, connector in change.detached]
+        self.attaches = [Op("attach", port.instance, port, connector) for port, connector in change.attached]
+        self.detaches = [Op("detach", port.instance, port, connector) for port, connector in change.detached]
         self.all: State = frozenset([*self.creates, *self.removes, *self.attaches, *self.detaches])
         if len(self.all) > most:
             raise TooLarge
@@ -107,16 +107,16 @@ class Exhaustive:
         return known
 
     def _weight(self, ref: FunctionalityRef) -> float:
-        return self.change.target.component_of(ref.component).functionalities[ref.functionality].weight
+        return self.change.target.component_of(ref.instance).functionalities[ref.functionality].weight
 
     # -- from one to the next ------------------------------------------------------------------------
 
     def steps(self, state: State) -> Iterator[State]:
         configuration = self.configuration(state)
         for op in self.creates:
-            holds = self.instances[op.name].component.holds
+            holds = self.instances[op.name].component.resource_usage
             if op not in state and all(
-                configuration.held.get(r, 0.0) + a <= configuration.world.capacity(r) + 1e-9 for r, a in holds.items()
+                configuration.held.get(r, 0.0) + a <= configuration.context.capacity(r) + 1e-9 for r, a in holds.items()
             ):
                 yield state | {op}
         for op in self.removes:
@@ -132,7 +132,7 @@ class Exhaustive:
         yield from self._hand_overs(state, configuration, ready)
 
     def _slot(self, configuration: Configuration, connector: str) -> bool:
-        cap = configuration.world.connectors[connector].cap
+        cap = configuration.context.connectors[connector].max_publishers
         sibling = self.change.sibling(connector)
         beside = 0 if sibling is None else len(configuration.publishers_on(sibling))
         return cap is None or publishers_count(configuration, connector) + beside < cap
@@ -144,7 +144,7 @@ class Exhaustive:
             if not configuration.is_output(new.port):
                 continue
             if not satisfies(
-                configuration.guarantee(new.port), configuration.world.connectors[new.connector].guarantee
+                configuration.guarantee(new.port), configuration.context.connectors[new.connector].guarantee
             ):
                 continue
             for old in self.detaches:
@@ -206,7 +206,7 @@ class Constrained(Exhaustive):
             self.of_role.setdefault(change.role_of(op.name), set()).add(op)
 
     def _chain(self, ref: FunctionalityRef) -> FunctionalitySpec:
-        return self.change.target.component_of(ref.component).functionalities[ref.functionality]
+        return self.change.target.component_of(ref.instance).functionalities[ref.functionality]
 
     def steps(self, state: State) -> Iterator[State]:
         for after in super().steps(state):

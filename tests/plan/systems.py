@@ -248,12 +248,12 @@ def bounded(rng: Random, start: Specification, target: Specification) -> tuple[S
         ends = [publishers(spec, name) for spec in (start, target) if name in spec.connectors]
         if rng.random() < 0.5 and max(ends) > 0:
             caps[name] = max(ends)
-    every = {resource for spec in (start, target) for of in spec.components.values() for resource in of.holds}
+    every = {resource for spec in (start, target) for of in spec.components.values() for resource in of.resource_usage}
     demand = dict.fromkeys(sorted(every), 1.0)
     for spec in (start, target):
         held: dict[str, float] = {}
         for role in spec.nodes:
-            for resource, amount in spec.component_of(role).holds.items():
+            for resource, amount in spec.component_of(role).resource_usage.items():
                 held[resource] = held.get(resource, 0.0) + amount
         for resource, amount in held.items():
             demand[resource] = max(demand[resource], amount)
@@ -261,7 +261,7 @@ def bounded(rng: Random, start: Specification, target: Specification) -> tuple[S
     resources = Map({name: Resource(name, amount + slack) for name, amount in demand.items()})
 
     def bound(spec: Specification) -> Specification:
-        connectors = {name: replace(c, cap=caps.get(name)) for name, c in spec.connectors.items()}
+        connectors = {name: replace(c, max_publishers=caps.get(name)) for name, c in spec.connectors.items()}
         return replace(spec, connectors=Map(connectors), resources=resources)
 
     return bound(start), bound(target)
@@ -269,7 +269,7 @@ def bounded(rng: Random, start: Specification, target: Specification) -> tuple[S
 
 def unbounded(spec: Specification) -> Specification:
     """The same without caps, and with room for everything."""
-    connectors = {name: replace(c, cap=None) for name, c in spec.connectors.items()}
+    connectors = {name: replace(c, max_publishers=None) for name, c in spec.connectors.items()}
     resources = {name: Resource(name, 1000.0) for name in spec.resources}
     return replace(spec, connectors=Map(connectors), resources=Map(resources))
 

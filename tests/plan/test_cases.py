@@ -332,9 +332,9 @@ def test_a_topic_whose_contract_differs_is_another_topic(strategy: str) -> None:
     nodes = {"source": ("Source", {"out": "/x"}), "user": ("User", {"in": "/x"})}
     start, target = system(parts, nodes, topics={"/x": SLOW}), system(parts, nodes, topics={"/x": NEED})
     plan = sound(changed(start, target, strategy))
-    new = plan.change.start.world.connectors["/x@2"]
+    new = plan.change.start.context.connectors["/x@2"]
     assert (new.name, new.topic, new.guarantee) == ("/x@2", "/x", NEED)
-    assert plan.change.start.world.connectors["/x"].guarantee == SLOW
+    assert plan.change.start.context.connectors["/x"].guarantee == SLOW
     if strategy == "minimal":
         assert told(plan) == [
             "attach source.out to /x@2",

@@ -88,7 +88,7 @@ def test_an_instance_of_no_role_leaves() -> None:
 
 def test_durations_are_declared_else_measured_else_the_default() -> None:
     start = replace(talker(), timing=Map({"detach": 0.3}))
-    slow = replace(start.components["NewTalker"], takes=4.0)
+    slow = replace(start.components["NewTalker"], startup_seconds=4.0)
     start = replace(start, components=start.components.set("NewTalker", slow))
     target = start.with_replaced("talker", "NewTalker")
     measured = {"create NewTalker": 9.0, "detach": 9.0, "attach": 0.7, "create Listener": 2.5, "create": 3.5}
@@ -248,6 +248,6 @@ def test_connectors_of_the_target_alone_are_there_throughout() -> None:
     target = replace(start, connectors=start.connectors.set("/more", Connector("/more", NEED)))
     target = target.with_node(Node("talker", "Talker", Map({"out": ("/chatter", "/more")})))
     change = Change.between(initial(start), start, target)
-    assert "/more" in change.start.world.connectors
-    assert "/more" not in change.origin.world.connectors
-    assert change.end_world == target.world
+    assert "/more" in change.start.context.connectors
+    assert "/more" not in change.origin.context.connectors
+    assert change.end_world == target.context

@@ -120,7 +120,7 @@ def test_order_may_cost() -> None:
     target = bound(start.with_replaced("a", "NewA").with_replaced("b", "NewB"), Order("b", "a"))
     plan = sound(changed(start, target, "minimal"))
     assert plan.disruption == 0.0
-    removed = [step.action.component for step in plan.steps if isinstance(step.action, Remove)]
+    removed = [step.action.instance for step in plan.steps if isinstance(step.action, Remove)]
     assert removed == ["b", "a"]
     free = sound(changed(start, replace(target, constraints=()), "minimal"))
     assert plan.makespan > free.makespan

@@ -333,12 +333,12 @@ def test_what_was_started_and_not_written_down_is_ended_and_nothing_else(tmp_pat
 MANAGER = """
 import asyncio, os, sys, time
 from pathlib import Path
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.runtime.logs import tail
 from midstride.runtime.process import spawn
 
 async def main(token, family):
-    guardian = Guardian("MIDSTRIDE_TOKEN", token)
+    guardian = Reaper("MIDSTRIDE_TOKEN", token)
     bare = {"PATH": os.environ["PATH"]}
     started = []
     for name, environment in (("told", bare), ("untold", {**bare, "MIDSTRIDE_TOKEN": token}), ("released", bare)):

@@ -16,7 +16,7 @@ from tests.runtime.systems import last_said, managed, stateful_talkers
 def test_a_topic_handed_on_to_another_role_takes_no_state_along(tmp_path: Path) -> None:
     """The topic is full, so the one that comes takes over from the one that goes: two roles, two states."""
     start = stateful_talkers(tmp_path)
-    full = start.connectors.set("/chatter", changed(start.connectors["/chatter"], cap=1))
+    full = start.connectors.set("/chatter", changed(start.connectors["/chatter"], max_publishers=1))
     start = changed(start, connectors=full)
     target = start.without_node("talker").with_node(Node("other", "NewTalker", start.nodes["talker"].attachments))
     simulator = Simulator()

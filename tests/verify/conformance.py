@@ -54,7 +54,7 @@ class Batch:
         self._number: dict[str, int] = defaultdict(int)
 
     def add(self, number: int, world: World) -> None:
-        scene = self.scenes[number] = WorldEncoder(self.universe, world.claims[0].before.world, f"w{number}_")
+        scene = self.scenes[number] = WorldEncoder(self.universe, world.claims[0].before.context, f"w{number}_")
         for instance in world.instances:
             scene.instance(instance)
         scene.overloads()

@@ -114,7 +114,7 @@ def _upgrade_asks_one_by_one(patch: pytest.MonkeyPatch) -> None:
 
 def _handover_judges_by_the_normal_mode(patch: pytest.MonkeyPatch) -> None:
     def guarantee(self: Configuration, port: PortRef) -> Contract:
-        component = self.component(port.component)
+        component = self.component(port.instance)
         return component.owner(port.port).modes[0].guarantee(port.port)
 
     patch.setattr(Configuration, "guarantee", guarantee)
@@ -135,9 +135,9 @@ def _names_are_predicates(patch: pytest.MonkeyPatch) -> None:
 
     def any_input(self: Evaluator, port: PortRef) -> bool:
         others = {
-            name for f in self.configuration.component(port.component) if port.port in f.inputs for name in f.inputs
+            name for f in self.configuration.component(port.instance) if port.port in f.inputs for name in f.inputs
         }
-        return any(whole(self, PortRef(port.component, name)) for name in others)
+        return any(whole(self, PortRef(port.instance, name)) for name in others)
 
     patch.setattr(Evaluator, "input_satisfied", any_input)
 
@@ -146,7 +146,7 @@ def _the_environment_counts_for_nothing(patch: pytest.MonkeyPatch) -> None:
     """A publisher out of scope does not satisfy its topic."""
 
     def satisfied(self: Evaluator, name: str) -> bool:
-        needed = self.configuration.world.connectors[name].guarantee
+        needed = self.configuration.context.connectors[name].guarantee
         return any(satisfies(self.guarantee(output), needed) for output in self.configuration.publishers_on(name))
 
     patch.setattr(Evaluator, "connector_satisfied", satisfied)

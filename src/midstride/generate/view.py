@@ -148,8 +148,8 @@ class _Builder:
                 inside[boxes.pop()] = inside.get(attached[0][0], 0) + 1
                 continue
             note = told(connector.guarantee) if self.annotate else ""
-            if self.annotate and connector.cap is not None:
-                note += f", at most {connector.cap} publisher{'' if connector.cap == 1 else 's'}"
+            if self.annotate and connector.max_publishers is not None:
+                note += f", at most {connector.max_publishers} publisher{'' if connector.max_publishers == 1 else 's'}"
             self.view.topics.append(TopicNode(f"topic {name}", name, note))
             for box, name_of_port, is_output in attached:
                 shown = "" if box.startswith("group ") else name_of_port

@@ -1,8 +1,8 @@
 """From the files of a system to its specification, or to all that is wrong with it.
 
 What a text can do wrong is found here; what must hold of a specification however it is written is judged by
-:mod:`midstride.model.specification_checks` on all that could be built, and told at its place in the text. What would only follow
-from a part that could not be read is left out.
+:mod:`midstride.model.specification_checks` on all that could be built, and reported at its place in the text. What
+would only follow from a part that could not be read is left out.
 """
 
 from __future__ import annotations

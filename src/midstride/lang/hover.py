@@ -41,7 +41,7 @@ class _Hover:
         connector = self.specification.connectors.get(symbol.name)
         if connector is None:
             return
-        cap = "" if connector.cap is None else f" (at most {connector.cap} publishers)"
+        cap = "" if connector.max_publishers is None else f" (at most {connector.max_publishers} publishers)"
         yield f"`{connector.guarantee}`{cap}"
         if self.configuration is None:
             return

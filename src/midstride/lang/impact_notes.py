@@ -48,6 +48,6 @@ class ImpactNotes:
                 continue
             found[ref] = None
             for output in configuration.functionality(ref).outputs:
-                for topic in configuration.attached_to(PortRef(ref.component, output)):
+                for topic in configuration.attached_to(PortRef(ref.instance, output)):
                     waiting.extend(sorted(set(configuration.consumers(topic))))
         return list(found)

@@ -92,7 +92,7 @@ class Create(Action):
         after = self.effect(configuration)
         return tuple(
             Reason("capacity", (resource,), str(violation))
-            for resource in sorted(self.instance.component.holds)
+            for resource in sorted(self.instance.component.resource_usage)
             if (violation := capacity_violation(after, resource)) is not None
         )
 
@@ -111,21 +111,21 @@ class Remove(Action):
     """``remove c``: a live and isolated component, in whatever modes, is no longer live."""
 
     kind: ClassVar[str] = "remove"
-    component: str
+    instance: str
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
-        if self.component not in configuration.instances:
-            return (Reason("live", (self.component,), f"{self.component} is not live"),)
+        if self.instance not in configuration.instances:
+            return (Reason("live", (self.instance,), f"{self.instance} is not live"),)
         return tuple(
             Reason("isolated", (str(port), connector), f"{port} is still attached to {connector}")
-            for port, connector in configuration.attached_ports(self.component)
+            for port, connector in configuration.attached_ports(self.instance)
         )
 
     def effect(self, configuration: Configuration) -> Configuration:
-        return configuration.without_instance(self.component)
+        return configuration.without_instance(self.instance)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
-        instance = before.instances[self.component]
+        instance = before.instances[self.instance]
         raised = [
             Upgrade(Map({ref: before.modes[ref]}))
             for ref in instance.functionality_refs()
@@ -134,15 +134,15 @@ class Remove(Action):
         return (Create(instance), *raised)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return f"remove {self.component}"
+        return f"remove {self.instance}"
 
 
 def _port_reasons(configuration: Configuration, port: PortRef, connector: str) -> tuple[Reason, ...]:
-    if port.component not in configuration.instances:
-        return (Reason("live", (port.component,), f"{port.component} is not live"),)
+    if port.instance not in configuration.instances:
+        return (Reason("live", (port.instance,), f"{port.instance} is not live"),)
     if not configuration.has_port(port):
-        return (Reason("port", (str(port),), f"{port.component} has no port {port.port}"),)
-    if connector not in configuration.world.connectors:
+        return (Reason("port", (str(port),), f"{port.instance} has no port {port.port}"),)
+    if connector not in configuration.context.connectors:
         return (Reason("topic", (connector,), f"{connector} is not a topic of this system"),)
     return ()
 
@@ -161,7 +161,7 @@ class Attach(Action):
         port, name = str(self.port), self.connector
         if configuration.is_attached(self.port, name):
             return (Reason("not attached", (port, name), f"{port} is attached to {name} already"),)
-        reasons = contract_reasons(configuration, self.port, configuration.world.connectors[name])
+        reasons = contract_reasons(configuration, self.port, configuration.context.connectors[name])
         if reasons or not configuration.is_output(self.port):
             return reasons
         violation = cap_violation(self.effect(configuration), name)
@@ -179,7 +179,7 @@ class Attach(Action):
 
 def contract_reasons(configuration: Configuration, port: PortRef, connector: Connector) -> tuple[Reason, ...]:
     """Why the contracts of a live port and a connector do not fit, clause by clause; empty iff they do."""
-    component = configuration.component(port.component)
+    component = configuration.component(port.instance)
     if port.port in component.outputs:
         mode = component.owner(port.port).modes[0]
         clauses = explain(normal_guarantee(component, port.port), connector.guarantee)
@@ -240,7 +240,7 @@ def _mode_reasons(
     if not modes:
         yield Reason("named", (), "no functionality is named")
     for ref, index in sorted(modes.items()):
-        instance = configuration.instances.get(ref.component)
+        instance = configuration.instances.get(ref.instance)
         functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
         if functionality is None:
             yield Reason("live", (str(ref),), f"{ref} is not a functionality of a live component")
@@ -256,7 +256,7 @@ def _told_modes(modes: Mapping[FunctionalityRef, int], configuration: Configurat
 
 
 def _mode_name(ref: FunctionalityRef, index: int, configuration: Configuration | None) -> str:
-    instance = None if configuration is None else configuration.instances.get(ref.component)
+    instance = None if configuration is None else configuration.instances.get(ref.instance)
     functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
     if functionality is None or not 0 <= index <= functionality.last_mode:
         return f"mode {index}"
@@ -278,7 +278,7 @@ class Degrade(Action):
         affected: dict[FunctionalityRef, None] = dict.fromkeys(self.modes)
         for ref in self.modes:
             for output in configuration.functionality(ref).outputs:
-                port = PortRef(ref.component, output)
+                port = PortRef(ref.instance, output)
                 for name in configuration.connectors_of.get(port, ()):
                     if was.connector_satisfied(name) and not judge.connector_satisfied(name):
                         affected.update(dict.fromkeys(configuration.consumers(name)))
@@ -351,7 +351,7 @@ class Handover(Action):
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         back, apart = [], []
         for swap in self.swaps:
-            if satisfies(before.guarantee(swap.old), before.world.connectors[swap.connector].guarantee):
+            if satisfies(before.guarantee(swap.old), before.context.connectors[swap.connector].guarantee):
                 back.append(Swap(swap.connector, swap.new, swap.old))
             else:
                 apart.append(swap)
@@ -378,7 +378,7 @@ def _swap_reasons(configuration: Configuration, swap: Swap) -> Iterator[Reason]:
     if configuration.is_attached(swap.new, swap.connector):
         yield Reason("new not attached", subjects, f"{swap.new} is attached to {swap.connector} already")
     guarantee = configuration.guarantee(swap.new)
-    if clauses := explain(guarantee, configuration.world.connectors[swap.connector].guarantee):
+    if clauses := explain(guarantee, configuration.context.connectors[swap.connector].guarantee):
         because = f"{swap.new} in its current mode does not satisfy {swap.connector} ({', '.join(clauses)})"
         yield Reason("contract", subjects, because)
 
@@ -388,35 +388,35 @@ class SetParameters(Action):
     """``set``: changeable parameters of a live component, in place; it touches nothing else (section 6)."""
 
     kind: ClassVar[str] = "set"
-    component: str
+    instance: str
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
-        instance = configuration.instances.get(self.component)
+        instance = configuration.instances.get(self.instance)
         if instance is None:
-            return (Reason("live", (self.component,), f"{self.component} is not live"),)
+            return (Reason("live", (self.instance,), f"{self.instance} is not live"),)
         reasons = []
         for name in sorted(self.parameters):
             declared = instance.component.parameters.get(name)
             if declared is None:
-                because = f"{self.component} has no parameter {name}"
-                reasons.append(Reason("parameter", (f"{self.component}.{name}",), because))
+                because = f"{self.instance} has no parameter {name}"
+                reasons.append(Reason("parameter", (f"{self.instance}.{name}",), because))
             elif not declared.changeable:
-                because = f"parameter {name} of {self.component} is not changeable: the node must be replaced"
-                reasons.append(Reason("changeable", (f"{self.component}.{name}",), because))
+                because = f"parameter {name} of {self.instance} is not changeable: the node must be replaced"
+                reasons.append(Reason("changeable", (f"{self.instance}.{name}",), because))
             elif not value_fits(self.parameters[name], declared.value):
                 kind, given = value_kind(declared.value), value_kind(self.parameters[name])
-                because = f"parameter {name} of {self.component} takes {kind}, not {given}"
-                reasons.append(Reason("type", (f"{self.component}.{name}",), because))
+                because = f"parameter {name} of {self.instance} takes {kind}, not {given}"
+                reasons.append(Reason("type", (f"{self.instance}.{name}",), because))
         return tuple(reasons)
 
     def effect(self, configuration: Configuration) -> Configuration:
-        return configuration.with_parameters(self.component, self.parameters)
+        return configuration.with_parameters(self.instance, self.parameters)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
-        old = {name: before.instances[self.component].parameters[name] for name in self.parameters}
-        return (SetParameters(self.component, Map(old)),)
+        old = {name: before.instances[self.instance].parameters[name] for name in self.parameters}
+        return (SetParameters(self.instance, Map(old)),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
         told = ", ".join(f"{name} = {value}" for name, value in sorted(self.parameters.items()))
-        return f"set {told} of {self.component}"
+        return f"set {told} of {self.instance}"

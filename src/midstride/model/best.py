@@ -86,7 +86,7 @@ class MonotoneEvaluator(Evaluator):
         self._supports: dict[str, tuple[PortRef | None, Iterator[PortRef]]] = {}
 
     def connector_satisfied(self, name: str) -> bool:
-        connector = self.configuration.world.connectors.get(name)
+        connector = self.configuration.context.connectors.get(name)
         if connector is None:
             return False
         needed = connector.guarantee
@@ -95,7 +95,7 @@ class MonotoneEvaluator(Evaluator):
         else:
             if any(
                 satisfies(offer.guarantee, needed)
-                for offer in self.configuration.world.publishers_out_of_scope(connector)
+                for offer in self.configuration.context.publishers_out_of_scope(connector)
             ):
                 return True
             others = iter(self.configuration.publishers_on(name))
@@ -136,8 +136,8 @@ def affected_connectors(configuration: Configuration, ref: FunctionalityRef, bef
         was, will = functionality.modes[before].guarantee(output), functionality.modes[after].guarantee(output)
         if was is will:
             continue
-        for name in configuration.connectors_of.get(PortRef(ref.component, output), ()):
-            connector = configuration.world.connectors.get(name)
+        for name in configuration.connectors_of.get(PortRef(ref.instance, output), ()):
+            connector = configuration.context.connectors.get(name)
             if connector is None:
                 continue
             if satisfies(was, connector.guarantee) != satisfies(will, connector.guarantee):

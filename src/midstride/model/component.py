@@ -38,11 +38,11 @@ def value_fits(value: ParameterValue, declared: ParameterValue) -> bool:
 class PortRef(NamedTuple):
     """A port of an instance, written ``talker.out``."""
 
-    component: str
+    instance: str
     port: str
 
     def __str__(self) -> str:
-        return f"{self.component}.{self.port}"
+        return f"{self.instance}.{self.port}"
 
     @classmethod
     def parse(cls, text: str) -> PortRef:
@@ -53,11 +53,11 @@ class PortRef(NamedTuple):
 class FunctionalityRef(NamedTuple):
     """A functionality of an instance (or, in constraints and reports, of a role): ``talker.talk``."""
 
-    component: str
+    instance: str
     functionality: str
 
     def __str__(self) -> str:
-        return f"{self.component}.{self.functionality}"
+        return f"{self.instance}.{self.functionality}"
 
     @classmethod
     def parse(cls, text: str) -> FunctionalityRef:
@@ -159,11 +159,11 @@ class ComponentSpec:
     functionalities: Map[str, FunctionalitySpec] = field(default_factory=Map)
     input_order: tuple[str, ...] = ()
     functionality_order: tuple[str, ...] = ()
-    holds: Map[str, float] = field(default_factory=Map)
+    resource_usage: Map[str, float] = field(default_factory=Map)
     parameters: Map[str, ParameterSpec] = field(default_factory=Map)
     allows: tuple[Endpoint, ...] = ()
     run: str | None = None
-    takes: float | None = None
+    startup_seconds: float | None = None
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
     _users: dict[str, list[FunctionalitySpec]] = field(init=False, compare=False, repr=False)
     _outputs: frozenset[str] = field(init=False, compare=False, repr=False)
@@ -203,11 +203,11 @@ class ComponentSpec:
             functionalities=Map({functionality.name: functionality for functionality in functionalities}),
             input_order=tuple(inputs),
             functionality_order=tuple(functionality.name for functionality in functionalities),
-            holds=Map(holds or {}),
+            resource_usage=Map(holds or {}),
             parameters=Map(parameters or {}),
             allows=tuple(allows),
             run=run,
-            takes=takes,
+            startup_seconds=takes,
         )
 
     def __iter__(self) -> Iterator[FunctionalitySpec]:
@@ -256,7 +256,7 @@ class ComponentSpec:
             self.inputs,
             frozenset(self.outputs),
             {functionality.name: functionality.meaning() for functionality in self},
-            self.holds,
+            self.resource_usage,
             frozenset(self.allows),
             self.run,
         )
@@ -272,7 +272,7 @@ class Connector:
 
     name: str
     guarantee: Predicate
-    cap: int | None = None
+    max_publishers: int | None = None
     topic: str = ""
 
     def __post_init__(self) -> None:

@@ -52,9 +52,9 @@ def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     """Ownership of outputs, M1, M2, M3, and the predicates and numbers of one component."""
     for name in component.input_order:
         yield from predicate_problems(component.inputs[name], (*path, "inputs", name))
-    for resource, amount in component.holds.items():
+    for resource, amount in component.resource_usage.items():
         yield from number_problems(amount, f"what is held of {resource}", (*path, "holds", resource))
-    yield from number_problems(component.takes, "a time", (*path, "takes_seconds"), zero=True)
+    yield from number_problems(component.startup_seconds, "a time", (*path, "takes_seconds"), zero=True)
     yield from _ownership(component, path)
     for functionality in component:
         yield from _functionality_rules(functionality, (*path, "functionalities", functionality.name))

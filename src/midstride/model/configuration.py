@@ -102,7 +102,7 @@ class Configuration:
     kept, so that equal configurations are equal values, by whatever way they were reached.
     """
 
-    world: SystemContext = field(default_factory=SystemContext)
+    context: SystemContext = field(default_factory=SystemContext)
     instances: Map[str, Instance] = field(default_factory=Map)
     connectors_of: Map[PortRef, NameSet] = field(default_factory=Map)
     modes: Map[FunctionalityRef, int] = field(default_factory=Map)
@@ -119,18 +119,18 @@ class Configuration:
         return self.instances[instance].component
 
     def functionality(self, ref: FunctionalityRef) -> FunctionalitySpec:
-        return self.component(ref.component).functionalities[ref.functionality]
+        return self.component(ref.instance).functionalities[ref.functionality]
 
     def mode(self, ref: FunctionalityRef) -> Mode:
         """The current mode of a live functionality."""
         return self.functionality(ref).modes[self.modes[ref]]
 
     def is_output(self, port: PortRef) -> bool:
-        return self.component(port.component).has_output(port.port)
+        return self.component(port.instance).has_output(port.port)
 
     def has_port(self, port: PortRef) -> bool:
         """Whether ``port`` is a port of a live component."""
-        instance = self.instances.get(port.component)
+        instance = self.instances.get(port.instance)
         if instance is None:
             return False
         return port.port in instance.component.inputs or instance.component.has_output(port.port)
@@ -161,13 +161,13 @@ class Configuration:
 
     def guarantee(self, output: PortRef) -> Contract:
         """What a live output guarantees in the current mode of its owner."""
-        owner = self.component(output.component).owner(output.port)
-        return owner.modes[self.modes[FunctionalityRef(output.component, owner.name)]].guarantee(output.port)
+        owner = self.component(output.instance).owner(output.port)
+        return owner.modes[self.modes[FunctionalityRef(output.instance, owner.name)]].guarantee(output.port)
 
     def users(self, input_port: PortRef) -> list[FunctionalityRef]:
         """The functionalities associated with a live input."""
-        component = self.component(input_port.component)
-        return [FunctionalityRef(input_port.component, f.name) for f in component.users(input_port.port)]
+        component = self.component(input_port.instance)
+        return [FunctionalityRef(input_port.instance, f.name) for f in component.users(input_port.port)]
 
     def consumers(self, connector: str) -> Iterator[FunctionalityRef]:
         """The functionalities that use an input attached to ``connector`` (some perhaps twice)."""
@@ -183,7 +183,7 @@ class Configuration:
     def with_instance(self, instance: Instance) -> Configuration:
         """``instance`` live and isolated, every functionality in its last mode."""
         held, holders = self.held, self.holders
-        for resource, amount in instance.component.holds.items():
+        for resource, amount in instance.component.resource_usage.items():
             held = held.set(resource, held.get(resource, _NONE_HELD) + to_fraction(amount))
             holders = holders.set(resource, holders.get(resource, _NO_NAMES).set(instance.name, None))
         modes = self.modes.update({FunctionalityRef(instance.name, f.name): f.last_mode for f in instance.component})
@@ -202,7 +202,7 @@ class Configuration:
         for port, connector in self.attached_ports(name):
             bare = bare.without_attachment(port, connector)
         held, holders = bare.held, bare.holders
-        for resource, amount in instance.component.holds.items():
+        for resource, amount in instance.component.resource_usage.items():
             rest = holders[resource].delete(name)
             if rest:
                 held = held.set(resource, held[resource] - to_fraction(amount))
@@ -250,8 +250,8 @@ class Configuration:
         changed = replace(instance, parameters=instance.parameters.update(parameters))
         return replace(self, instances=self.instances.set(name, changed))
 
-    def with_context(self, world: SystemContext) -> Configuration:
-        return replace(self, world=world)
+    def with_context(self, context: SystemContext) -> Configuration:
+        return replace(self, context=context)
 
     def _index(self, port: PortRef, connector: str) -> tuple[str, PortSet]:
         if self.is_output(port):
@@ -260,7 +260,7 @@ class Configuration:
 
 
 def configure(
-    world: SystemContext,
+    context: SystemContext,
     instances: Iterable[Instance],
     attachments: Iterable[tuple[PortRef, str]],
     modes: Mapping[FunctionalityRef, int] | None = None,
@@ -278,7 +278,7 @@ def configure(
         instances_by_role.setdefault(instance.role, {})[instance.name] = None
         for functionality in instance.component:
             standing[FunctionalityRef(instance.name, functionality.name)] = functionality.last_mode
-        for resource, amount in instance.component.holds.items():
+        for resource, amount in instance.component.resource_usage.items():
             held[resource] = held.get(resource, _NONE_HELD) + to_fraction(amount)
             holders.setdefault(resource, {})[instance.name] = None
     standing.update(modes or {})
@@ -287,10 +287,10 @@ def configure(
     subscribers: dict[str, dict[PortRef, None]] = {}
     for port, connector in attachments:
         connectors_of.setdefault(port, {})[connector] = None
-        side = publishers if live[port.component].component.has_output(port.port) else subscribers
+        side = publishers if live[port.instance].component.has_output(port.port) else subscribers
         side.setdefault(connector, {})[port] = None
     return Configuration(
-        world=world,
+        context=context,
         instances=Map(live),
         connectors_of=Map({port: Map(names) for port, names in connectors_of.items()}),
         modes=Map(standing),

@@ -247,7 +247,7 @@ def _connector(reader: Reader, name: str) -> Connector:
     return Connector(
         name,
         _predicate(reader, keys),
-        cap=keys["max_publishers"].count("the number of publishers allowed", zero=True)
+        max_publishers=keys["max_publishers"].count("the number of publishers allowed", zero=True)
         if "max_publishers" in keys
         else None,
         topic=(keys["topic"].name("the name of a topic") if "topic" in keys else None) or "",

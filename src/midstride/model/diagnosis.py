@@ -106,19 +106,19 @@ def _helpers(
     judge: Evaluator, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption
 ) -> Iterator[tuple[FunctionalityRef, int]]:
     """The functionalities that would satisfy the assumption if they were in a better mode, and that mode."""
-    configuration, inputs = judge.configuration, judge.configuration.component(ref.component).inputs
+    configuration, inputs = judge.configuration, judge.configuration.component(ref.instance).inputs
     if isinstance(assumption, InputAlternatives):
         names = list(assumption.inputs)
     else:
         names = [name for name in functionality.inputs if satisfies(inputs[name], assumption)]
     for name in names:
-        for topic in configuration.attached_to(PortRef(ref.component, name)):
-            connector = configuration.world.connectors.get(topic)
+        for topic in configuration.attached_to(PortRef(ref.instance, name)):
+            connector = configuration.context.connectors.get(topic)
             if connector is None or not satisfies(connector.guarantee, inputs[name]):
                 continue
             for output in sorted(configuration.publishers_on(topic)):
-                owner = configuration.component(output.component).owner(output.port)
-                other = FunctionalityRef(output.component, owner.name)
+                owner = configuration.component(output.instance).owner(output.port)
+                other = FunctionalityRef(output.instance, owner.name)
                 for index in range(judge.mode_index(other) - 1, -1, -1):
                     if satisfies(owner.modes[index].guarantee(output.port), connector.guarantee):
                         yield other, index

@@ -25,7 +25,7 @@ with ``=``, ``in``, ``>=``, ``>``, ``<=``, ``<``, all of which hold together; ``
 What is the default may be left out, and is left out here.
 
 Reading reports every fault at once, as ``SpecificationError`` of :class:`~midstride.model.diagnostics.Problem`
-values. It covers form and names; whether what is said makes sense is :mod:`midstride.model.specification_checks`'s to say.
+values. It covers form and names; :mod:`midstride.model.specification_checks` judges the meaning.
 """
 
 from __future__ import annotations
@@ -93,8 +93,8 @@ def specification_to_document(specification: Specification) -> Document:
     topics = {}
     for name, connector in sorted(specification.connectors.items()):
         topic = predicate_to_document(connector.guarantee)
-        if connector.cap is not None:
-            topic["max_publishers"] = connector.cap
+        if connector.max_publishers is not None:
+            topic["max_publishers"] = connector.max_publishers
         if connector.topic != name:
             topic["topic"] = connector.topic
         topics[name] = topic
@@ -187,8 +187,8 @@ def _component_body(component: ComponentSpec) -> Document:
     return _stated(
         {
             "run": component.run,
-            "takes_seconds": None if component.takes is None else _plain(component.takes),
-            "holds": {name: _plain(amount) for name, amount in sorted(component.holds.items())},
+            "takes_seconds": None if component.startup_seconds is None else _plain(component.startup_seconds),
+            "holds": {name: _plain(amount) for name, amount in sorted(component.resource_usage.items())},
             "parameters": parameters,
             "allows": [{"kind": endpoint.kind, "name": endpoint.name} for endpoint in component.allows],
             "inputs": {name: predicate_to_document(component.inputs[name]) for name in component.input_order},

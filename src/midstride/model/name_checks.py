@@ -186,7 +186,7 @@ def specification_names(specification: Specification) -> list[Problem]:
             found += _unknown("topic", offer.topic, topics, ("environment", offer.name, "topic"), ("topics",))
     for name, component in sorted(specification.components.items()):
         found += component_names(component, ("components", name))
-        for resource in sorted(component.holds):
+        for resource in sorted(component.resource_usage):
             found += _unknown(
                 "resource", resource, specification.resources, ("components", name, "holds", resource), ("resources",)
             )
@@ -232,17 +232,17 @@ def _constraint_names(specification: Specification, index: int) -> Iterator[Prob
         return
     ref = constraint.functionality
     where = (*path, "keep" if isinstance(constraint, Keep) else "limit")
-    if not ref.component:
+    if not ref.instance:
         message = f"`{ref.functionality}` names no functionality"
         yield Problem("E008", where, message, "write it as `node.functionality`")
         return
-    yield from _unknown("node", ref.component, specification.nodes, where, ("nodes",))
-    node = specification.nodes.get(ref.component)
+    yield from _unknown("node", ref.instance, specification.nodes, where, ("nodes",))
+    node = specification.nodes.get(ref.instance)
     component = None if node is None else specification.components.get(node.component)
     if component is None:
         return
     declared: Path = ("components", component.name, "functionalities")
-    of = f" of {ref.component}"
+    of = f" of {ref.instance}"
     yield from _unknown("functionality", ref.functionality, component.functionalities, where, declared, of)
     functionality = component.functionalities.get(ref.functionality)
     if functionality is not None and isinstance(constraint, Keep):

@@ -58,23 +58,24 @@ class Evaluator:
 
     def guarantee(self, output: PortRef) -> Contract:
         """What a live output guarantees in the mode its owner stands in."""
-        owner = self.configuration.component(output.component).owner(output.port)
-        return owner.modes[self.mode_index(FunctionalityRef(output.component, owner.name))].guarantee(output.port)
+        owner = self.configuration.component(output.instance).owner(output.port)
+        return owner.modes[self.mode_index(FunctionalityRef(output.instance, owner.name))].guarantee(output.port)
 
     def connector_satisfied(self, name: str) -> bool:
-        connector = self.configuration.world.connectors.get(name)
+        connector = self.configuration.context.connectors.get(name)
         if connector is None:
             return False
         needed = connector.guarantee
         if any(satisfies(self.guarantee(output), needed) for output in self.configuration.publishers_on(name)):
             return True
         return any(
-            satisfies(offer.guarantee, needed) for offer in self.configuration.world.publishers_out_of_scope(connector)
+            satisfies(offer.guarantee, needed)
+            for offer in self.configuration.context.publishers_out_of_scope(connector)
         )
 
     def input_satisfied(self, port: PortRef) -> bool:
-        assumption = self.configuration.component(port.component).inputs[port.port]
-        connectors = self.configuration.world.connectors
+        assumption = self.configuration.component(port.instance).inputs[port.port]
+        connectors = self.configuration.context.connectors
         return any(
             satisfies(connectors[name].guarantee, assumption) and self.connector_satisfied(name)
             for name in self.configuration.connectors_of.get(port, ())
@@ -85,12 +86,12 @@ class Evaluator:
         self, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption
     ) -> bool:
         if isinstance(assumption, InputAlternatives):
-            return any(self.input_satisfied(PortRef(ref.component, name)) for name in assumption.inputs)
-        inputs = self.configuration.component(ref.component).inputs
+            return any(self.input_satisfied(PortRef(ref.instance, name)) for name in assumption.inputs)
+        inputs = self.configuration.component(ref.instance).inputs
         for name in functionality.inputs:
-            if satisfies(inputs[name], assumption) and self.input_satisfied(PortRef(ref.component, name)):
+            if satisfies(inputs[name], assumption) and self.input_satisfied(PortRef(ref.instance, name)):
                 return True
-        return any(satisfies(offer.guarantee, assumption) for offer in self.configuration.world.offers())
+        return any(satisfies(offer.guarantee, assumption) for offer in self.configuration.context.offers())
 
     def mode_satisfied(self, ref: FunctionalityRef, index: int) -> bool:
         """Whether every assumption of ``ref``'s mode ``index`` is satisfied."""
@@ -109,16 +110,16 @@ class Evaluator:
     # -- the same, told ------------------------------------------------------------------------------
 
     def why_connector_unsatisfied(self, name: str) -> str:
-        connector = self.configuration.world.connectors.get(name)
+        connector = self.configuration.context.connectors.get(name)
         if connector is None:
             return f"{name} is not a topic of this system"
         shortfalls = []
         for output in sorted(self.configuration.publishers_on(name)):
-            owner = self.configuration.component(output.component).owner(output.port)
-            mode = owner.modes[self.mode_index(FunctionalityRef(output.component, owner.name))]
+            owner = self.configuration.component(output.instance).owner(output.port)
+            mode = owner.modes[self.mode_index(FunctionalityRef(output.instance, owner.name))]
             clauses = explain(self.guarantee(output), connector.guarantee)
             shortfalls.append(f"{output} in mode {mode.name}: {', '.join(clauses)}")
-        for offer in self.configuration.world.publishers_out_of_scope(connector):
+        for offer in self.configuration.context.publishers_out_of_scope(connector):
             shortfalls.append(f"environment {offer.name}: {', '.join(explain(offer.guarantee, connector.guarantee))}")
         return f"nobody satisfies {name} ({'; '.join(shortfalls) if shortfalls else 'it has no publisher'})"
 
@@ -126,10 +127,10 @@ class Evaluator:
         attached = self.configuration.attached_to(port)
         if not attached:
             return f"input {port} is not attached"
-        assumption = self.configuration.component(port.component).inputs[port.port]
+        assumption = self.configuration.component(port.instance).inputs[port.port]
         reasons = []
         for name in attached:
-            connector = self.configuration.world.connectors.get(name)
+            connector = self.configuration.context.connectors.get(name)
             if connector is not None and not satisfies(connector.guarantee, assumption):
                 clauses = ", ".join(explain(connector.guarantee, assumption))
                 reasons.append(f"{name} does not satisfy what input {port} assumes ({clauses})")
@@ -140,17 +141,17 @@ class Evaluator:
     def why_assumption_unsatisfied(self, ref: FunctionalityRef, assumption: Assumption) -> str:
         """The reasons, as a chain from the assumption to what falls short."""
         if isinstance(assumption, InputAlternatives):
-            reasons = [self.why_input_unsatisfied(PortRef(ref.component, name)) for name in assumption.inputs]
+            reasons = [self.why_input_unsatisfied(PortRef(ref.instance, name)) for name in assumption.inputs]
             return f"assumes {assumption}: " + "; ".join(reasons)
         functionality = self.configuration.functionality(ref)
-        inputs = self.configuration.component(ref.component).inputs
+        inputs = self.configuration.component(ref.instance).inputs
         reasons = []
         for name in functionality.inputs:
             if satisfies(inputs[name], assumption):
-                reasons.append(self.why_input_unsatisfied(PortRef(ref.component, name)))
+                reasons.append(self.why_input_unsatisfied(PortRef(ref.instance, name)))
             else:
                 clauses = ", ".join(explain(inputs[name], assumption))
-                reasons.append(f"input {ref.component}.{name} does not count ({clauses})")
+                reasons.append(f"input {ref.instance}.{name} does not count ({clauses})")
         if not reasons:
             reasons.append("it has no associated input, and the environment does not offer it")
         return f"assumes {assumption}: " + "; ".join(reasons)
@@ -169,7 +170,7 @@ class Evaluator:
     def _concerned(self, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption) -> list[str]:
         """The ports and topics an assumption looks at: its inputs, their topics, and who publishes there."""
         inputs = assumption.inputs if isinstance(assumption, InputAlternatives) else functionality.inputs
-        ports = [PortRef(ref.component, name) for name in inputs]
+        ports = [PortRef(ref.instance, name) for name in inputs]
         topics = [name for port in ports for name in self.configuration.attached_to(port)]
         publishers = [port for name in topics for port in sorted(self.configuration.publishers_on(name))[:_SHOWN]]
         return list(dict.fromkeys([*map(str, ports), *topics, *map(str, publishers)]))
@@ -177,25 +178,25 @@ class Evaluator:
 
 def publishers_count(configuration: Configuration, connector: str) -> int:
     """How many publishers count against the connector's cap: attached outputs, and the environment's."""
-    declared = configuration.world.connectors[connector]
-    return len(configuration.publishers_on(connector)) + len(configuration.world.publishers_out_of_scope(declared))
+    declared = configuration.context.connectors[connector]
+    return len(configuration.publishers_on(connector)) + len(configuration.context.publishers_out_of_scope(declared))
 
 
 def cap_violation(configuration: Configuration, connector: str) -> Violation | None:
-    declared = configuration.world.connectors.get(connector)
-    if declared is None or declared.cap is None:
+    declared = configuration.context.connectors.get(connector)
+    if declared is None or declared.max_publishers is None:
         return None
     count = publishers_count(configuration, connector)
-    if count <= declared.cap:
+    if count <= declared.max_publishers:
         return None
-    names = [f"environment {offer.name}" for offer in configuration.world.publishers_out_of_scope(declared)]
+    names = [f"environment {offer.name}" for offer in configuration.context.publishers_out_of_scope(declared)]
     names += [str(port) for port in sorted(configuration.publishers_on(connector))]
-    because = f"{count} publishers ({_listed(names)}), at most {declared.cap} allowed"
+    because = f"{count} publishers ({_listed(names)}), at most {declared.max_publishers} allowed"
     return Violation("cap", connector, because, (connector, *names[:_SHOWN]))
 
 
 def capacity_violation(configuration: Configuration, resource: str) -> Violation | None:
-    held, capacity = configuration.held.get(resource), configuration.world.capacity(resource)
+    held, capacity = configuration.held.get(resource), configuration.context.capacity(resource)
     if held is None or held <= to_fraction(capacity):
         return None
     holders = _listed(sorted(configuration.holders[resource]))
@@ -219,13 +220,13 @@ def violations(configuration: Configuration) -> list[Violation]:
             found.append(
                 Violation("attachment", where, f"{port} is not a port of a live component", (str(port), connector))
             )
-        elif connector not in configuration.world.connectors:
+        elif connector not in configuration.context.connectors:
             found.append(
                 Violation("attachment", where, f"{connector} is not a topic of this system", (str(port), connector))
             )
     found.extend(Evaluator(configuration).violations_of(configuration.modes))
     found.extend(
-        v for name in sorted(configuration.world.connectors) if (v := cap_violation(configuration, name)) is not None
+        v for name in sorted(configuration.context.connectors) if (v := cap_violation(configuration, name)) is not None
     )
     found.extend(v for name in sorted(configuration.held) if (v := capacity_violation(configuration, name)) is not None)
     return found

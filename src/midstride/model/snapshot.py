@@ -31,9 +31,9 @@ def configuration_to_document(configuration: Configuration) -> Document:
     """The document of a configuration."""
     world = Specification(
         "world",
-        connectors=configuration.world.connectors,
-        environment=configuration.world.environment,
-        resources=configuration.world.resources,
+        connectors=configuration.context.connectors,
+        environment=configuration.context.environment,
+        resources=configuration.context.resources,
     )
     return {
         "world": specification_to_document(world),
@@ -64,8 +64,8 @@ def configuration_from_document(document: Mapping[str, Any]) -> Configuration:
         modes = {}
         for text, mode in document["modes"].items():
             ref = FunctionalityRef.parse(text)
-            modes[ref] = live[ref.component].component.functionalities[ref.functionality].mode_index(mode)
+            modes[ref] = live[ref.instance].component.functionalities[ref.functionality].mode_index(mode)
         attachments = [(PortRef.parse(port), connector) for port, connector in document["attachments"]]
-        return configure(specification_from_document(document["world"]).world, instances, attachments, modes)
+        return configure(specification_from_document(document["world"]).context, instances, attachments, modes)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise SpecificationError(f"not a configuration ({type(error).__name__}: {error})") from error

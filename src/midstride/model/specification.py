@@ -102,13 +102,13 @@ class Specification:
     resources: Map[str, Resource] = field(default_factory=Map)
     constraints: tuple[Constraint, ...] = ()
     timing: Map[str, float] = field(default_factory=Map)
-    _world: SystemContext | None = field(default=None, init=False, compare=False, repr=False)
+    _context: SystemContext | None = field(default=None, init=False, compare=False, repr=False)
 
     @property
-    def world(self) -> SystemContext:
-        if self._world is None:
-            object.__setattr__(self, "_world", SystemContext(self.connectors, self.environment, self.resources))
-        return self._world  # type: ignore[return-value]  # just made
+    def context(self) -> SystemContext:
+        if self._context is None:
+            object.__setattr__(self, "_context", SystemContext(self.connectors, self.environment, self.resources))
+        return self._context  # type: ignore[return-value]  # just made
 
     def component_of(self, role: str) -> ComponentSpec:
         """Raises KeyError for an unknown role."""
@@ -141,8 +141,8 @@ class Specification:
 
     def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
         """How long a step of that kind takes (s): declared for the component, else in ``timing``, else the default."""
-        if kind == "create" and component is not None and component.takes is not None:
-            return component.takes
+        if kind == "create" and component is not None and component.startup_seconds is not None:
+            return component.startup_seconds
         return self.timing.get(kind, DEFAULT_SECONDS[kind])
 
     # -- changes that share everything else ------------------------------------------------------------
@@ -156,10 +156,10 @@ class Specification:
         return self._elsewhere(nodes=self.nodes.delete(role), constraints=constraints)
 
     def _elsewhere(self, **changes: Any) -> Specification:
-        """With ``changes`` to anything but the world, which is shared."""
-        world = self.world
+        """With ``changes`` to anything but the context, which is shared."""
+        context = self.context
         changed = replace(self, **changes)
-        object.__setattr__(changed, "_world", world)
+        object.__setattr__(changed, "_context", context)
         return changed
 
     def with_replaced(self, role: str, component: str) -> Specification:
@@ -172,13 +172,13 @@ class Specification:
 def _roles_of(constraint: Constraint) -> Iterable[str]:
     if isinstance(constraint, Order):
         return (constraint.first, constraint.then)
-    return (constraint.functionality.component,)
+    return (constraint.functionality.instance,)
 
 
 def structure(specification: Specification) -> Configuration:
     """Every node live under its role's name and attached as specified, every functionality in its last mode."""
     return configure(
-        specification.world,
+        specification.context,
         (specification.instance(role) for role in specification.nodes),
         (attachment for role in specification.nodes for attachment in specification.attachments_of(role)),
     )

@@ -74,7 +74,7 @@ def _world_problems(specification: Specification) -> Iterator[Problem]:
     for name, connector in specification.connectors.items():
         yield from predicate_problems(connector.guarantee, ("topics", name))
         yield from number_problems(
-            connector.cap, "the number of publishers allowed", ("topics", name, "max_publishers"), zero=True
+            connector.max_publishers, "the number of publishers allowed", ("topics", name, "max_publishers"), zero=True
         )
     for offer in specification.environment:
         yield from predicate_problems(offer.guarantee, ("environment", offer.name, "guarantee"))
@@ -93,15 +93,15 @@ def _too_many_publishers(specification: Specification) -> Iterator[Problem]:
                 for topic in dict.fromkeys(topics):
                     publishers.setdefault(topic, []).append(str(PortRef(role, port)))
     for name, connector in specification.connectors.items():
-        if connector.cap is None:
+        if connector.max_publishers is None:
             continue
         counted = publishers.get(name, [])
         counted += [
             f"environment {offer.name}" for offer in specification.environment if offer.topic == connector.topic
         ]
-        if len(counted) > connector.cap:
+        if len(counted) > connector.max_publishers:
             count = f"{len(counted)} publisher{'s' if len(counted) != 1 else ''}"
-            message = f"{name} has {count} ({', '.join(counted)}), at most {connector.cap} allowed"
+            message = f"{name} has {count} ({', '.join(counted)}), at most {connector.max_publishers} allowed"
             yield Problem("E022", ("topics", name, "max_publishers"), message, "silent publishers count as well")
 
 
@@ -109,14 +109,15 @@ def _capacities(specification: Specification) -> Iterator[Problem]:
     holders: dict[str, list[tuple[str, float]]] = {}
     for role, node in sorted(specification.nodes.items()):
         component = specification.components.get(node.component)
-        for resource, amount in () if component is None else component.holds.items():
+        for resource, amount in () if component is None else component.resource_usage.items():
             if math.isfinite(amount):
                 holders.setdefault(resource, []).append((role, amount))
     for name, declared in specification.resources.items():
         total = sum((to_fraction(amount) for _, amount in holders.get(name, [])), start=Fraction())
         if 0 < declared.capacity < math.inf and total > to_fraction(declared.capacity):
             who = ", ".join(f"{role} {format_number(amount)}" for role, amount in holders[name])
-            message = f"{format_number(float(total))} of {name} is held ({who}), its capacity is {format_number(declared.capacity)}"
+            held, capacity = format_number(float(total)), format_number(declared.capacity)
+            message = f"{held} of {name} is held ({who}), its capacity is {capacity}"
             yield Problem("E023", ("resources", name), message, "take a holder out, or raise the capacity")
 
 
@@ -215,7 +216,7 @@ def _way(after: dict[str, list[tuple[str, Order]]], start: str, end: str) -> lis
 
 def _hopeless(specification: Specification) -> Iterator[Problem]:
     """Assumptions by predicate that no associated input counts for, nor the environment."""
-    offers = specification.world.offers()
+    offers = specification.context.offers()
     for name, component in specification.components.items():
         for functionality in component:
             if any(port not in component.inputs for port in functionality.inputs):
@@ -240,8 +241,8 @@ def _hopeless(specification: Specification) -> Iterator[Problem]:
 
 def _unsatisfied_topics(configuration: Configuration) -> Iterator[Problem]:
     """Topics that not even the normal modes of their publishers satisfy. An unfit one among them is told as E020."""
-    for name, connector in configuration.world.connectors.items():
-        offers = configuration.world.publishers_out_of_scope(connector)
+    for name, connector in configuration.context.connectors.items():
+        offers = configuration.context.publishers_out_of_scope(connector)
         if configuration.publishers_on(name) or any(
             satisfies(offer.guarantee, connector.guarantee) for offer in offers
         ):
@@ -258,7 +259,7 @@ def _at_first(specification: Specification, configuration: Configuration) -> Ite
     for ref in configuration.modes:
         if configuration.modes[ref] > 0:
             reasons = why.chain(ref)
-            path = ("nodes", ref.component)
+            path = ("nodes", ref.instance)
             stands = f"it will be in mode {configuration.mode(ref).name}"
             message = "; ".join(
                 [f"{reasons[0].replace(' cannot be', ' cannot at first be', 1)} ({stands})", *reasons[1:]]

@@ -160,7 +160,7 @@ class Change:
     @property
     def end_world(self) -> SystemContext:
         """The world once the plan is done: the target's own."""
-        return self.target.world
+        return self.target.context
 
     @property
     def is_empty(self) -> bool:
@@ -180,12 +180,12 @@ class Change:
 
     def is_output(self, port: PortRef) -> bool:
         """Of an instance that runs at the start or comes. Raises KeyError for another."""
-        return self.component_of(port.component).has_output(port.port)
+        return self.component_of(port.instance).has_output(port.port)
 
     def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
         """How long a step takes (s): declared in the target, else measured earlier, else the stated default."""
-        if kind == "create" and component is not None and component.takes is not None:
-            return component.takes
+        if kind == "create" and component is not None and component.startup_seconds is not None:
+            return component.startup_seconds
         if kind in self.target.timing:
             return self.target.timing[kind]
         if component is not None and f"{kind} {component.name}" in self.measured:
@@ -196,7 +196,7 @@ class Change:
         """The old connector of a topic whose contract changes, given the new one; else None."""
         if not self.identities:
             return None
-        topic = self.start.world.connectors[connector].topic
+        topic = self.start.context.connectors[connector].topic
         return topic if self.identities.get(topic) == connector else None
 
     def exchanges(self) -> dict[str, tuple[Swap, ...]]:
@@ -206,12 +206,12 @@ class Change:
         """
         going: dict[str, list[Attachment]] = {}
         for port, connector in self.detached:
-            if port.component in self.replaced and self.is_output(port):
-                going.setdefault(port.component, []).append((port, connector))
+            if port.instance in self.replaced and self.is_output(port):
+                going.setdefault(port.instance, []).append((port, connector))
         coming: dict[str, list[Attachment]] = {}
         for port, connector in self.attached:
             if self.is_output(port):
-                coming.setdefault(port.component, []).append((port, connector))
+                coming.setdefault(port.instance, []).append((port, connector))
         found: dict[str, list[Swap]] = {}
         for old, olds in going.items():
             new = self.replaced[old]

@@ -116,7 +116,7 @@ class ChangeBuilder:
             configuration = configuration.with_instance(instance)
             seeds.update(dict.fromkeys(instance.functionality_refs()))
         for port, connector in self.attached:
-            if reasons := contract_reasons(configuration, port, configuration.world.connectors[connector]):
+            if reasons := contract_reasons(configuration, port, configuration.context.connectors[connector]):
                 raise PlanRefused(f"{port} cannot be attached to {connector}: {reasons[0]}")
             configuration = configuration.with_attachment(port, connector)
             _note_users(configuration, port, seeds)
@@ -124,15 +124,15 @@ class ChangeBuilder:
             configuration = configuration.with_parameters(name, parameters)
         for connector in dict.fromkeys(connector for _, connector in [*self.detached, *self.attached]):
             seeds.update(dict.fromkeys(configuration.consumers(connector)))
-        live = (ref for ref in seeds if ref.component in configuration.instances)
+        live = (ref for ref in seeds if ref.instance in configuration.instances)
         self.final = configuration.with_modes(rebalanced(configuration, live))
-        resources = dict.fromkeys(r for instance in self.coming for r in instance.component.holds)
+        resources = dict.fromkeys(r for instance in self.coming for r in instance.component.resource_usage)
         connectors = dict.fromkeys(connector for _, connector in self.attached)
         _meet("the target", self.final, connectors, resources)
 
 
 def _note_users(configuration: Configuration, port: PortRef, seeds: dict[FunctionalityRef, None]) -> None:
-    """The functionalities that an input of ``configuration`` serves are seeds; an output's consumers are found by topic."""
+    """The functionalities that an input serves are seeds; an output's consumers are found by topic."""
     if not configuration.is_output(port):
         seeds.update(dict.fromkeys(configuration.users(port)))
 
@@ -208,13 +208,13 @@ def of_roles(
 def between(configuration: Configuration, specification: Specification, target: Specification) -> ChangeBuilder:
     """The difference of whole systems, the world's included."""
     connectors, identities = _connectors(configuration, target)
-    resources = configuration.world.resources.update(target.resources)
+    resources = configuration.context.resources.update(target.resources)
     start = configuration.with_context(SystemContext(connectors, target.environment, resources))
     _meet("the running system", start, sorted(start.publishers), sorted(start.held))
     for violation in violations(start):
         raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
     raised = best(start)
-    baseline = raised if start.world == configuration.world else best(configuration)
+    baseline = raised if start.context == configuration.context else best(configuration)
     difference = ChangeBuilder(specification, target, start, baseline, start, identities)
     difference.pending = sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index)
     difference.lowered = sorted(ref for ref, index in baseline.modes.items() if start.modes[ref] != index)
@@ -227,7 +227,7 @@ def between(configuration: Configuration, specification: Specification, target: 
 
 def _connectors(configuration: Configuration, target: Specification) -> tuple[Map[str, Connector], dict[str, str]]:
     """The connectors that exist throughout, and the identities of the topics whose contract changes under use."""
-    running = configuration.world.connectors
+    running = configuration.context.connectors
     identities: dict[str, str] = {}
     throughout = running.update(target.connectors)
     for name in sorted(target.connectors):

@@ -118,13 +118,13 @@ def _watched(change: Change, levels: Levels, keeps: Iterable[Keep]) -> list[tupl
         ref = keep.functionality
         if levels.find(ref) is None:
             continue
-        chain = change.target.component_of(ref.component).functionalities[ref.functionality]
+        chain = change.target.component_of(ref.instance).functionalities[ref.functionality]
         try:
             asked = chain.mode_index(keep.mode)
         except KeyError:
             names = ", ".join(mode.name for mode in chain.modes)
             raise PlanRefused(f"the constraint `{keep}`: {ref} has no mode {keep.mode}; it has {names}") from None
-        watched.append((keep, ref.component, max(asked, levels.level(change.start, ref))))
+        watched.append((keep, ref.instance, max(asked, levels.level(change.start, ref))))
     return watched
 
 
@@ -187,4 +187,4 @@ def roles_of(constraint: Constraint) -> tuple[str, ...]:
     if isinstance(constraint, Order):
         return (constraint.first, constraint.then)
     ref: FunctionalityRef = constraint.functionality
-    return (ref.component,)
+    return (ref.instance,)

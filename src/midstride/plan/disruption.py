@@ -70,7 +70,7 @@ class Levels:
     @staticmethod
     def _level(configuration: Configuration, ref: FunctionalityRef, outputs: tuple[str, ...], worst: int) -> int:
         level = worst
-        for instance in configuration.instances_by_role.get(ref.component, ()):
+        for instance in configuration.instances_by_role.get(ref.instance, ()):
             own = FunctionalityRef(instance, ref.functionality)
             mode = configuration.modes.get(own)
             if mode is None or mode >= level:
@@ -81,7 +81,7 @@ class Levels:
 
     def find(self, ref: FunctionalityRef) -> Counted | None:
         """The functionality of a role as it is counted; None where start or target does not have it."""
-        return next((counted for counted in self.counted(ref.component) if counted.ref == ref), None)
+        return next((counted for counted in self.counted(ref.instance) if counted.ref == ref), None)
 
     def level(self, configuration: Configuration, ref: FunctionalityRef) -> int:
         """The level of a role's functionality: the best mode among those serving it. Raises KeyError if not counted."""
@@ -124,15 +124,15 @@ def instances_touched(action: Action) -> list[str]:
         case Create():
             return [action.instance.name]
         case Remove():
-            return [action.component]
+            return [action.instance]
         case SetParameters():
-            return [action.component]
+            return [action.instance]
         case Attach() | Detach():
-            return [action.port.component]
+            return [action.port.instance]
         case Handover():
-            return list(dict.fromkeys(port.component for swap in action.swaps for port in (swap.old, swap.new)))
+            return list(dict.fromkeys(port.instance for swap in action.swaps for port in (swap.old, swap.new)))
         case Degrade() | Upgrade():
-            return list(dict.fromkeys(ref.component for ref in sorted(action.modes)))
+            return list(dict.fromkeys(ref.instance for ref in sorted(action.modes)))
     return []
 
 
@@ -157,7 +157,7 @@ class DisruptionMeter:
         self.levels = levels
         self.disruption = 0.0
         change = levels.change
-        standing = dict.fromkeys(change.start.instances[ref.component].role for ref in change.lowered)
+        standing = dict.fromkeys(change.start.instances[ref.instance].role for ref in change.lowered)
         self.below: dict[FunctionalityRef, int] = levels.fallen(change.start, standing)
         self.fallen: dict[FunctionalityRef, None] = dict.fromkeys(self.below)
         self._clock = 0.0

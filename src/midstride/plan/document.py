@@ -117,7 +117,7 @@ def _started(
     live = {role: name for role, name in names.items() if name is not None}
     configuration = best(
         configure(
-            specification.world,
+            specification.context,
             (specification.instance(role, name) for role, name in live.items()),
             (pair for role, name in live.items() for pair in specification.attachments_of(role, name)),
         )
@@ -161,7 +161,7 @@ def _step(change: Change, known: dict[str, Instance], entry: Mapping[str, Any]) 
 
 def _mode_index(known: Mapping[str, Instance], ref: FunctionalityRef, mode: str) -> int:
     try:
-        return known[ref.component].component.functionalities[ref.functionality].mode_index(mode)
+        return known[ref.instance].component.functionalities[ref.functionality].mode_index(mode)
     except KeyError:
         raise PlanRefused(f"there is no {ref} with a mode {mode}") from None
 

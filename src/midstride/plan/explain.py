@@ -89,7 +89,7 @@ def shifts(plan: Plan) -> tuple[LevelShift, ...]:
 
 
 def _mode(specification: Specification, ref: FunctionalityRef, level: int) -> str | None:
-    modes = specification.component_of(ref.component).functionalities[ref.functionality].modes
+    modes = specification.component_of(ref.instance).functionalities[ref.functionality].modes
     return modes[level].name if level < len(modes) else None
 
 
@@ -128,12 +128,12 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
         return "it stands below when the plan begins"
     step, before = steps[since - 1], configurations[since - 1]
     if not isinstance(step.action, Degrade):
-        return f"after `{step.describe()}` no instance of {ref.component} serves it any more"
+        return f"after `{step.describe()}` no instance of {ref.instance} serves it any more"
     own = next((own for own in sorted(step.action.modes) if _by_role(before, own) == ref), None)
     for number, later in enumerate(steps[since:], start=since + 1):
         if later.is_structural:
             after = configurations[number]
-            if own is not None and own.component in after.instances:
+            if own is not None and own.instance in after.instances:
                 judge = Evaluator(after, {own: before.modes[own]})
                 mode = before.mode(own)
                 functionality = before.functionality(own)
@@ -146,4 +146,4 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
 
 
 def _by_role(configuration: Configuration, own: FunctionalityRef) -> FunctionalityRef:
-    return FunctionalityRef(configuration.instances[own.component].role, own.functionality)
+    return FunctionalityRef(configuration.instances[own.instance].role, own.functionality)

@@ -97,7 +97,7 @@ def _impact(specification: Specification, configuration: Configuration, role: st
         if configuration.is_output(port):
             users.update(dict.fromkeys(configuration.consumers(connector)))
     without = configuration.without_instance(role)
-    modes = lowered(without, [ref for ref in users if ref.component != role])
+    modes = lowered(without, [ref for ref in users if ref.instance != role])
     after = without.with_modes(modes)
     falls = sorted(_falls(configuration, after, modes), key=lambda fall: (-fall.loss, fall.functionality))
     own = tuple(name for name in instance.component.functionality_order)

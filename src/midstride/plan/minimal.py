@@ -70,24 +70,23 @@ def minimal(change: Change) -> Plan:
 def _no_room(change: Change) -> list[str]:
     """Why not all that comes can be there before anything goes: the resources that there is not enough of for both."""
     configuration, told = change.start, []
-    for resource in sorted({name for instance in change.coming for name in instance.component.holds}):
-        coming = [instance for instance in change.coming if resource in instance.component.holds]
+    for resource in sorted({name for instance in change.coming for name in instance.component.resource_usage}):
+        coming = [instance for instance in change.coming if resource in instance.component.resource_usage]
         together = configuration.held.get(resource, 0) + sum(
-            to_fraction(instance.component.holds[resource]) for instance in coming
+            to_fraction(instance.component.resource_usage[resource]) for instance in coming
         )
-        if together > to_fraction(configuration.world.capacity(resource)):
-            names = [name for name in change.leaving if resource in configuration.component(name).holds]
+        if together > to_fraction(configuration.context.capacity(resource)):
+            names = [name for name in change.leaving if resource in configuration.component(name).resource_usage]
             who = " and ".join([*names, *(instance.name for instance in coming)])
-            told.append(
-                f"{who} do not fit at once: {resource} has a capacity of {format_number(configuration.world.capacity(resource))}"
-            )
+            capacity = format_number(configuration.context.capacity(resource))
+            told.append(f"{who} do not fit at once: {resource} has a capacity of {capacity}")
     return told
 
 
 def _relevant(change: Change, found: Found | None, constraints: Iterable[Constraint]) -> list[Constraint]:
     """The constraints that have to do with what the plan touches."""
     ports = [port for port, _ in (*change.detached, *change.attached)]
-    names = [*change.leaving, *(instance.name for instance in change.coming), *(port.component for port in ports)]
+    names = [*change.leaving, *(instance.name for instance in change.coming), *(port.instance for port in ports)]
     touched = {change.role_of(name) for name in names}
     if found is not None:
         touched.update(role for step in found.steps for role in step.roles)
@@ -108,11 +107,11 @@ def _find(change: Change, levels: Levels, constraints: Sequence[Constraint]) -> 
 
 def _shares_a_full_topic(change: Change) -> bool:
     """Whether several outputs come to one capped topic, so that one's place may be better given to another."""
-    connectors = change.start.world.connectors
+    connectors = change.start.context.connectors
     coming = Counter(
         connector
         for port, connector in change.attached
-        if connectors[connector].cap is not None and change.is_output(port)
+        if connectors[connector].max_publishers is not None and change.is_output(port)
     )
     return any(count > 1 for count in coming.values())
 
@@ -175,7 +174,7 @@ def _search(
 def _priority(core: SearchState) -> tuple[bool, float, float, int]:
     """Whether a way is doomed; what it has cost and will at least have cost, roughly, once what fell stands again."""
     change, meter = core.draft.change, core.draft.meter
-    roles = {ref.component for ref in meter.below}
+    roles = {ref.instance for ref in meter.below}
     awaited = [change.seconds("create", i.component) for i in core.creates.values() if i.role in roles]
     cost = meter.disruption + meter.standing * max(awaited, default=0.0)
     return core.draft.is_doomed, cost, meter.standing, len(core.draft.steps)

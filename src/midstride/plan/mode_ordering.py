@@ -90,12 +90,12 @@ def _raised(configuration: Configuration, wanted: Modes) -> Iterator[Modes]:
 
 
 def _declared(configuration: Configuration, ref: FunctionalityRef) -> tuple[str, int]:
-    return ref.component, configuration.component(ref.component).functionality_order.index(ref.functionality)
+    return ref.instance, configuration.component(ref.instance).functionality_order.index(ref.functionality)
 
 
 def _consumers(configuration: Configuration, ref: FunctionalityRef) -> Iterator[FunctionalityRef]:
     for output in configuration.functionality(ref).outputs:
-        for name in configuration.connectors_of.get(PortRef(ref.component, output), ()):
+        for name in configuration.connectors_of.get(PortRef(ref.instance, output), ()):
             yield from configuration.consumers(name)
 
 

@@ -51,7 +51,7 @@ def moves(core: SearchState) -> list[Move]:
             *_parts(core, turn),
         ]
     )
-    fallen = {ref.component for ref in core.draft.meter.below}
+    fallen = {ref.instance for ref in core.draft.meter.below}
     return sorted(found, key=lambda move: _priority(core, move, fallen))
 
 
@@ -66,7 +66,7 @@ def _creations(core: SearchState, turn: OrderGate) -> Iterator[Move]:
     for name, instance in core.creates.items():
         if instance.role not in turn:
             continue
-        holds = instance.component.holds
+        holds = instance.component.resource_usage
         lacks = ((resource, core.lack(resource, to_fraction(holds[resource]))) for resource in sorted(holds))
         need: Need = tuple((resource, lack) for resource, lack in lacks if lack > 0)
         if not need:
@@ -84,13 +84,14 @@ def _making_room(core: SearchState, need: Need, turn: OrderGate) -> list[tuple[s
     configuration, role_of = core.draft.configuration, core.draft.change.role_of
 
     def enough(names: Iterable[str]) -> bool:
-        given = [configuration.component(name).holds for name in names]
+        given = [configuration.component(name).resource_usage for name in names]
         return all(sum(to_fraction(holds.get(r, 0.0)) for holds in given) >= lack for r, lack in need)
 
     holders = [
         name
         for name in core.removes
-        if role_of(name) in turn and any(resource in configuration.component(name).holds for resource, _ in need)
+        if role_of(name) in turn
+        and any(resource in configuration.component(name).resource_usage for resource, _ in need)
     ]
     holders.sort(key=lambda name: (not core.is_relieved(name), role_of(name) in core.draft.change.target.nodes))
     found = [(name,) for name in holders if enough((name,))]
@@ -121,7 +122,7 @@ def _attachments(core: SearchState, turn: OrderGate) -> Iterator[Move]:
         for other, on in core.detaches:
             if on not in (connector, change.sibling(connector)) or not configuration.is_output(other):
                 continue
-            if change.role_of(other.component) not in turn:
+            if change.role_of(other.instance) not in turn:
                 continue
             if on == connector and core.satisfies_topic(port, connector):
                 yield Move("exchange", swap=Swap(connector, other, port))
@@ -132,7 +133,7 @@ def _closings(core: SearchState, turn: OrderGate) -> Iterator[Move]:
     """A role after which another is to come, and of which only the going is left."""
     role_of = core.draft.change.role_of
     coming = {role_of(name) for name in (*core.creates, *core.swaps)}
-    coming |= {role_of(port.component) for port, _ in core.attaches}
+    coming |= {role_of(port.instance) for port, _ in core.attaches}
     for role in sorted({order.first for order in core.orders} & core.busy()):
         if role in turn and role not in coming:
             yield Move("finish", (role,))

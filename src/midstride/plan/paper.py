@@ -65,7 +65,7 @@ def six_steps(strategy: str, change: Change, lowered_first: Iterable[Functionali
 
 def _instances(change: Change) -> list[str]:
     """The instances with structural changes."""
-    ports = [port.component for port, _ in (*change.detached, *change.attached)]
+    ports = [port.instance for port, _ in (*change.detached, *change.attached)]
     return list(dict.fromkeys([*change.leaving, *(instance.name for instance in change.coming), *ports]))
 
 
@@ -77,8 +77,8 @@ def _go(draft: PlanBuilder, roles: set[str]) -> None:
     leaving = {name for name in change.leaving if change.role_of(name) in roles}
     detached: dict[str, list[Attachment]] = {name: [] for name in change.leaving if name in leaving}
     for port, connector in change.detached:
-        if change.role_of(port.component) in roles:
-            detached.setdefault(port.component, []).append((port, connector))
+        if change.role_of(port.instance) in roles:
+            detached.setdefault(port.instance, []).append((port, connector))
     for name, attachments in detached.items():
         for port, connector in attachments:
             _detach(draft, port, connector)
@@ -107,7 +107,7 @@ def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
         functionality = after.functionality(ref)
         overlay[ref] = functionality.last_mode
         for output in functionality.outputs:
-            for name in after.connectors_of.get(PortRef(ref.component, output), ()):
+            for name in after.connectors_of.get(PortRef(ref.instance, output), ()):
                 pending.extend(after.consumers(name))
     return overlay
 
@@ -128,8 +128,8 @@ def _come(draft: PlanBuilder, roles: set[str]) -> None:
     change = draft.change
     attached: dict[str, list[Attachment]] = {}
     for port, connector in change.attached:
-        if change.role_of(port.component) in roles:
-            attached.setdefault(port.component, []).append((port, connector))
+        if change.role_of(port.instance) in roles:
+            attached.setdefault(port.instance, []).append((port, connector))
     for instance in change.coming:
         if instance.role in roles:
             _bring(draft, instance, attached.pop(instance.name, []))

@@ -61,7 +61,7 @@ class PlanBuilder:
         roles = tuple(dict.fromkeys(self.change.role_of(name) for name in instances_touched(action)))
         component = action.instance.component if isinstance(action, Create) else None
         if isinstance(action, Remove):
-            component = self.configuration.component(action.component)
+            component = self.configuration.component(action.instance)
         seconds = self.change.seconds(action.kind, component)
         step = Step(action, seconds, roles, mode_changes(self.configuration, action))
         self.configuration = action.effect(self.configuration)
@@ -75,7 +75,7 @@ class PlanBuilder:
     def rise(self) -> None:
         """Upgrade whoever can stand better since the last time."""
         if self.touched:
-            live = [ref for ref in self.touched if ref.component in self.configuration.instances]
+            live = [ref for ref in self.touched if ref.instance in self.configuration.instances]
             self.touched = {}
             self.raise_to(rebalanced(self.configuration, live, self.ceiling))
 

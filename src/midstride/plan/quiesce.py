@@ -25,17 +25,17 @@ def reachable(change: Change) -> list[FunctionalityRef]:
     for name in change.leaving:
         found.update(dict.fromkeys(configuration.instances[name].functionality_refs()))
     for port, connector in (*change.detached, *change.attached):
-        component = change.component_of(port.component)
-        if port.component in configuration.instances:
+        component = change.component_of(port.instance)
+        if port.instance in configuration.instances:
             owners = component.users(port.port) if port.port in component.inputs else [component.owner(port.port)]
-            found.update(dict.fromkeys(FunctionalityRef(port.component, owner.name) for owner in owners))
+            found.update(dict.fromkeys(FunctionalityRef(port.instance, owner.name) for owner in owners))
         if component.has_output(port.port):
             found.update(dict.fromkeys(configuration.consumers(connector)))
     pending = list(found)
     while pending:
         ref = pending.pop()
         for output in configuration.functionality(ref).outputs:
-            port = PortRef(ref.component, output)
+            port = PortRef(ref.instance, output)
             for connector in configuration.connectors_of.get(port, ()):
                 for consumer in consumers_of(configuration, port, connector):
                     if consumer not in found:

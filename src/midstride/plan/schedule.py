@@ -67,7 +67,7 @@ class _Marks:
         self._inputs: dict[str, list[PortRef]] = defaultdict(list)
         for port, connector in change.attached:
             self._attached[port].append(connector)
-            if port.port in change.component_of(port.component).inputs:
+            if port.port in change.component_of(port.instance).inputs:
                 self._inputs[connector].append(port)
         self._consumers: dict[str, list[FunctionalityRef]] = {}
 
@@ -83,12 +83,12 @@ class _Marks:
         match action:
             case Create():
                 yield ("live", action.instance.name), Claim.OWN
-                for resource in action.instance.component.holds:
+                for resource in action.instance.component.resource_usage:
                     yield ("resource", resource), Claim.ACQUIRE
             case Remove():
-                yield ("live", action.component), Claim.OWN
-                yield from self._role(self.change.role_of(action.component))
-                for resource in self.change.component_of(action.component).holds:
+                yield ("live", action.instance), Claim.OWN
+                yield from self._role(self.change.role_of(action.instance))
+                for resource in self.change.component_of(action.instance).resource_usage:
                     yield ("resource", resource), Claim.RELEASE
             case Attach():
                 yield from self._attachment(action.port, action.connector, Claim.SUPPORT)
@@ -100,46 +100,49 @@ class _Marks:
                 for swap in action.swaps:
                     for port in (swap.old, swap.new):
                         yield from self._attachment(port, swap.connector, Claim.SUPPORT)
-                    owner = self.change.component_of(swap.new.component).owner(swap.new.port)
-                    yield ("mode", FunctionalityRef(swap.new.component, owner.name)), Claim.USE
+                    owner = self.change.component_of(swap.new.instance).owner(swap.new.port)
+                    yield ("mode", FunctionalityRef(swap.new.instance, owner.name)), Claim.USE
             case Degrade() | Upgrade():
                 for ref in action.modes:
                     yield from self._mode(ref, isinstance(action, Upgrade))
             case SetParameters():
-                yield ("live", action.component), Claim.USE
-                yield ("parameters", action.component), Claim.OWN
+                yield ("live", action.instance), Claim.USE
+                yield ("parameters", action.instance), Claim.OWN
 
     def _role(self, role: str) -> Iterator[Mark]:
         if role in self.replaced:
             yield ("role", role), Claim.OWN
 
     def _attachment(self, port: PortRef, connector: str, claim: Claim) -> Iterator[Mark]:
-        yield ("live", port.component), Claim.USE
+        yield ("live", port.instance), Claim.USE
         yield ("attachment", port, connector), Claim.OWN
-        component = self.change.component_of(port.component)
+        component = self.change.component_of(port.instance)
         if port.port in component.inputs:
             for functionality in component.users(port.port):
-                yield ("support", FunctionalityRef(port.component, functionality.name)), claim
+                yield ("support", FunctionalityRef(port.instance, functionality.name)), claim
         else:
-            yield from self._role(self.change.role_of(port.component))
+            yield from self._role(self.change.role_of(port.instance))
             for ref in self._consumers_of(connector):
                 yield ("support", ref), claim
 
     def _slot(self, port: PortRef, connector: str, claim: Claim) -> Iterator[Mark]:
-        connectors = self.change.start.world.connectors
+        connectors = self.change.start.context.connectors
         topic = connectors[connector].topic
-        capped = any(connectors[name].cap is not None for name in (connector, self.change.identities.get(topic, topic)))
+        capped = any(
+            connectors[name].max_publishers is not None
+            for name in (connector, self.change.identities.get(topic, topic))
+        )
         if capped and self.change.is_output(port):
             yield ("topic", topic), claim
 
     def _mode(self, ref: FunctionalityRef, better: bool) -> Iterator[Mark]:
-        yield ("live", ref.component), Claim.USE
+        yield ("live", ref.instance), Claim.USE
         yield ("mode", ref), Claim.OWN
         yield ("support", ref), Claim.STAND
-        yield from self._role(self.change.role_of(ref.component))
+        yield from self._role(self.change.role_of(ref.instance))
         claim = Claim.SUPPORT if better else Claim.WITHDRAW
-        for output in self.change.component_of(ref.component).functionalities[ref.functionality].outputs:
-            port = PortRef(ref.component, output)
+        for output in self.change.component_of(ref.instance).functionalities[ref.functionality].outputs:
+            port = PortRef(ref.instance, output)
             for connector in {*self.change.start.connectors_of.get(port, ()), *self._attached.get(port, ())}:
                 for consumer in self._consumers_of(connector):
                     if consumer != ref:
@@ -151,8 +154,8 @@ class _Marks:
         if known is None:
             found = dict.fromkeys(self.change.start.consumers(connector))
             for port in self._inputs.get(connector, ()):
-                for functionality in self.change.component_of(port.component).users(port.port):
-                    found[FunctionalityRef(port.component, functionality.name)] = None
+                for functionality in self.change.component_of(port.instance).users(port.port):
+                    found[FunctionalityRef(port.instance, functionality.name)] = None
             known = self._consumers[connector] = list(found)
         return known
 

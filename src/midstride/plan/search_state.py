@@ -100,7 +100,7 @@ class SearchState:
     def busy(self) -> set[str]:
         role_of = self.draft.change.role_of
         names = [*self.creates, *self.removes, *self.swaps]
-        names += [port.component for port, _ in (*self.attaches, *self.detaches)]
+        names += [port.instance for port, _ in (*self.attaches, *self.detaches)]
         return {role_of(name) for name in names}
 
     def _create(self, turn: OrderGate) -> bool:
@@ -109,13 +109,13 @@ class SearchState:
             return False
         demand: dict[str, Fraction] = {}
         for instance in self.creates.values():
-            for resource, amount in instance.component.holds.items():
+            for resource, amount in instance.component.resource_usage.items():
                 demand[resource] = demand.get(resource, _NOTHING) + to_fraction(amount)
         tight = {resource for resource, amount in demand.items() if self.lack(resource, amount) > 0}
         ready = [
             name
             for name, instance in self.creates.items()
-            if instance.role in turn and tight.isdisjoint(instance.component.holds)
+            if instance.role in turn and tight.isdisjoint(instance.component.resource_usage)
         ]
         for name in ready:
             self.draft.create(self.creates.pop(name))
@@ -129,7 +129,9 @@ class SearchState:
     def lack(self, resource: str, amount: Fraction) -> Fraction:
         """How much of the resource is missing for so much more of it; more than 0 where there is no room."""
         configuration = self.draft.configuration
-        return configuration.held.get(resource, _NOTHING) + amount - to_fraction(configuration.world.capacity(resource))
+        return (
+            configuration.held.get(resource, _NOTHING) + amount - to_fraction(configuration.context.capacity(resource))
+        )
 
     def _attach(self, turn: OrderGate) -> bool:
         """Attach what fits beside everything else that is to come on its topic, or may have to."""
@@ -151,17 +153,15 @@ class SearchState:
         return bool(ready)
 
     def _is_input(self, port: PortRef) -> bool:
-        return port.port in self.draft.change.component_of(port.component).inputs
+        return port.port in self.draft.change.component_of(port.instance).inputs
 
     def may_attach(self, port: PortRef, turn: OrderGate) -> bool:
-        return (
-            port.component in self.draft.configuration.instances and self.draft.change.role_of(port.component) in turn
-        )
+        return port.instance in self.draft.configuration.instances and self.draft.change.role_of(port.instance) in turn
 
     def slots(self, connector: str) -> float:
         """How many more publishers the topic takes. What is one topic on the wire counts as one."""
         configuration = self.draft.configuration
-        cap = configuration.world.connectors[connector].cap
+        cap = configuration.context.connectors[connector].max_publishers
         if cap is None:
             return math.inf
         sibling = self.draft.change.sibling(connector)
@@ -180,7 +180,7 @@ class SearchState:
 
     def _may_wait(self, new: str, swaps: Iterable[Swap]) -> bool:
         """Whether it may be better to hand over later, or not at all, because of a topic that is full."""
-        own = any(port.component == new and self._is_capped(connector) for port, connector in self.attaches)
+        own = any(port.instance == new and self._is_capped(connector) for port, connector in self.attaches)
         return not self.eager and (own or self.is_wanted(swaps))
 
     def is_wanted(self, swaps: Iterable[Swap]) -> bool:
@@ -196,26 +196,26 @@ class SearchState:
         return any(connector == swap.connector and not self._is_input(port) for port, connector in self.attaches)
 
     def _is_capped(self, connector: str) -> bool:
-        return self.draft.configuration.world.connectors[connector].cap is not None
+        return self.draft.configuration.context.connectors[connector].max_publishers is not None
 
     def fits(self, new: str, swaps: Sequence[Swap], turn: OrderGate) -> bool:
         return self.draft.change.role_of(new) in turn and all(self.good(swap) for swap in swaps)
 
     def good(self, swap: Swap) -> bool:
         """Whether the new one may take over, as it stands now."""
-        return swap.new.component in self.draft.configuration.instances and self.satisfies_topic(
+        return swap.new.instance in self.draft.configuration.instances and self.satisfies_topic(
             swap.new, swap.connector
         )
 
     def satisfies_topic(self, output: PortRef, connector: str) -> bool:
         configuration = self.draft.configuration
-        return satisfies(configuration.guarantee(output), configuration.world.connectors[connector].guarantee)
+        return satisfies(configuration.guarantee(output), configuration.context.connectors[connector].guarantee)
 
     def costs(self, swaps: tuple[Swap, ...]) -> bool:
         """Whether the role would fall, or fall further, by handing over now."""
         draft = self.draft
         after = Handover(swaps).effect(draft.configuration)
-        below = draft.meter.levels.below(after, draft.change.role_of(swaps[0].new.component))
+        below = draft.meter.levels.below(after, draft.change.role_of(swaps[0].new.instance))
         return any(loss > draft.meter.below.get(ref, 0) for ref, loss in below.items())
 
     def finish(self) -> None:
@@ -223,7 +223,7 @@ class SearchState:
         change, draft = self.draft.change, self.draft
         for layer in self.layers() or ():
             roles = set(layer)
-            draft.detach(pair for pair in self.detaches if change.role_of(pair[0].component) in roles)
+            draft.detach(pair for pair in self.detaches if change.role_of(pair[0].instance) in roles)
             for name in self.removes:
                 if change.role_of(name) in roles:
                     draft.remove(name)
@@ -283,7 +283,7 @@ class SearchState:
         if new is not None:
             self._dissolve(self.swaps.pop(new, ()))
             self._attach(self.turn())
-        pairs = [pair for pair in self.detaches if pair[0].component == name]
+        pairs = [pair for pair in self.detaches if pair[0].instance == name]
         self.draft.detach(pairs)
         for pair in pairs:
             del self.detaches[pair]
@@ -292,7 +292,7 @@ class SearchState:
 
     def _close(self, role: str) -> None:
         role_of = self.draft.change.role_of
-        pairs = [pair for pair in self.detaches if role_of(pair[0].component) == role]
+        pairs = [pair for pair in self.detaches if role_of(pair[0].instance) == role]
         self.draft.detach(pairs)
         for pair in pairs:
             del self.detaches[pair]

@@ -59,8 +59,10 @@ def _topic(before: Connector, after: Connector) -> Iterator[str]:
     if not before.same_contract(after):
         yield _became("contract", before.guarantee, after.guarantee)
         yield "another contract is another topic: what is attached is detached and attached again"
-    if before.cap != after.cap:
-        told = ["any number" if cap is None else f"at most {cap}" for cap in (before.cap, after.cap)]
+    if before.max_publishers != after.max_publishers:
+        told = [
+            "any number" if cap is None else f"at most {cap}" for cap in (before.max_publishers, after.max_publishers)
+        ]
         yield _became("publishers", *told)
 
 
@@ -110,12 +112,12 @@ def _components(old: Specification, new: Specification) -> Iterator[Difference]:
 
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
     """How two declarations of a component differ, a line each."""
-    for what, old, new in (("run", before.run, after.run), ("takes", before.takes, after.takes)):
+    for what, old, new in (("run", before.run, after.run), ("takes", before.startup_seconds, after.startup_seconds)):
         if old != new:
             yield _became(what, old, new)
     yield from _named("input", dict(before.inputs), dict(after.inputs))
     yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
-    yield from _named("holds", dict(before.holds), dict(after.holds))
+    yield from _named("holds", dict(before.resource_usage), dict(after.resource_usage))
     yield from _named("parameter", _told(before), _told(after))
     allowed = [{str(endpoint): "" for endpoint in component.allows} for component in (before, after)]
     yield from _named("allows", allowed[0], allowed[1])

@@ -50,7 +50,7 @@ class Step:
                 document |= {"component": instance.name, "role": instance.role, "of": instance.component.name}
                 document["parameters"] = _plain(instance.parameters)
             case Remove():
-                document["component"] = action.component
+                document["component"] = action.instance
             case Attach() | Detach():
                 document |= {"port": str(action.port), "connector": action.connector}
             case Degrade() | Upgrade():
@@ -62,7 +62,7 @@ class Step:
                     {"connector": swap.connector, "old": str(swap.old), "new": str(swap.new)} for swap in action.swaps
                 ]
             case SetParameters():
-                document |= {"component": action.component, "parameters": _plain(action.parameters)}
+                document |= {"component": action.instance, "parameters": _plain(action.parameters)}
         document["seconds"] = self.seconds
         return document
 

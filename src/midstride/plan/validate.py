@@ -132,7 +132,7 @@ def _role_end(
         yield f"{instance.name} has other parameters at the end than the target says"
     for port in wanted.component.ports():
         attached = [
-            configuration.world.connectors[name] for name in configuration.attached_to(PortRef(instance.name, port))
+            configuration.context.connectors[name] for name in configuration.attached_to(PortRef(instance.name, port))
         ]
         have = sorted({connector.topic for connector in attached})
         want = target.attached_to(PortRef(wanted.name, port))
@@ -141,7 +141,7 @@ def _role_end(
             yield f"{instance.name}.{port} is attached to {told[0]} at the end, {told[1]} is wanted"
         for connector in attached:
             topic = connector.topic
-            if topic in want and connector.guarantee != target.world.connectors[topic].guarantee:
+            if topic in want and connector.guarantee != target.context.connectors[topic].guarantee:
                 yield f"{instance.name}.{port} is attached to the old {topic} at the end"
     for functionality in wanted.component:
         now = configuration.modes[FunctionalityRef(instance.name, functionality.name)]
@@ -207,7 +207,7 @@ class _Ledger:
         self.keeps: dict[Keep, int] = {}
         for constraint in in_force(plan.change):
             if isinstance(constraint, Keep) and (ref := constraint.functionality) in self.levels:
-                chain = self.target.component_of(ref.component).functionalities[ref.functionality]
+                chain = self.target.component_of(ref.instance).functionalities[ref.functionality]
                 self.keeps[constraint] = max(chain.mode_index(constraint.mode), self.levels[ref])
         self.roles: list[set[str]] = []
         self.broken: dict[str, None] = {}
@@ -219,7 +219,7 @@ class _Ledger:
         return max(0, levels[ref] - self.baseline[ref])
 
     def _weight(self, ref: FunctionalityRef) -> float:
-        return self.target.component_of(ref.component).functionalities[ref.functionality].weight
+        return self.target.component_of(ref.instance).functionalities[ref.functionality].weight
 
     def enter(self, action: Action, seconds: float, start: Configuration, after: Configuration) -> None:
         before, self.levels = self.levels, self._now(after)
@@ -273,11 +273,11 @@ def _names(action: Action) -> list[str]:
         case Create():
             return [action.instance.name]
         case Remove() | SetParameters():
-            return [action.component]
+            return [action.instance]
         case Attach() | Detach():
-            return [action.port.component]
+            return [action.port.instance]
         case Handover():
-            return [port.component for swap in action.swaps for port in (swap.old, swap.new)]
+            return [port.instance for swap in action.swaps for port in (swap.old, swap.new)]
         case Degrade() | Upgrade():
-            return [ref.component for ref in action.modes]
+            return [ref.instance for ref in action.modes]
     return []

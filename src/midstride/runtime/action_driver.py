@@ -63,7 +63,7 @@ class ActionDriver:
             case Handover():
                 await self._hand_over(action, configuration)
             case SetParameters():
-                await self.link.change(action.component, "set", parameters=dict(action.parameters))
+                await self.link.change(action.instance, "set", parameters=dict(action.parameters))
 
     def _is_void(self, action: Action, configuration: Configuration) -> bool:
         """Whether nothing is to be done on the components: the action only takes something from a process that has
@@ -72,9 +72,9 @@ class ActionDriver:
             case Attach(port, connector):
                 return _has_endpoint(configuration, port, connector)
             case Detach(port, connector):
-                return self.is_gone(port.component) or _has_endpoint(configuration, port, connector)
+                return self.is_gone(port.instance) or _has_endpoint(configuration, port, connector)
             case Degrade(modes):
-                return all(self.is_gone(ref.component) for ref in modes)
+                return all(self.is_gone(ref.instance) for ref in modes)
             case Remove(component):
                 return self.is_gone(component)
             case _:
@@ -87,19 +87,19 @@ class ActionDriver:
             await self._give(action.instance.name, state)
 
     async def _remove(self, action: Remove, configuration: Configuration) -> None:
-        instance = configuration.instances[action.component]
+        instance = configuration.instances[action.instance]
         if not self.rolling_back:  # else it is what this very change has created, and what comes back has its own
             try:
-                exported = await self.link.read(action.component, "export_state")
+                exported = await self.link.read(action.instance, "export_state")
                 if exported.get("state") is not None:
                     self._exported[instance.role] = exported["state"]
             except (CallTimeout, Unreachable) as error:  # what no longer answers must still be removable
-                self.tell("note", f"the state of {action.component} is lost: {error}", {})
+                self.tell("note", f"the state of {action.instance} is lost: {error}", {})
         if instance.component.run is None:
-            await self.launcher.release(action.component)
-            self.tell("note", f"{action.component} was started elsewhere: it is released, and left running", {})
+            await self.launcher.release(action.instance)
+            self.tell("note", f"{action.instance} was started elsewhere: it is released, and left running", {})
         else:
-            await self.launcher.end(action.component)
+            await self.launcher.end(action.instance)
 
     async def _give(self, instance: str, state: str) -> None:
         try:
@@ -114,24 +114,24 @@ class ActionDriver:
         peers = len(
             configuration.subscribers_on(action.connector) if output else configuration.publishers_on(action.connector)
         )
-        topic = configuration.world.connectors[action.connector].topic
+        topic = configuration.context.connectors[action.connector].topic
         gate = {"gate": "open"} if output else {}
         await self._or_undone(
             self.link.change(
-                port.component, "attach", timeout=ATTACH_TIMEOUT, port=port.port, topic=topic, peers=peers, **gate
+                port.instance, "attach", timeout=ATTACH_TIMEOUT, port=port.port, topic=topic, peers=peers, **gate
             ),
-            port.component,
+            port.instance,
             "detach",
             port=port.port,
             topic=topic,
         )
 
     async def _detach(self, action: Detach, configuration: Configuration) -> None:
-        port, topic = action.port, configuration.world.connectors[action.connector].topic
+        port, topic = action.port, configuration.context.connectors[action.connector].topic
         gate = {"gate": "open"} if configuration.is_output(port) else {}
         reply = await self._or_undone(
-            self.link.change(port.component, "detach", timeout=DETACH_TIMEOUT, port=port.port, topic=topic),
-            port.component,
+            self.link.change(port.instance, "detach", timeout=DETACH_TIMEOUT, port=port.port, topic=topic),
+            port.instance,
             "attach",
             port=port.port,
             topic=topic,
@@ -160,7 +160,7 @@ class ActionDriver:
             raise
 
     async def _hand_over(self, action: Handover, configuration: Configuration) -> None:
-        for old, new in sorted({(swap.old.component, swap.new.component) for swap in action.swaps}):
+        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in action.swaps}):
             if (
                 old != new and configuration.instances[old].role == configuration.instances[new].role
             ):  # else nobody is replaced
@@ -198,14 +198,14 @@ def by_component(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[Functi
     """The modes of each component, the components in order of their names."""
     found: dict[str, dict[FunctionalityRef, int]] = {}
     for ref, index in sorted(modes.items()):
-        found.setdefault(ref.component, {})[ref] = index
+        found.setdefault(ref.instance, {})[ref] = index
     return found
 
 
 def _has_endpoint(configuration: Configuration, port: PortRef, connector: str) -> bool:
     """Whether ``port`` is attached to another connector of the same topic: to its contract before or after a
     change. The components know the topic alone."""
-    connectors = configuration.world.connectors
+    connectors = configuration.context.connectors
     return any(
         other != connector and connectors[other].topic == connectors[connector].topic
         for other in configuration.attached_to(port)

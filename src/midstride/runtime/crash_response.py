@@ -19,7 +19,7 @@ def settled(
     worse: Mapping[FunctionalityRef, int],
     owing: Iterable[FunctionalityRef] = (),
 ) -> tuple[Configuration, dict[FunctionalityRef, int]]:
-    """``configuration`` without the instances in ``gone`` and with the modes in ``worse``; and the modes to lower others to.
+    """The configuration without the instances in ``gone`` and with the modes in ``worse``, and what else to lower.
 
     ``owing`` are those that were to be lowered before, and could not be.
     """
@@ -31,7 +31,7 @@ def settled(
         configuration = configuration.without_instance(name)
     for ref in worse:
         for output in configuration.functionality(ref).outputs:
-            for connector in configuration.attached_to(PortRef(ref.component, output)):
+            for connector in configuration.attached_to(PortRef(ref.instance, output)):
                 touched.update(configuration.consumers(connector))
     configuration = configuration.with_modes(worse)
-    return configuration, lowered(configuration, [ref for ref in touched if ref.component in configuration.instances])
+    return configuration, lowered(configuration, [ref for ref in touched if ref.instance in configuration.instances])

@@ -129,7 +129,7 @@ class Executor:
         return action.describe()
 
     def _mode_name(self, ref: FunctionalityRef, index: int) -> str:
-        if ref.component not in self.configuration.instances:
+        if ref.instance not in self.configuration.instances:
             return str(index)
         return self.configuration.functionality(ref).modes[index].name
 

@@ -89,7 +89,7 @@ async def hand_over(link: ComponentClient, configuration: Configuration, action:
             warnings.append(await _stand_by(link, configuration, swap))
         for swap in swaps:
             await _await_probation(link, configuration, swap)
-        for old, new in sorted({(swap.old.component, swap.new.component) for swap in swaps}):
+        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in swaps}):
             await _meet(link, new, old)
         for lead in LEADS:
             cuts = await _agree(link, configuration, swaps, lead)
@@ -109,12 +109,12 @@ async def hand_over(link: ComponentClient, configuration: Configuration, action:
 async def _fallen(link: ComponentClient, configuration: Configuration, swaps: Iterable[Swap]) -> str | None:
     """Why a new side cannot take over that has degraded by itself: that is the reason, whatever it then refused."""
     for swap in swaps:
-        owner = configuration.component(swap.new.component).owner(swap.new.port)
+        owner = configuration.component(swap.new.instance).owner(swap.new.port)
         try:
-            view = (await link.peek(swap.new.component))["functionalities"].get(owner.name, {})
+            view = (await link.peek(swap.new.instance))["functionalities"].get(owner.name, {})
         except MidstrideError:
             continue
-        ref = FunctionalityRef(swap.new.component, owner.name)
+        ref = FunctionalityRef(swap.new.instance, owner.name)
         if view and owner.mode_index(view["mode"]) > configuration.modes[ref]:
             return f"{ref} has gone to {view['mode']} by itself: {str(view.get('because')).strip()}"
     return None
@@ -142,16 +142,16 @@ async def _cancel(link: ComponentClient, cuts: list[Cut]) -> None:
 
 
 def _topic(configuration: Configuration, connector: str) -> str:
-    return configuration.world.connectors[connector].topic
+    return configuration.context.connectors[connector].topic
 
 
 async def _stand_by(link: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
     """The new publisher on the topic, its gate closed, matched with every subscriber the model knows of, and with as
     many as the old one is matched with; else what is to be told."""
     topic = _topic(configuration, swap.connector)
-    readers = int((await link.read(swap.old.component, "grid", port=swap.old.port, topic=topic))["readers"])
+    readers = int((await link.read(swap.old.instance, "grid", port=swap.old.port, topic=topic))["readers"])
     reply = await link.change(
-        swap.new.component,
+        swap.new.instance,
         "attach",
         timeout=ATTACH_TIMEOUT + OTHERS_PATIENCE,
         port=swap.new.port,
@@ -187,7 +187,7 @@ async def _await_probation(link: ComponentClient, configuration: Configuration, 
     rate = guarantee.rate if isinstance(guarantee, Predicate) else None
     timeout = PROBATION + (10 / rate if rate else 0.0)
     seen = await link.read(
-        swap.new.component,
+        swap.new.instance,
         "await_write",
         timeout=timeout,
         port=swap.new.port,
@@ -204,14 +204,14 @@ async def _agree(link: ComponentClient, configuration: Configuration, swaps: Ite
     groups: dict[tuple[str, str, str], Cut] = {}
     moment: int | None = None
     for swap in swaps:
-        owner = configuration.component(swap.old.component).owner(swap.old.port).name
+        owner = configuration.component(swap.old.instance).owner(swap.old.port).name
         cut = groups.setdefault(
-            (swap.old.component, swap.new.component, owner), Cut(swap.old.component, swap.new.component, [])
+            (swap.old.instance, swap.new.instance, owner), Cut(swap.old.instance, swap.new.instance, [])
         )
         cut.swaps.append(swap)
         if len(cut.swaps) > 1:
             continue
-        grid = await link.read(swap.old.component, "grid", port=swap.old.port)
+        grid = await link.read(swap.old.instance, "grid", port=swap.old.port)
         cut.trigger, cut.epoch, cut.period = grid["trigger"], grid["epoch"], grid["period"]
         moment = max(moment or 0, int(grid["now"]))
     assert moment is not None
@@ -226,7 +226,7 @@ async def _agree(link: ComponentClient, configuration: Configuration, swaps: Ite
 
 def _declared_period(configuration: Configuration, cut: Cut) -> float | None:
     """The longest of the periods that the cut's topics require; None where one states no rate."""
-    rates = [configuration.world.connectors[swap.connector].guarantee.rate for swap in cut.swaps]
+    rates = [configuration.context.connectors[swap.connector].guarantee.rate for swap in cut.swaps]
     rates = [
         rate or (g.rate if isinstance(g := configuration.guarantee(swap.old), Predicate) else None)
         for rate, swap in zip(rates, cut.swaps, strict=True)
@@ -282,14 +282,14 @@ async def _take_back(link: ComponentClient, configuration: Configuration, cuts: 
     await _cancel(link, cuts)
     for swap in begun:
         topic = _topic(configuration, swap.connector)
-        await link.take_back(swap.new.component, "detach", DETACH_TIMEOUT, port=swap.new.port, topic=topic)
+        await link.take_back(swap.new.instance, "detach", DETACH_TIMEOUT, port=swap.new.port, topic=topic)
 
 
 async def _retire(link: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
     """Take the old endpoint off the topic. The swap has happened: an old side that will not let go is only told."""
     topic = _topic(configuration, swap.connector)
     try:
-        await link.change(swap.old.component, "detach", timeout=DETACH_TIMEOUT, port=swap.old.port, topic=topic)
+        await link.change(swap.old.instance, "detach", timeout=DETACH_TIMEOUT, port=swap.old.port, topic=topic)
     except MidstrideError as error:
         return f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
     return None

@@ -67,7 +67,7 @@ class Manager:
         verifier: Verifier | None = None,
     ) -> None:
         self.specification = specification
-        self.configuration = Configuration(world=specification.world)
+        self.configuration = Configuration(context=specification.context)
         self.revision = 0
         self.events = EventLog()
         self._backend = backend
@@ -155,7 +155,7 @@ class Manager:
             ended = await asyncio.gather(*(self._end(name) for name in names))
             if faults := [fault for fault in ended if fault is not None]:
                 raise ManagerError("; ".join(faults))
-            self.configuration = Configuration(world=self.specification.world)
+            self.configuration = Configuration(context=self.specification.context)
             self._keeper.forget()
             self.events.add("down", f"{self.specification.name} is down")
 

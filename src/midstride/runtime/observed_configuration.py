@@ -27,7 +27,7 @@ class ObservedConfiguration:
 async def live(
     configuration: Configuration, link: ComponentClient, clock: Clock, gone: Container[str] = ()
 ) -> ObservedConfiguration:
-    """``configuration`` with the modes and attachments that its components tell; without those in ``gone``, which have ended."""
+    """The modes and attachments that the components report; without those in ``gone``, which have ended."""
     for name in [name for name in configuration.instances if name in gone]:
         configuration = configuration.without_instance(name)
     states = await observed(sorted(configuration.instances), link, clock, TIMEOUT)
@@ -52,12 +52,12 @@ def _as_told(configuration: Configuration, name: str, state: dict[str, Any]) -> 
     }
     known = set()
     for port, connector in configuration.attached_ports(name):
-        pair = (port, configuration.world.connectors[connector].topic)
+        pair = (port, configuration.context.connectors[connector].topic)
         known.add(pair)
         if pair not in told:
             configuration = configuration.without_attachment(port, connector)
     if unknown := sorted(told - known):
-        by_topic = {connector.topic: key for key, connector in configuration.world.connectors.items()}
+        by_topic = {connector.topic: key for key, connector in configuration.context.connectors.items()}
         for port, topic in unknown:
             configuration = configuration.with_attachment(port, by_topic.get(topic, topic))
     return configuration

@@ -48,7 +48,7 @@ def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[E
                 found.extend(
                     Exchange(connector, old, port)
                     for name, old in gone
-                    if name == connector and old.port == port.port and roles[old.component] == roles[port.component]
+                    if name == connector and old.port == port.port and roles[old.instance] == roles[port.instance]
                 )
             case _:
                 pass
@@ -79,14 +79,14 @@ class Recording:
 
     async def begin(self, configuration: Configuration, actions: Sequence[Action]) -> None:
         """Turn recording on at each subscriber that is there before and after."""
-        leaving = {action.component for action in actions if isinstance(action, Remove)}
+        leaving = {action.instance for action in actions if isinstance(action, Remove)}
         for exchange in exchanges(configuration, actions):
-            topic = configuration.world.connectors[exchange.connector].topic
+            topic = configuration.context.connectors[exchange.connector].topic
             guarantee = _normal(configuration, exchange.old)
             period = 1 / guarantee.rate if guarantee is not None and guarantee.rate else None
             grid_period = await self._grid_period(exchange.old)
             for port in sorted(configuration.subscribers_on(exchange.connector)):
-                if port.component in leaving:
+                if port.instance in leaving:
                     continue
                 try:
                     begun = await self._begin(port)
@@ -99,7 +99,7 @@ class Recording:
         """Turn recording on at ``port``, once; since when it is on there (ns)."""
         begun = self._begun.setdefault(port, None)
         if begun is None:
-            reply = await self.link.change(port.component, "record", inputs=[port.port], on=True)
+            reply = await self.link.change(port.instance, "record", inputs=[port.port], on=True)
             begun = self._begun[port] = int(reply["now"])
         return begun
 
@@ -107,10 +107,10 @@ class Recording:
         """Just before a hand-over: have the new side of a message-driven output note what there is to answer."""
         for swap in action.swaps:
             try:
-                if (await self.link.read(swap.old.component, "grid", port=swap.old.port))["trigger"] != "message":
+                if (await self.link.read(swap.old.instance, "grid", port=swap.old.port))["trigger"] != "message":
                     continue
-                owner = configuration.component(swap.new.component).owner(swap.new.port)
-                inputs = [PortRef(swap.new.component, name) for name in owner.inputs]
+                owner = configuration.component(swap.new.instance).owner(swap.new.port)
+                inputs = [PortRef(swap.new.instance, name) for name in owner.inputs]
                 if len(inputs) == 1:
                     await self._begin(inputs[0])
                     self._witnesses[swap.old] = inputs[0]
@@ -119,7 +119,7 @@ class Recording:
 
     async def _grid_period(self, old: PortRef) -> float | None:
         try:
-            period = (await self.link.read(old.component, "grid", port=old.port))["period"]
+            period = (await self.link.read(old.instance, "grid", port=old.port))["period"]
         except MidstrideError:
             return None
         return None if period is None else float(period)
@@ -147,13 +147,13 @@ class Recording:
     async def stop(self, live: Container[str]) -> None:
         """Turn recording off in whichever of ``live`` it is on: they would go on keeping what nobody asks for."""
         for port in self._begun:
-            if port.component in live:
-                await self.link.take_back(port.component, "record", inputs=[port.port], on=False)
+            if port.instance in live:
+                await self.link.take_back(port.instance, "record", inputs=[port.port], on=False)
         self._begun.clear()
 
     async def _records(self, port: PortRef) -> dict[str, Any] | None:
         try:
-            return await self.link.read(port.component, "records", input=port.port)
+            return await self.link.read(port.instance, "records", input=port.port)
         except MidstrideError:
             return None
 
@@ -184,7 +184,7 @@ def _report(
 
 
 def _normal(configuration: Configuration, output: PortRef) -> Predicate | None:
-    guarantee = configuration.component(output.component).owner(output.port).modes[0].guarantee(output.port)
+    guarantee = configuration.component(output.instance).owner(output.port).modes[0].guarantee(output.port)
     return guarantee if isinstance(guarantee, Predicate) else None
 
 

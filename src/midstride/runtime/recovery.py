@@ -133,4 +133,4 @@ async def _configuration(
         for functionality, view in observed["functionalities"].items():
             index = instance.component.functionalities[functionality].mode_index(view["mode"])
             modes[FunctionalityRef(name, functionality)] = index
-    return configure(specification.world, [instance for instance, _ in found.values()], attachments, modes)
+    return configure(specification.context, [instance for instance, _ in found.values()], attachments, modes)

@@ -95,7 +95,7 @@ async def status(
                 "publishers": [str(port) for port in sorted(configuration.publishers_on(name))],
                 "subscribers": [str(port) for port in sorted(configuration.subscribers_on(name))],
             }
-            for name in sorted(configuration.world.connectors)
+            for name in sorted(configuration.context.connectors)
         ],
     }
 
@@ -135,7 +135,7 @@ def _component(configuration: Configuration, instance: Instance, state: State | 
             {
                 "port": str(port),
                 "connector": connector,
-                "gate": ports.get(port.port, {}).get(configuration.world.connectors[connector].topic, {}).get("gate"),
+                "gate": ports.get(port.port, {}).get(configuration.context.connectors[connector].topic, {}).get("gate"),
             }
             for port, connector in configuration.attached_ports(instance.name)
         ],
@@ -149,13 +149,13 @@ async def why(configuration: Configuration, link: ComponentClient, clock: Clock,
     matching = [ref for ref in every if ref == asked] or [
         ref
         for ref in every
-        if ref.functionality == asked.functionality and configuration.instances[ref.component].role == asked.component
+        if ref.functionality == asked.functionality and configuration.instances[ref.instance].role == asked.instance
     ]
     if not matching:
         known = ", ".join(sorted(map(str, every))[:12]) or "none"
         raise PlanRefused(f"there is no functionality {functionality}; there are {known}")
     ref = sorted(matching)[0]
-    state = (await observed([ref.component], link, clock))[ref.component]
+    state = (await observed([ref.instance], link, clock))[ref.instance]
     view = (state or {}).get("functionalities", {}).get(ref.functionality, {})
     mode = view.get("mode", configuration.mode(ref).name)
     return {
@@ -165,7 +165,7 @@ async def why(configuration: Configuration, link: ComponentClient, clock: Clock,
         "because": view.get("because"),
         "chain": _chain(configuration, ref),
         "inputs": {
-            str(PortRef(ref.component, name)): Evaluator(configuration).input_satisfied(PortRef(ref.component, name))
+            str(PortRef(ref.instance, name)): Evaluator(configuration).input_satisfied(PortRef(ref.instance, name))
             for name in configuration.functionality(ref).inputs
         },
     }

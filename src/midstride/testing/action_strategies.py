@@ -55,13 +55,13 @@ def actions(draw: st.DrawFn, scene: GeneratedSystem, *, kinds: tuple[str, ...] =
         return Upgrade(Map(_moved(draw, configuration, better=True)))
     attached = sorted(configuration.attachments())
     ports = [PortRef(name, port) for name in names[:-1] for port in configuration.component(name).ports()]
-    topics = sorted(configuration.world.connectors)
+    topics = sorted(configuration.context.connectors)
     if kind == "attach":
         free = [(port, topic) for port in ports for topic in topics if not configuration.is_attached(port, topic)]
         fit = [
             pair
             for pair in free
-            if not contract_reasons(configuration, pair[0], configuration.world.connectors[pair[1]])
+            if not contract_reasons(configuration, pair[0], configuration.context.connectors[pair[1]])
         ]
         strange = [
             (PortRef("nobody", "out0"), topics[0]),
@@ -114,7 +114,7 @@ def _swaps(
     swaps = []
     for _ in range(draw(st.sampled_from((1, 1, 1, 2, 2, 0)))):
         old, connector = draw(st.sampled_from(leaving * 4 + attached))
-        needed = configuration.world.connectors[connector].guarantee
+        needed = configuration.context.connectors[connector].guarantee
         able = [port for port in outputs if satisfies(configuration.guarantee(port), needed)]
         free = [port for port in able if not configuration.is_attached(port, connector)]
         swaps.append(Swap(connector, old, draw(st.sampled_from(free * 6 + outputs * 2 + ports))))

@@ -243,9 +243,9 @@ def specifications(draw: st.DrawFn, *, most: int = 6) -> Specification:
     capped = draw(st.sampled_from((None, *sorted(connectors))))
     if capped is not None:
         count = len(configuration.publishers_on(capped)) + len(
-            configuration.world.publishers_out_of_scope(connectors[capped])
+            configuration.context.publishers_out_of_scope(connectors[capped])
         )
-        connectors[capped] = replace(connectors[capped], cap=count + draw(st.integers(0, 1)))
+        connectors[capped] = replace(connectors[capped], max_publishers=count + draw(st.integers(0, 1)))
     spare = draw(st.sampled_from((0.0, 0.3, 2.0)))
     resources = {name: Resource(name, float(configuration.held.get(name, 0)) + spare or 1.0) for name in RESOURCES}
     whole = replace(bare, connectors=Map(connectors), resources=Map(resources))
@@ -407,14 +407,14 @@ def endpoints() -> st.SearchStrategy[Endpoint]:
 
 
 def worlds() -> st.SearchStrategy[SystemContext]:
-    return specifications().map(lambda specification: specification.world)
+    return specifications().map(lambda specification: specification.context)
 
 
 __all__ = [
     "RESOURCES",
     "TOPICS",
     "TYPES",
-    "Scene",
+    "GeneratedSystem",
     "components",
     "configurations",
     "contracts",

@@ -79,11 +79,11 @@ _RULES: Final = {
 
 def configuration_detail(system: str) -> dict[str, str]:
     """What is not valid in a configuration."""
-    configuration = system
+    s = system
     return {
-        "unsatisfied": f"unsatisfied[{configuration}, {configuration}.comps.funcs, {configuration}.roles, {configuration}.cur_mode]",
-        "crowded": f"{{ k: {configuration}.conns | not cap_holds[{configuration}, {configuration}.roles, k] }}",
-        "overloaded": f"{{ o: Overload | o.holders in {configuration}.comps }}",
+        "unsatisfied": f"unsatisfied[{s}, {s}.comps.funcs, {s}.roles, {s}.cur_mode]",
+        "crowded": f"{{ k: {s}.conns | not cap_holds[{s}, {s}.roles, k] }}",
+        "overloaded": f"{{ o: Overload | o.holders in {s}.comps }}",
     }
 
 

@@ -15,11 +15,11 @@ def chain(configuration: Configuration, ref: FunctionalityRef, assumption: Assum
     functionality = configuration.functionality(ref)
     holds = judge.assumption_satisfied(ref, functionality, assumption)
     ports = assumption.inputs if isinstance(assumption, InputAlternatives) else functionality.inputs
-    under = [_input(judge, PortRef(ref.component, port), assumption) for port in ports]
+    under = [_input(judge, PortRef(ref.instance, port), assumption) for port in ports]
     if not isinstance(assumption, InputAlternatives):
         under += [
             CauseLink("environment", offer.name, str(offer.guarantee), satisfies(offer.guarantee, assumption))
-            for offer in configuration.world.offers()
+            for offer in configuration.context.offers()
         ]
     named = CauseLink("assumption", f"assumes {assumption}", "", holds, tuple(under))
     return CauseLink("functionality", str(ref), f"in mode {configuration.mode(ref).name}", holds, (named,))
@@ -27,7 +27,7 @@ def chain(configuration: Configuration, ref: FunctionalityRef, assumption: Assum
 
 def _input(judge: Evaluator, port: PortRef, assumption: Assumption) -> CauseLink:
     configuration = judge.configuration
-    needed = configuration.component(port.component).inputs[port.port]
+    needed = configuration.component(port.instance).inputs[port.port]
     told = str(needed)
     counts = isinstance(assumption, InputAlternatives) or satisfies(needed, assumption)
     if not counts:
@@ -40,18 +40,18 @@ def _input(judge: Evaluator, port: PortRef, assumption: Assumption) -> CauseLink
 
 def _topic(judge: Evaluator, name: str, port: PortRef) -> CauseLink:
     configuration = judge.configuration
-    connector = configuration.world.connectors.get(name)
+    connector = configuration.context.connectors.get(name)
     if connector is None:
         return CauseLink("topic", name, "not a topic of this system", False)
-    clauses = explain(connector.guarantee, configuration.component(port.component).inputs[port.port])
+    clauses = explain(connector.guarantee, configuration.component(port.instance).inputs[port.port])
     publishers = []
     for output in sorted(configuration.publishers_on(name)):
-        owner = configuration.component(output.component).owner(output.port)
-        mode = owner.modes[judge.mode_index(FunctionalityRef(output.component, owner.name))]
+        owner = configuration.component(output.instance).owner(output.port)
+        mode = owner.modes[judge.mode_index(FunctionalityRef(output.instance, owner.name))]
         guarantee = judge.guarantee(output)
         good = satisfies(guarantee, connector.guarantee)
         publishers.append(CauseLink("output", str(output), f"in mode {mode.name}: {guarantee}", good))
-    for offer in configuration.world.publishers_out_of_scope(connector):
+    for offer in configuration.context.publishers_out_of_scope(connector):
         good = satisfies(offer.guarantee, connector.guarantee)
         publishers.append(CauseLink("environment", offer.name, str(offer.guarantee), good))
     told = f"{connector.guarantee}" + (f": {', '.join(clauses)}" if clauses else "")

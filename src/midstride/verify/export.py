@@ -57,7 +57,7 @@ class Dump:
 def dump_configuration(configuration: Configuration, name: str, told: str = "the configuration") -> Dump:
     """One configuration, to be judged by the specification's validity. Raises TooLarge."""
     universe = AlloyAtoms()
-    scene = WorldEncoder(universe, configuration.world)
+    scene = WorldEncoder(universe, configuration.context)
     for instance in _sorted(configuration):
         scene.instance(instance)
     bare, strays = _attached(configuration)
@@ -85,7 +85,7 @@ def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
     fails. Raises TooLarge.
     """
     universe = AlloyAtoms()
-    scene = WorldEncoder(universe, plan.change.start.world)
+    scene = WorldEncoder(universe, plan.change.start.context)
     way = _Way(scene, plan)
     goal, strays = _goal(plan, way.configurations[-1])
     if goal is not None:
@@ -175,7 +175,7 @@ def _attached(configuration: Configuration) -> tuple[Configuration, tuple[Stray,
     """``configuration`` without the attachments that cannot be dumped, since they are none of this system."""
     strays = []
     for port, connector in sorted(configuration.attachments()):
-        if connector not in configuration.world.connectors or not configuration.has_port(port):
+        if connector not in configuration.context.connectors or not configuration.has_port(port):
             missing = connector if configuration.has_port(port) else port
             strays.append(Stray(None, f"{port} is attached to {connector}, and there is no {missing} in this system"))
             configuration = configuration.without_attachment(port, connector)
@@ -205,4 +205,4 @@ def _goal(plan: Plan, end: Configuration) -> tuple[Configuration | None, list[St
             attachments.append((port, change.identities.get(connector, connector)))
     if strays:
         return None, strays
-    return best(configure(change.start.world, instances, attachments)), strays
+    return best(configure(change.start.context, instances, attachments)), strays

@@ -51,7 +51,7 @@ def formula(scene: WorldEncoder, action: Action, before: str, after: str) -> For
         case Create():
             return _create(_component(scene, action.instance.name), s, t)
         case Remove():
-            return _remove(_component(scene, action.component), s, t)
+            return _remove(_component(scene, action.instance), s, t)
         case Attach():
             return _attach(_port(scene, action.port), _connector(scene, action.connector), s, t)
         case Detach():
@@ -63,7 +63,7 @@ def formula(scene: WorldEncoder, action: Action, before: str, after: str) -> For
         case Handover():
             return _handover(scene, action, s, t)
         case SetParameters():
-            return _set(_component(scene, action.component), s, t)
+            return _set(_component(scene, action.instance), s, t)
     raise TypeError(f"no formula for {action!r}")
 
 

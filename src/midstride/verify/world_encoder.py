@@ -45,10 +45,10 @@ class WorldEncoder:
             atom = universe.atom("Connector", f"{self.prefix}topic_{name}", name, f"{name} : {connector.guarantee}")
             self.connectors[name] = atom
             universe.add("conn_guar", atom, universe.predicate(connector.guarantee))
-            if connector.cap is not None:
+            if connector.max_publishers is not None:
                 universe.capped.append(atom)
-                for number in range(1, connector.cap + 1):
-                    told = f"publisher {number} of at most {connector.cap} on {name}"
+                for number in range(1, connector.max_publishers + 1):
+                    told = f"publisher {number} of at most {connector.max_publishers} on {name}"
                     universe.add("slots", atom, universe.atom("Slot", f"{atom}_slot{number}", told))
         self.offers: list[str] = []
         self.publishers: list[str] = []
@@ -108,9 +108,9 @@ class WorldEncoder:
         self.functionalities[ref] = atom
         universe.add("funcs", owner, atom)
         for port in functionality.inputs:
-            universe.add("assoc_inputs", atom, self.ports[PortRef(ref.component, port)])
+            universe.add("assoc_inputs", atom, self.ports[PortRef(ref.instance, port)])
         for port in functionality.outputs:
-            universe.add("assoc_outputs", atom, self.ports[PortRef(ref.component, port)])
+            universe.add("assoc_outputs", atom, self.ports[PortRef(ref.instance, port)])
         better: list[str] = []
         for index, mode in enumerate(functionality.modes):
             named = universe.atom("Mode", f"{self.prefix}{ref}_{mode.name}", ModeName(ref, mode.name))
@@ -128,27 +128,25 @@ class WorldEncoder:
         for port in functionality.outputs:
             guarantee = mode.guarantee(port)
             if isinstance(guarantee, Predicate):
-                universe.add(
-                    "mode_guars", atom, self.ports[PortRef(ref.component, port)], universe.predicate(guarantee)
-                )
+                universe.add("mode_guars", atom, self.ports[PortRef(ref.instance, port)], universe.predicate(guarantee))
 
     def _assumption(self, ref: FunctionalityRef, assumption: Assumption) -> str:
         if not isinstance(assumption, InputAlternatives):
             return self.universe.predicate(assumption)
-        key = f"{ref.component}.{assumption}"
-        atom = self.universe.atom("NamedInputs", f"{self.prefix}assume_{ref.component}_{assumption}", assumption, key)
+        key = f"{ref.instance}.{assumption}"
+        atom = self.universe.atom("NamedInputs", f"{self.prefix}assume_{ref.instance}_{assumption}", assumption, key)
         for port in assumption.inputs:
-            self.universe.add("named", atom, self.ports[PortRef(ref.component, port)])
+            self.universe.add("named", atom, self.ports[PortRef(ref.instance, port)])
         return atom
 
     def overloads(self) -> None:
         """Dump the smallest sets of the instances declared so far that hold too much of a resource together."""
-        resources = sorted({name for component in self.declared.values() for name in component.holds})
+        resources = sorted({name for component in self.declared.values() for name in component.resource_usage})
         for resource in resources:
             holds = {
-                name: component.holds[resource]
+                name: component.resource_usage[resource]
                 for name, component in sorted(self.declared.items())
-                if resource in component.holds
+                if resource in component.resource_usage
             }
             if len(holds) > _MOST_HOLDERS:
                 raise TooLarge(f"{len(holds)} components hold {resource}, and at most {_MOST_HOLDERS} are tried out")
