@@ -1,10 +1,10 @@
-"""Every snippet of the README, the documentation and the examples is run, in the order it stands in.
+"""Runs every snippet of the README, the documentation and the examples, in the order of the page.
 
-A page is a session: its ``sh`` and ``python`` blocks run one after another in a copy of the examples. After
-the language may stand ``file=PATH`` (the block is written to that file instead) and ``exit=N`` (its exit
-status, else 0). Each line of a ``text`` block must have been printed since the one before, whatever its
-numbers. Lines that call ``make`` are not run, since that is what runs this test; their targets must exist.
-Blocks of other languages are not run: ``json`` ones must be JSON.
+A page is a session: its ``sh`` and ``python`` blocks run one after another in a copy of the examples. The language
+may be followed by ``file=PATH`` (the block is written to that file instead) and ``exit=N`` (the expected exit
+status; 0 by default). Each line of a ``text`` block must have been printed since the previous ``text`` block;
+numbers may differ. Lines that call ``make`` are not run, since ``make`` runs this test, but their targets must exist.
+Blocks of other languages are not run; ``json`` blocks must be valid JSON.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def snippets(page: Path) -> Iterator[Snippet]:
 
 
 def without_make(snippet: Snippet) -> str:
-    """The commands to run; a target of ``make`` must exist."""
+    """The commands to run. Asserts that the targets of the omitted ``make`` commands exist."""
     kept = []
     for line in snippet.text.splitlines():
         words = line.split("#")[0].split()
@@ -71,7 +71,7 @@ def without_make(snippet: Snippet) -> str:
 
 
 def without_numbers(text: str) -> list[str]:
-    """Lines to be compared: numbers and the width of columns may differ."""
+    """The lines without numbers and column widths, for comparison."""
     return [" ".join(re.sub(r"\d+(\.\d+)?( m?s)?", "#", line).split()) for line in text.splitlines()]
 
 
@@ -122,7 +122,7 @@ class Session:
         self.printed += done.stdout
 
     def close(self) -> list[str]:
-        """End what still runs; its names."""
+        """End the systems that still run, and return their names."""
         left = [state.parent.name for state in self.folder.glob("midstride/*/state.json")]
         for system in left:
             command = [sys.executable, "-m", "midstride", "down", "--system", system]
