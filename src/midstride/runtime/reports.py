@@ -45,9 +45,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     outcome: OutcomeKind
     plan: PlanForm | None = None
     seconds: float = 0.0
-    fallen: Annotated[
-        dict[str, float], Meta(description="measured seconds below the baseline")
-    ] = {}
+    fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
     swaps: list[SwapReport] = []
     because: str | None = None
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
