@@ -173,7 +173,7 @@ def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, s
 
 
 def find(pid: int, started: float, variable: str, value: str, log: Path | None = None) -> Process | None:
-    """The process that an earlier manager started, or None where it no longer runs.
+    """The process that an earlier manager started, or None where it is no longer running.
 
     It is known by its number, the time of its start, and what it carries in its environment.
     """
