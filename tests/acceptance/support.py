@@ -61,7 +61,7 @@ def ended() -> Iterator[str]:
                 del os.environ[RUN]
             else:
                 os.environ[RUN] = before
-    assert reaper.left({}, RUN, token) == set()
+    assert reaper.remaining_groups({}, RUN, token) == set()
 
 
 class Recorder:

@@ -19,7 +19,7 @@ from midstride.backends.ros1.master import Master
 from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle
 from midstride.runtime.process import Process, spawn
-from midstride.runtime.reaper import carries
+from midstride.runtime.reaper import environment_value
 from midstride.wire.messages import Command
 from tests.backends.ros1_support import free_port, own_master_uri, program, rig, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, alive, run, until, until_async
@@ -241,7 +241,7 @@ def test_a_master_that_was_started_goes_with_the_last_who_needs_it(tmp_path: Pat
         await second.open(lambda event: None)
         assert (first.started_master, second.started_master) == (True, False)
         pid = await first._master.process()
-        assert pid is not None and carries(pid, master_process.ENV_STARTED, uri.rpartition(":")[2])
+        assert pid is not None and environment_value(pid, master_process.ENV_STARTED) == uri.rpartition(":")[2]
         await first.close()
         assert alive(pid), "the second manager needs it"
         with program("guest", "/chatter", str(tmp_path / "heard")):

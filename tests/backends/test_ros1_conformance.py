@@ -28,7 +28,7 @@ def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     with own_master_uri(), Reaper(OURS, this) as guarding:
         backend = create_backend(logs=tmp_path / "logs", guardian=guarding)
         run(check(backend, tmp_path), 100)
-        assert reaper.left({}, OURS, this) - {guarding.pid} == set()
+        assert reaper.remaining_groups({}, OURS, this) - {guarding.pid} == set()
 
 
 @pytest.mark.long

@@ -296,12 +296,12 @@ import asyncio, sys
 from pathlib import Path
 from midstride.backends.ros2 import create_backend
 from midstride.runtime.backend import Launch
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.wire.messages import ENV_TOKEN
 
 async def main(token):
     heard = asyncio.Event()
-    backend = create_backend(logs=Path("logs"), guardian=Guardian(ENV_TOKEN, token))
+    backend = create_backend(logs=Path("logs"), guardian=Reaper(ENV_TOKEN, token))
     await backend.open(lambda event: heard.set())
     handle = await backend.start(Launch("talker", "", ("python3", "talker.py"), token, Path.cwd()))
     await heard.wait()

@@ -27,7 +27,7 @@ def held(check: Check, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with Reaper(OURS, this) as guarding:
         backend = create_backend(logs=folder / "logs", guardian=guarding)
         run(check(backend, folder), 100)
-        assert reaper.left({}, OURS, this) - {guarding.pid} == set()
+        assert reaper.remaining_groups({}, OURS, this) - {guarding.pid} == set()
 
 
 @pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))

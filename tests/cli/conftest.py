@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from midstride.cli import main
-from midstride.runtime.reaper import look
+from midstride.runtime.reaper import process_info
 from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
 
 ROOT = Path(__file__).parents[2]
@@ -139,5 +139,5 @@ def nothing_lost(swaps: list[dict[str, Any]]) -> bool:
 
 
 def alive(pid: int) -> bool:
-    seen = look(pid)
-    return seen is not None and seen.alive
+    info = process_info(pid)
+    return info is not None and info.alive

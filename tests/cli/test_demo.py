@@ -8,8 +8,8 @@ import re
 import shutil
 import signal
 import time
-from pathlib import Path
 
+import psutil
 import pytest
 from rich.console import Console
 
@@ -159,9 +159,7 @@ def test_no_orphan_on_ros_2(midstride: Midstride, number: signal.Signals) -> Non
 
 
 def children(pid: int) -> list[int]:
-    return [
-        int(child) for task in Path(f"/proc/{pid}/task").iterdir() for child in (task / "children").read_text().split()
-    ]
+    return [child.pid for child in psutil.Process(pid).children()]
 
 
 def wait_until_gone(pids: set[int]) -> None:

@@ -16,6 +16,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+
 from midstride import backends
 from midstride.backends.simulator import Simulator
 from midstride.cli.example import Demo, examples_folder
@@ -82,7 +84,7 @@ def _folder() -> Iterator[Path]:
 def _sweep(root: Path) -> None:
     for left in root.glob("demo-*"):
         pid = left.name.removeprefix("demo-")
-        if not Path(f"/proc/{pid}").exists():
+        if not (pid.isdigit() and psutil.pid_exists(int(pid))):
             shutil.rmtree(left, ignore_errors=True)
 
 

@@ -22,7 +22,7 @@ from midstride.model.configuration import Instance
 from midstride.model.document import component_from_document
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.orphans import end_strays
+from midstride.runtime.orphans import end_orphans
 from midstride.runtime.registration import mismatches, unexpected_endpoints
 from midstride.wire.messages import Announcement
 
@@ -209,8 +209,8 @@ class Launcher:
         return state
 
     async def end_strays(self, known: Container[str]) -> list[str]:
-        """End what an earlier manager started and could not write down: all but the ``known``. Raises BackendError."""
-        return await end_strays(self._token, known, STOP_GRACE)
+        """End what an earlier manager started and could not record: all but the ``known``. Raises BackendError."""
+        return await end_orphans(self._token, known, STOP_GRACE)
 
     def _learn(self, name: str, state: dict[str, Any]) -> None:
         """Which process it is, and how long its author wants it to have for its end (``on_stop``)."""

@@ -47,23 +47,23 @@ async def _still_running(workspace: Workspace) -> Specification | None:
     ended.
     """
     from midstride.runtime.launcher import STOP_GRACE
-    from midstride.runtime.orphans import end_strays
+    from midstride.runtime.orphans import end_orphans
     from midstride.runtime.recovery import specification_of
 
     state = workspace.load()
     if state is None:
         return None
     if not any(_runs(entry["handle"]) for entry in state["instances"]):
-        await end_strays(str(state["token"]), (), STOP_GRACE)
+        await end_orphans(str(state["token"]), (), STOP_GRACE)
         workspace.forget()
         return None
     return specification_of(state)
 
 
 def _runs(handle: dict[str, Any] | None) -> bool:
-    from midstride.runtime.reaper import look
+    from midstride.runtime.reaper import process_info
 
     if handle is None or handle["pid"] is None:
         return False
-    seen = look(handle["pid"])
-    return seen is not None and seen.alive and seen.started == handle["started"]
+    info = process_info(handle["pid"])
+    return info is not None and info.alive and info.started == handle["started"]
