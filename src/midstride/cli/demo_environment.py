@@ -20,7 +20,7 @@ import psutil
 
 from midstride import backends
 from midstride.backends.simulator import Simulator
-from midstride.cli.example import Demo, examples_folder
+from midstride.cli.example import Demo, repository
 from midstride.runtime.backend import Backend
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import Reaper
@@ -59,8 +59,8 @@ def demo_environment(example: Demo, backend: str) -> Iterator[DemoEnvironment]:
 @contextmanager
 def _folder() -> Iterator[Path]:
     """A folder for the demo's files; those of demos that were killed are swept up."""
-    examples = examples_folder()
-    root = None if examples is None else examples.parent / ".midstride"
+    checkout = repository()
+    root = None if checkout is None else checkout / ".midstride"
     try:
         if root is None:
             raise OSError
