@@ -1,4 +1,4 @@
-"""wheel_contents.py WHEEL: fails unless the wheel holds the package and the examples of this repository, and nothing else."""
+"""wheel_contents.py WHEEL: fails unless the wheel holds the package and the examples, and nothing else."""
 
 from __future__ import annotations
 

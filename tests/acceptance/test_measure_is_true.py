@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import math
 import os
 import signal
 import time
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import pytest
@@ -40,16 +40,17 @@ def longest_gap(rows: list[Row], begun: int, over: int) -> float:
         # One gap stands out, and both saw it between the same two messages.
         ("paper", 0.002),
         # No gap stands out: the longest is the machine's own jitter, of which each process has its own.
-        ("minimal", PERIOD / 2),
+        ("minimal", PERIOD / 4),
     ],
 )
 def test_a_bare_recorder_agrees_with_the_report(strategy: str, within: float, tmp_path: Path) -> None:
-    # The two processes are told of a message at moments of their own, and on a busy machine those lie apart by more
-    # than either's error. An error of the measure would show in every swap, the least disturbed one too.
-    apart: list[float] = []
+    # The two processes receive a message at different moments. On an idle machine they differ by less than 2 ms in nine
+    # swaps of ten; a busy machine delays one of them in some swaps, but not in most. So the median decides: an error
+    # of the measure in more than half of the swaps fails. A machine that is busy throughout gets two more attempts.
+    apart: list[list[float]] = []
     for attempt in range(ATTEMPTS):
-        apart += apart_in_swaps(strategy, tmp_path / str(attempt))
-        if min(apart, default=math.inf) <= within:
+        apart.append(apart_in_swaps(strategy, tmp_path / str(attempt)))
+        if median(apart[-1]) <= within:
             return
     raise AssertionError(apart)
 

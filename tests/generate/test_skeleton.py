@@ -274,7 +274,7 @@ def test_other_files_are_the_users_once_edited() -> None:
 
 
 class _Recorded:
-    """Stands in for a class of ROS's ``launch``, which no package index has: takes the same arguments and keeps them."""
+    """Stands in for a class of the ROS package ``launch``, which cannot be installed with pip: keeps its arguments."""
 
     def __init__(self, **arguments: Any) -> None:
         self.__dict__.update(arguments)
