@@ -105,6 +105,7 @@ async def a_call_begins(manager: Manager) -> None:
     await until_async(is_busy)
 
 
+@pytest.mark.full
 def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(tmp_path: Path) -> None:
     async def main() -> None:
         async with managed(tmp_path / "system", busy_specification(tmp_path), tmp_path) as (manager, _):
@@ -131,6 +132,7 @@ def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(
         run(main())
 
 
+@pytest.mark.full
 def test_a_call_that_outlasts_the_drain_fails_the_step_and_nothing_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -168,7 +170,7 @@ async def picture(manager: Manager, backend: Any) -> dict[str, Any]:
     return {"own": own, "graph": on_swap, "model": manager.configuration}
 
 
-@pytest.mark.parametrize("strategy", ["minimal", "paper"])
+@pytest.mark.parametrize("strategy", ["minimal", pytest.param("paper", marks=pytest.mark.full)])
 def test_a_step_that_fails_at_any_index_leaves_all_as_it_was(strategy: str, tmp_path: Path) -> None:
     """The new component is killed as each step begins that needs it."""
 
@@ -240,6 +242,7 @@ def test_an_endpoint_that_is_not_allowed_is_named_and_the_system_is_as_it_was(tm
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can mount a disk that is soon full")
+@pytest.mark.full
 def test_a_full_disk_refuses_a_change_before_anything_is_begun(tmp_path: Path) -> None:
     small = tmp_path / "small"
     small.mkdir()

@@ -68,6 +68,7 @@ def killed_at_each(folder: Path, only: set[str] | None = None, times: int = 1) -
 
 
 @pytest.mark.timeout(300)
+@pytest.mark.full
 def test_the_topic_is_never_silent_for_longer_than_is_stated(tmp_path: Path) -> None:
     killed_at_each(tmp_path, CRITICAL)
 

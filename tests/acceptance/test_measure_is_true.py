@@ -38,7 +38,7 @@ def longest_gap(rows: list[Row], begun: int, over: int) -> float:
     ("strategy", "within"),
     [
         # One gap stands out, and both saw it between the same two messages.
-        ("paper", 0.002),
+        pytest.param("paper", 0.002, marks=pytest.mark.full),
         # No gap stands out: the longest is the machine's own jitter, of which each process has its own.
         ("minimal", PERIOD / 4),
     ],
@@ -93,6 +93,7 @@ def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
     return apart
 
 
+@pytest.mark.full
 def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Path) -> None:
     async def main() -> dict[str, Any]:
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
@@ -153,6 +154,7 @@ def test_a_planted_open_then_close_shows_duplicates(tmp_path: Path) -> None:
     assert seen.duplicates is not None and seen.duplicates >= 2
 
 
+@pytest.mark.full
 def test_a_planted_close_then_open_shows_missed(tmp_path: Path) -> None:
     seen = run(planted(tmp_path, ("close", "open")))
     assert seen.missed is not None and seen.missed >= 2

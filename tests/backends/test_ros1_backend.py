@@ -183,6 +183,7 @@ def test_a_component_that_does_not_answer_is_given_up_and_the_others_go_on(tmp_p
 # -- the master -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_a_component_on_another_master_is_not_found_and_it_is_said_why(tmp_path: Path) -> None:
     from midstride.backends.ros1 import create_backend
 
