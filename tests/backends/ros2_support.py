@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from midstride.runtime import reaper
 from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.reaper import Reaper, look
+from midstride.runtime.reaper import Reaper, process_info
 from midstride.wire.environment import ENV_TOKEN, Announcement
 
 T = TypeVar("T")
@@ -66,7 +66,7 @@ def run(coroutine: Coroutine[Any, Any, T], seconds: float = 60.0) -> T:
 
 
 def alive(pid: int) -> bool:
-    seen = look(pid)
+    seen = process_info(pid)
     return seen is not None and seen.alive
 
 
@@ -166,7 +166,7 @@ async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
             yield rig
         finally:
             await backend.close()
-    assert reaper.left({}, ENV_TOKEN, token) == set()
+    assert reaper.remaining_groups({}, ENV_TOKEN, token) == set()
 
 
 def shared_memory_of(pid: int) -> list[str]:

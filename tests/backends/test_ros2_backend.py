@@ -102,6 +102,7 @@ def test_a_name_that_the_graph_forgot_to_drop_is_free(tmp_path: Path, monkeypatc
     run(scenario())
 
 
+@pytest.mark.full
 def test_the_name_of_a_killed_component_can_be_used_again(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -157,6 +158,7 @@ def test_calling_what_is_not_there(tmp_path: Path) -> None:
     run(scenario())
 
 
+@pytest.mark.full
 def test_a_component_that_is_stopped_does_not_answer_in_time_but_answers_later(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -172,6 +174,7 @@ def test_a_component_that_is_stopped_does_not_answer_in_time_but_answers_later(t
     run(scenario())
 
 
+@pytest.mark.full
 def test_a_command_that_is_sent_again_is_carried_out_once(tmp_path: Path) -> None:
     """The component is stopped while a command is sent, and sent again; going on, it finds several of it."""
 
@@ -194,6 +197,7 @@ def test_a_command_that_is_sent_again_is_carried_out_once(tmp_path: Path) -> Non
     run(scenario())
 
 
+@pytest.mark.full
 def test_observing_does_not_wait_for_user_code(tmp_path: Path) -> None:
     sleeping = TALKER.replace("    global count\n", "    global count\n    __import__('time').sleep(600)\n")
 
@@ -245,6 +249,7 @@ def test_a_later_manager_finds_the_component_again(tmp_path: Path) -> None:
     run(scenario())
 
 
+@pytest.mark.full
 def test_a_component_that_was_started_elsewhere_is_adopted_by_its_name(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -262,6 +267,7 @@ def test_a_component_that_was_started_elsewhere_is_adopted_by_its_name(tmp_path:
     run(scenario())
 
 
+@pytest.mark.full
 def test_namespaces(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -296,12 +302,12 @@ import asyncio, sys
 from pathlib import Path
 from midstride.backends.ros2 import create_backend
 from midstride.runtime.backend import Launch
-from midstride.runtime.reaper import Guardian
+from midstride.runtime.reaper import Reaper
 from midstride.wire.environment import ENV_TOKEN
 
 async def main(token):
     heard = asyncio.Event()
-    backend = create_backend(logs=Path("logs"), guardian=Guardian(ENV_TOKEN, token))
+    backend = create_backend(logs=Path("logs"), guardian=Reaper(ENV_TOKEN, token))
     await backend.open(lambda event: heard.set())
     handle = await backend.start(Launch("talker", "", ("python3", "talker.py"), token, Path.cwd()))
     await heard.wait()

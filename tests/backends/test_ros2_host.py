@@ -233,6 +233,7 @@ STUCK = TALKER.replace(
 )
 
 
+@pytest.mark.full
 def test_user_code_that_never_returns_does_not_keep_the_process(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -248,6 +249,7 @@ def test_user_code_that_never_returns_does_not_keep_the_process(tmp_path: Path) 
     run(scenario())
 
 
+@pytest.mark.full
 def test_the_second_signal_ends_it_at_once(tmp_path: Path) -> None:
     source = STOPPING.replace(
         'comp.on_stop(lambda: out.write(String(data="stopped")))',
@@ -266,6 +268,7 @@ def test_the_second_signal_ends_it_at_once(tmp_path: Path) -> None:
     run(scenario())
 
 
+@pytest.mark.full
 def test_a_component_that_shuts_ros_down_says_so_and_ends(tmp_path: Path) -> None:
     source = TALKER.replace("    global count\n", "    __import__('rclpy').shutdown()\n    global count\n")
 
@@ -281,6 +284,7 @@ def test_a_component_that_shuts_ros_down_says_so_and_ends(tmp_path: Path) -> Non
     run(scenario())
 
 
+@pytest.mark.full
 def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -305,6 +309,7 @@ def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path) ->
     run(scenario())
 
 
+@pytest.mark.full
 def test_the_clock_of_a_simulation_drives_the_modes(tmp_path: Path) -> None:
     async def scenario() -> None:
         from rosgraph_msgs.msg import Clock
@@ -442,6 +447,7 @@ def test_what_the_authors_own_callbacks_raise_does_not_take_the_component_down(t
     run(scenario())
 
 
+@pytest.mark.full
 def test_an_input_records_what_the_middleware_tells(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -501,6 +507,7 @@ comp.start()
 """
 
 
+@pytest.mark.full
 def test_an_async_mode_awaits_a_service(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -556,6 +563,7 @@ def test_endpoints_get_the_qos_that_is_declared(tmp_path: Path) -> None:
     run(scenario())
 
 
+@pytest.mark.full
 def test_attaching_waits_for_compatible_peers_alone(tmp_path: Path) -> None:
     async def scenario() -> None:
         from rclpy.qos import DurabilityPolicy, QoSProfile
@@ -580,6 +588,7 @@ def test_attaching_waits_for_compatible_peers_alone(tmp_path: Path) -> None:
     run(scenario())
 
 
+@pytest.mark.full
 def test_acknowledgement_is_unknown_where_a_reader_has_frozen(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -631,6 +640,7 @@ def test_standalone(tmp_path: Path) -> None:
     run(scenario())
 
 
+@pytest.mark.full
 def test_peers_call_each_other(tmp_path: Path) -> None:
     async def scenario(r: Rig) -> None:
         await r.start("talker", TALKER)

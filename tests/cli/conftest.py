@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from midstride.cli import main
-from midstride.runtime.reaper import look
+from midstride.runtime.reaper import process_info
 from midstride.runtime.state_store import SavedState, StateStore
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
@@ -147,5 +147,5 @@ def nothing_lost(swaps: list[dict[str, Any]]) -> bool:
 
 
 def alive(pid: int) -> bool:
-    seen = look(pid)
-    return seen is not None and seen.alive
+    info = process_info(pid)
+    return info is not None and info.alive

@@ -77,6 +77,7 @@ def test_down_ends_what_a_killed_manager_left(midstride: Midstride) -> None:
     assert not any(map(alive, components))
 
 
+@pytest.mark.full
 def test_a_manager_that_is_told_to_end_leaves_the_components(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
     manager, components = midstride.manager("talker"), midstride.components("talker")

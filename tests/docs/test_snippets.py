@@ -146,9 +146,9 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-NEEDS_ALLOY = {"docs/how-to/verify.md"}
+MARKS = {"docs/how-to/verify.md": (pytest.mark.alloy, pytest.mark.full)}
 WITH_CODE = [
-    pytest.param(page, marks=pytest.mark.alloy if name_of(page) in NEEDS_ALLOY else (), id=name_of(page))
+    pytest.param(page, marks=MARKS.get(name_of(page), ()), id=name_of(page))
     for page in PAGES
     if any(snippet.language in RUN for snippet in snippets(page))
 ]

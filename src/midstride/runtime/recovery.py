@@ -41,7 +41,7 @@ async def recover(
             continue
         found[instance.name] = (instance, state)
         tell("adopted", f"{instance.name} was reattached unchanged")
-    for name in await launcher.end_strays(found):
+    for name in await launcher.end_orphans(found):
         tell("ended", f"ended {name}, which an earlier manager had just started")
     for name in _half_done(found):
         tell("ended", f"ended {name}, which an earlier manager had left half done")

@@ -24,7 +24,8 @@ def _require_rclpy() -> None:
         import rclpy  # noqa: F401
     except ImportError as error:
         raise BackendError(
-            f"ROS 2 cannot be imported ({error}): source your ROS's setup file, or `pip install 'midstride[ros2]'`"
+            f"ROS 2 cannot be imported ({error}): source your ROS's setup file, "
+            "or `pip install '.[ros2]'` in a clone of Midstride"
         ) from error
 
 
