@@ -21,6 +21,7 @@ from midstride.model.specification import Node, Specification
 from midstride.plan.forms import encode_plan
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
+from midstride.wire.state import GateState
 from tests.acceptance.support import Recorder, ended, managed, swap_specification
 from tests.backends.ros2_support import run, until_async
 
@@ -40,7 +41,7 @@ def test_both_publishers_are_live_at_the_cut_and_one_is_gated(tmp_path: Path) ->
         async with managed(tmp_path / "system", swap_specification()) as (manager, backend):
             changing = asyncio.ensure_future(manager.change(REPLACE))
             await step(manager, "step", "handover")
-            seen: list[tuple[set[str], dict[str, str | None]]] = []
+            seen: list[tuple[set[str], dict[str, GateState | None]]] = []
 
             async def both() -> bool:
                 graph = await backend.endpoints()
