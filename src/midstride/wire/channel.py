@@ -13,6 +13,7 @@ import msgspec
 from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Unreachable
 from midstride.wire.commands import Command
 from midstride.wire.frames import (
+    INVALID,
     PROTOCOL,
     Greeting,
     Hello,
@@ -148,7 +149,8 @@ class Channel:
 
 
 async def _greet(connection: Connection, address: str, token: str) -> Greeting:
-    await connection.send(encode(Hello(protocol=PROTOCOL, token=token)))
+    with contextlib.suppress(Unreachable):  # closed at once, which is explained below
+        await connection.send(encode(Hello(protocol=PROTOCOL, token=token)))
     line = await connection.receive()
     if line is None:
         raise Unreachable(f"{address} closed the connection without a greeting: it may accept other users only")
@@ -173,7 +175,7 @@ def result_of(reply: Reply, command: Command[R]) -> R:
         raise CommandRefused(reply.refused)
     try:
         result: Any = msgspec.json.decode(reply.result, type=command.reply)
-    except msgspec.DecodeError as error:
+    except INVALID as error:
         raise ProtocolError(f"the reply to `{command.name}` is not one: {error}") from None
     found: R = result
     return found

@@ -99,7 +99,7 @@ _from_component: Final[msgspec.json.Decoder[FromComponent]] = msgspec.json.Decod
 _from_client: Final[msgspec.json.Decoder[FromClient]] = msgspec.json.Decoder(FromClient)
 _command: Final[msgspec.json.Decoder[AnyCommand]] = msgspec.json.Decoder(AnyCommand)
 # What decoding raises for input that is not valid; msgspec does not translate the last two.
-_INVALID: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+INVALID: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 def encode(frame: Frame) -> bytes:
@@ -121,7 +121,7 @@ def decode_greeting(line: bytes) -> Greeting:
                 f"version {PROTOCOL}: it was started with another version of Midstride; restart it"
             )
         frame = _from_component.decode(line)
-    except _INVALID as error:
+    except INVALID as error:
         raise ProtocolError(f"not a greeting: {error}") from None
     if not isinstance(frame, Greeting):
         raise ProtocolError("the component did not greet first")
@@ -132,7 +132,7 @@ def decode_from_component(line: bytes) -> FromComponent:
     """Raises ProtocolError."""
     try:
         return _from_component.decode(line)
-    except _INVALID as error:
+    except INVALID as error:
         raise ProtocolError(f"not a frame of a component: {error}") from None
 
 
@@ -140,7 +140,7 @@ def decode_from_client(line: bytes) -> FromClient:
     """Raises ProtocolError."""
     try:
         return _from_client.decode(line)
-    except _INVALID as error:
+    except INVALID as error:
         raise ProtocolError(f"not a frame of a client: {error}") from None
 
 
@@ -148,7 +148,7 @@ def decode_command(request: Request) -> Command[Any]:
     """Raises CommandRefused, naming the field that is unknown, missing or of another type."""
     try:
         return _command.decode(request.command)
-    except _INVALID as error:
+    except INVALID as error:
         name = command_name(request)
         if name in COMMANDS:
             raise CommandRefused(f"`{name}`: {error}") from None
@@ -159,5 +159,5 @@ def command_name(request: Request) -> str:
     """The name that a request gives its command, whether that is one or not."""
     try:
         return _named.decode(request.command).command
-    except _INVALID:
+    except INVALID:
         return ""

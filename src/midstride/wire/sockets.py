@@ -34,7 +34,7 @@ _SCHEME: Final = "unix:"
 _SUFFIX: Final = ".sock"
 _BACKLOG: Final = 16
 # How long the lock of the folder may be held by a process that takes a name (s).
-_LOCKED: Final = 2.0
+LOCK_TIMEOUT: Final = 2.0
 _SYSTEM: Final = re.compile(r"[A-Za-z][A-Za-z0-9_\-]*\Z")
 
 
@@ -145,7 +145,7 @@ class SocketFolder:
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             allowed = {0, os.getuid(), self.folder.stat().st_uid}
-            async with _locked(self.folder):
+            async with locked(self.folder):
                 if _answers(path):
                     raise NodeError(
                         f"a component {instance} is running already in {self.folder.parent.name}; end it, or give "
@@ -233,14 +233,14 @@ def _descriptor(path: Path) -> Iterator[str]:
 
 
 @contextlib.asynccontextmanager
-async def _locked(folder: Path) -> AsyncIterator[None]:
+async def locked(folder: Path) -> AsyncIterator[None]:
     """Take names in ``folder`` one process at a time: of two that start at once under one name, one is refused.
 
     Raises NodeError where another process keeps the lock.
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:
-        deadline = time.monotonic() + _LOCKED
+        deadline = time.monotonic() + LOCK_TIMEOUT
         while True:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
