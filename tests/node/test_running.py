@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator.host import SimulatedHost
+
 from .author import Bench, simulate
 
 HEAD = """
@@ -309,6 +310,75 @@ comp.start()
         await bench.sleep(3.0)
         # While the change waits for the one, the other starts no further call.
         assert bench.log("node")[4:] == ["slow is done", "a degraded", "b degraded"]
+
+    simulate(tmp_path, main)
+
+
+def test_a_change_to_the_mode_it_is_in_calls_nothing_and_keeps_the_grid(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: print(round(comp.clock.now() / 1e6) % 250), rate=4)
+f.set_degraded_mode(lambda: print("degraded"))
+comp.start()
+""",
+        )
+        await bench.mode("node", "f", "degraded")
+        await bench.mode("node", "f", "normal")
+        await bench.sleep(0.1)
+        await bench.send("node", "modes", modes={"f": "normal"}, because="once more")
+        await bench.sleep(0.5)
+        first, *calls = bench.log("node")
+        assert first == "degraded" and len(calls) == 3 and len(set(calls)) == 1, calls
+        functionality = (await bench.send("node", "observe"))["functionalities"]["f"]
+        assert functionality["because"] == "the manager requested it" and functionality["since"] > 0.5
+
+    simulate(tmp_path, main)
+
+
+def test_a_change_is_refused_where_a_functionality_degrades_while_it_waits(tmp_path: Path) -> None:
+    """The manager chose the modes for the state that it knew."""
+
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+a = comp.create_functionality("a")
+
+async def slow():
+    await comp.clock.sleep(1.0)
+
+a.set_normal_mode(slow, rate=0.1)
+a.set_degraded_mode(lambda: print("a degraded"))
+b = comp.create_functionality("b")
+calls = 0
+
+def failing():
+    global calls
+    calls += 1
+    if calls == 3:
+        raise RuntimeError("no more")
+
+b.set_normal_mode(failing, rate=4)
+b.set_degraded_mode(lambda: None)
+comp.start()
+""",
+        )
+        await bench.send("node", "modes", modes={"a": "normal", "b": "normal"})
+        await bench.sleep(0.1)
+        refused = await bench.refusal("node", "modes", modes={"a": "degraded"}, timeout=5.0)
+        assert "has degraded by itself meanwhile: observe the component again" in refused
+        state = await bench.send("node", "observe")
+        assert {name: entry["mode"] for name, entry in state["functionalities"].items()} == {
+            "a": "normal",
+            "b": "degraded",
+        }
+        assert bench.log("node").count("a degraded") == 1
+        await bench.mode("node", "a", "degraded")
 
     simulate(tmp_path, main)
 
