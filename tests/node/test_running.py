@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator.host import SimulatedHost
+from midstride.errors import Unreachable
 
 from .author import Bench, simulate
 
@@ -441,6 +442,36 @@ comp.start()
         )
         (exited,) = bench.exits()
         assert exited.status == 1 and "ConnectionError: no such device" in exited.log_tail
+
+    simulate(tmp_path, main)
+
+
+def test_a_failed_set_up_does_not_wait_for_the_requests_that_wait_for_it(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        begun = bench.lab.clock.steady()
+        await bench.start(
+            "node",
+            HEAD
+            + """
+import time
+
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: None, rate=1)
+f.set_degraded_mode(lambda: None)
+
+@comp.on_setup
+def connect(node):
+    time.sleep(1)
+    raise ConnectionError("no such device")
+
+comp.start()
+""",
+        )
+        assert (await bench.lab.send("node", "ping", {})).ok
+        with pytest.raises(Unreachable, match="node is gone"):
+            await bench.lab.send("node", "observe", {})
+        assert (await bench.lab.exited("node")).status == 1
+        assert bench.lab.clock.steady() - begun < 1.2
 
     simulate(tmp_path, main)
 
