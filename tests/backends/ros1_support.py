@@ -19,7 +19,7 @@ from typing import Any
 
 from midstride.runtime import reaper
 from midstride.runtime.reaper import Reaper
-from midstride.wire.messages import ENV_TOKEN
+from midstride.wire.environment import ENV_TOKEN
 from tests.backends.ros2_support import Rig
 
 BARE = """

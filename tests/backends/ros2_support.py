@@ -20,7 +20,7 @@ from midstride.runtime import reaper
 from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.reaper import Reaper, look
-from midstride.wire.messages import ENV_TOKEN, Announcement
+from midstride.wire.environment import ENV_TOKEN, Announcement
 
 T = TypeVar("T")
 

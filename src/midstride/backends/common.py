@@ -18,7 +18,7 @@ from midstride.errors import StartFailed, Unreachable
 from midstride.runtime.backend import Launch
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
-from midstride.wire.messages import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
+from midstride.wire.environment import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
 
 T = TypeVar("T")
 

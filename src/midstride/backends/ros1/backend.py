@@ -26,7 +26,7 @@ from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.process import Process, find, spawn
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
-from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
+from midstride.wire.environment import ENV_INSTANCE, Announcement, Command, Reply
 
 # How long taking back what a dead node has registered may delay the news of its death (s).
 _TIDY: Final = 1.0

@@ -34,7 +34,7 @@ from midstride.backends.ros1.timers import Ros1GridTimer, RosClock
 from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
 from midstride.node.host import MessageInfo
-from midstride.wire.messages import ENV_TOKEN, Announcement, Command, Reply
+from midstride.wire.environment import ENV_TOKEN, Announcement, Command, Reply
 
 T = TypeVar("T")
 
