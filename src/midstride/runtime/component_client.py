@@ -34,14 +34,6 @@ CONNECT_INTERVAL_LONGEST: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Registered:
-    """A component is set up and has said what it is."""
-
-    greeting: Greeting
-    registration: Registration
-
-
-@dataclass(frozen=True, slots=True)
 class Reported:
     """A component has reported its state."""
 
@@ -55,7 +47,7 @@ class Disconnected:
     instance: str
 
 
-ComponentEvent = Registered | Reported | Disconnected
+ComponentEvent = Reported | Disconnected
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +61,7 @@ class LatestState:
 class ComponentClient:
     """Knows the revision each component is at, so that a change is refused where the component has moved on.
 
-    ``on_event`` is called for each registration, state and disconnection. To be used on one event loop.
+    ``on_event`` is called for each state and each disconnection. To be used on one event loop.
     """
 
     def __init__(
@@ -89,6 +81,7 @@ class ComponentClient:
         self._channels: dict[str, Channel] = {}
         self._connecting: dict[str, asyncio.Lock] = {}
         self._latest: dict[str, LatestState] = {}
+        self._registrations: dict[str, asyncio.Future[Registration]] = {}
 
     # -- connections -------------------------------------------------------------------------------
 
@@ -96,19 +89,27 @@ class ComponentClient:
         """Where the component listens: what its peer of a hand-over is given."""
         return self._transport.address(instance)
 
-    async def connect(self, instance: str) -> None:
-        """Connect as soon as the component listens; returns once it has greeted. To be cancelled when time is up.
+    async def connect(self, instance: str) -> Greeting:
+        """Connect as soon as the component listens; what it greets with. To be cancelled when time is up.
 
         Raises ProtocolError for a component of another version of Midstride.
         """
         pause = CONNECT_INTERVAL
         while True:
             try:
-                await self._channel(instance)
-                return
+                return (await self._channel(instance)).greeting
             except (Unreachable, CallTimeout):
                 await self._clock.sleep(pause)
                 pause = min(1.2 * pause, CONNECT_INTERVAL_LONGEST)
+
+    async def registered(self, instance: str) -> tuple[Greeting, Registration]:
+        """What the component is, as soon as it is set up and has said so. As ``connect``."""
+        while True:
+            greeting = await self.connect(instance)
+            try:
+                return greeting, await asyncio.shield(self._registrations[instance])
+            except Unreachable:
+                continue  # it ended before it was set up; another one may come
 
     async def _channel(self, instance: str) -> Channel:
         """Raises Unreachable, CallTimeout or ProtocolError."""
@@ -124,6 +125,7 @@ class ComponentClient:
             def ended() -> None:
                 self._ended(instance, made[0])
 
+            self._registrations[instance] = asyncio.get_running_loop().create_future()
             channel = await Channel.open(
                 self._transport,
                 self._transport.address(instance),
@@ -138,16 +140,16 @@ class ComponentClient:
 
     def _reported(self, instance: str, channel: Channel, frame: Report) -> None:
         if isinstance(frame, Registration):
-            self._on_event(Registered(channel.greeting, frame))
+            registration = self._registrations[instance]
+            if not registration.done():
+                registration.set_result(frame)
             return
         self._latest[instance] = LatestState(frame.state, self._clock.steady())
         self._on_event(Reported(frame.state))
 
     def _ended(self, instance: str, channel: Channel) -> None:
         if self._channels.get(instance) is channel:
-            self.forget(instance)
-            del self._channels[instance]
-            self._latest.pop(instance, None)
+            self._drop(instance)
             self._on_event(Disconnected(instance))
 
     def greeting(self, instance: str) -> Greeting | None:
@@ -168,11 +170,19 @@ class ComponentClient:
 
     def disconnect(self, instance: str) -> None:
         """The component is not this manager's any more, or its process is gone."""
-        self.forget(instance)
-        self._latest.pop(instance, None)
-        channel = self._channels.pop(instance, None)
+        channel = self._channels.get(instance)
+        self._drop(instance)
         if channel is not None:
             channel.close()
+
+    def _drop(self, instance: str) -> None:
+        self.forget(instance)
+        self._latest.pop(instance, None)
+        self._channels.pop(instance, None)
+        registration = self._registrations.pop(instance, None)
+        if registration is not None and not registration.done():
+            registration.set_exception(Unreachable(f"{instance} ended before it was set up"))
+            registration.exception()  # seen, so that the loop does not complain where it is not awaited
 
     def close(self) -> None:
         """Close every connection; the components go on."""

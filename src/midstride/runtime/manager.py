@@ -12,7 +12,7 @@ import asyncio
 import contextlib
 import logging
 import secrets
-from collections.abc import AsyncIterator, Awaitable
+from collections.abc import AsyncIterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,20 +29,25 @@ from midstride.plan.request import Request
 from midstride.runtime import recovery, status
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend, Exited
-from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.component_client import ComponentClient, ComponentEvent, Disconnected, Reported
 from midstride.runtime.crash_response import settled
 from midstride.runtime.crashes import Crashes
 from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import Event, EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
-from midstride.runtime.observed_configuration import ObservedConfiguration, live
+from midstride.runtime.observed_configuration import (
+    ObservedConfiguration,
+    observe,
+    own_degradations,
+    own_degradations_in,
+)
 from midstride.runtime.recording import Recording, to_documents
 from midstride.runtime.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.verify.verdict import Verdict
-from midstride.wire.messages import Announcement
+from midstride.wire.state import ComponentState
 
 log = logging.getLogger(__name__)
 
@@ -85,8 +90,8 @@ class Manager:
         self._connect(secrets.token_hex(16))
 
     def _connect(self, token: str) -> None:
-        self._link = ComponentClient(self._backend, token)
-        self._launcher = Launcher(self._backend, self._link, token, self._directory)
+        self._client = ComponentClient(self._backend.transport, self._backend.clock, token, self._on_component_event)
+        self._launcher = Launcher(self._backend, self._client, token, self._directory)
         self._keeper = StateStore(
             self._workspace, self._backend.name, token, self._launcher, lambda words: self._note("note", words)
         )
@@ -102,7 +107,7 @@ class Manager:
         state = self._workspace.load()
         if state is not None:
             self._connect(str(state["token"]))
-        await self._backend.open(self._on_backend_event)
+        await self._backend.open(self._on_exit)
         async with self._command(f"up {self.specification.name}"):
             if state is not None:
                 await self._adopt(state)
@@ -138,7 +143,7 @@ class Manager:
                 "`midstride apply` changes a running system, `midstride down` ends it"
             )
         self.configuration = await recovery.adopt(
-            state, self.specification, self._launcher, self._link, lambda kind, words: self._note(kind, words)
+            state, self.specification, self._launcher, self._client, lambda kind, words: self._note(kind, words)
         )
 
     async def close(self) -> None:
@@ -146,6 +151,7 @@ class Manager:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._client.close()
         await self._backend.close()
 
     async def down(self) -> None:
@@ -183,7 +189,7 @@ class Manager:
         if self._running is not None:
             seconds = self._backend.clock.steady() - self._running.since
             running = {"command": self._running.words, "since": round(seconds, 3)}
-        document = await status.status(self.configuration, self._link, self._backend.clock, self._crashes.all())
+        document = status.status(self.configuration, self._client, self._crashes.all())
         for row in document["components"]:
             if row["pid"] is None and row["name"] in self._launcher.handles:  # it does not answer: who it is, is known
                 row["pid"] = self._launcher.handles[row["name"]].pid
@@ -196,17 +202,17 @@ class Manager:
 
     async def live(self) -> dict[str, Any]:
         """The configuration as its components themselves tell it; ``silent`` are those that did not answer in time."""
-        found = await live(self.configuration, self._link, self._backend.clock, self._crashes.unsettled)
+        found = observe(self.configuration, self._client, self._crashes.unsettled)
         document = encode_configuration(found.configuration)
         return {"revision": self.revision, "silent": list(found.silent), "configuration": document}
 
-    async def peek(self, instance: str) -> dict[str, Any]:
+    async def peek(self, instance: str) -> ComponentState:
         """The state of one component by its own word (wire/commands.py). Raises CallTimeout or Unreachable."""
-        return await self._link.peek(instance)
+        return await self._client.peek(instance)
 
     async def why(self, functionality: str) -> dict[str, Any]:
         """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
-        return await status.why(self.configuration, self._link, self._backend.clock, functionality)
+        return status.why(self.configuration, self._client, functionality)
 
     async def plan(self, request: Request) -> Plan:
         """The plan for ``request`` from the current configuration. Raises PlanRefused."""
@@ -261,8 +267,8 @@ class Manager:
             return {**outcome, "verdict": verdict.to_document()}
 
     def _watch(self, plan: Plan) -> StepVerifier:
-        def told(configuration: Configuration) -> Awaitable[ObservedConfiguration]:
-            return live(configuration, self._link, self._backend.clock, self._crashes.unsettled)
+        def told(configuration: Configuration) -> ObservedConfiguration:
+            return observe(configuration, self._client, self._crashes.unsettled)
 
         return StepVerifier(self._verifier, tuple(plan.configurations()), told, self._verified)
 
@@ -274,7 +280,7 @@ class Manager:
         return _refused(because)
 
     async def _execute(self, plan: Plan, target: Specification, watch: StepVerifier | None = None) -> dict[str, Any]:
-        recording = Recording(self._link, self._backend.clock)
+        recording = Recording(self._client, self._backend.clock)
         try:
             return await self._recorded(plan, target, recording, watch)
         finally:
@@ -344,7 +350,8 @@ class Manager:
             self._save()
 
         performer = ActionDriver(
-            link=self._link,
+            client=self._client,
+            lingering_readers=self._backend.lingering_readers,
             launcher=self._launcher,
             tell=lambda kind, words, details: self._note(kind, words, **details),
             is_gone=lambda name: name in self._crashes.unsettled,
@@ -381,18 +388,21 @@ class Manager:
 
     # -- what happens by itself ------------------------------------------------------------------------
 
-    def _on_backend_event(self, event: Announcement | Exited) -> None:
-        if isinstance(event, Announcement) and event.degraded:
-            if event.instance in self.configuration.instances and (self._running is None or self._measuring):
-                self._settle_soon()  # else the command that runs looks at its end
-            return
-        self._launcher.heard(event)
-        if isinstance(event, Announcement):
-            instance = self.configuration.instances.get(event.instance)
-            if instance is not None and instance.component.run is None and self._launcher.is_another(event):
-                self._ended(Exited(event.instance, None))
-        elif event.instance in self._launcher.handles:
+    def _on_exit(self, event: Exited) -> None:
+        self._launcher.exited(event)
+        if event.instance in self._launcher.handles:
             self._ended(event)
+
+    def _on_component_event(self, event: ComponentEvent) -> None:
+        match event:
+            case Disconnected(instance):
+                live = self.configuration.instances.get(instance)
+                if live is not None and instance not in self._launcher.handles:  # else its process tells
+                    self._ended(Exited(instance, None))
+            case Reported(state):
+                idle = self._running is None or self._measuring  # else the command that runs looks at its end
+                if idle and own_degradations_in(self.configuration, state):
+                    self._settle_soon()
 
     def _ended(self, event: Exited) -> None:
         self._crashes.ended(event)
@@ -428,9 +438,9 @@ class Manager:
         gone = self._crashes.settle(self.configuration)
         for name in gone:
             self._launcher.handles.pop(name, None)
-            self._link.forget(name)
+            self._client.forget(name)
         configuration = self.configuration
-        worse = await status.own_degradations(configuration, self._link, self._backend.clock, gone)
+        worse = own_degradations(configuration, self._client, gone)
         if not gone and not worse and not self._pending_degradations:
             return
         because = [f"{name} has ended by itself" for name in sorted(gone)]

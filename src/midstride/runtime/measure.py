@@ -14,7 +14,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Protocol
 
 # The window reaches this many periods before the first step and after the last.
 WINDOW_PERIODS: Final = 20
@@ -26,11 +26,20 @@ _ANSWERED: Final = 0.8
 _LATE: Final = 5
 
 
-class Row(NamedTuple):
-    received: int
-    source: int | None
-    number: int | None
-    publisher: str | None
+class Row(Protocol):
+    """One received message."""
+
+    @property
+    def received(self) -> int: ...
+
+    @property
+    def source(self) -> int | None: ...
+
+    @property
+    def number(self) -> int | None: ...
+
+    @property
+    def publisher(self) -> str | None: ...
 
 
 @dataclass(frozen=True, slots=True)

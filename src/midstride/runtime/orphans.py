@@ -10,7 +10,7 @@ from collections.abc import Container
 
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Seen, carries, processes, value_of
-from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
+from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 
 async def end_strays(token: str, known: Container[str], grace: float) -> list[str]:

@@ -22,6 +22,8 @@ from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
+from midstride.wire.commands import GateCommand, RecordCommand
+from midstride.wire.state import ComponentState
 
 Tell = Callable[[str, str], None]
 
@@ -59,10 +61,10 @@ def specification_of(state: dict[str, Any]) -> Specification:
 
 
 async def adopt(
-    state: dict[str, Any], specification: Specification, launcher: Launcher, link: ComponentClient, tell: Tell
+    state: dict[str, Any], specification: Specification, launcher: Launcher, client: ComponentClient, tell: Tell
 ) -> Configuration:
     """The configuration of what still runs. Ends half-started components; never touches what works."""
-    found: dict[str, tuple[Instance, dict[str, Any]]] = {}
+    found: dict[str, tuple[Instance, ComponentState]] = {}
     for entry in state["instances"]:
         instance = Instance(
             entry["name"], entry["role"], decode_component(entry["component"]), Map(entry["parameters"])
@@ -79,17 +81,17 @@ async def adopt(
         tell("ended", f"{name} had just been started by an earlier manager, and is ended")
     for name in _half_done(found):
         tell("ended", f"{name} had been left half done by an earlier manager, and is ended")
-        await _end(found.pop(name)[0].name, launcher, link)
+        await _end(found.pop(name)[0].name, launcher, client)
     for name, (instance, _) in found.items():
         # A cut that was under way may have been settled since it was looked at.
-        found[name] = (instance, await link.observe(name))
+        found[name] = (instance, await client.observe(name))
         # What was being recorded for the earlier manager is of no use to this one.
         if inputs := list(instance.component.input_order):
-            await link.take_back(name, "record", inputs=inputs, on=False)
-    return await _configuration(specification, found, link)
+            await client.undo(name, RecordCommand(inputs=inputs, on=False))
+    return await _configuration(specification, found, client)
 
 
-def _half_done(found: dict[str, tuple[Instance, dict[str, Any]]]) -> list[str]:
+def _half_done(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
     """Instances beside another one of their role that serves its topics while they do not."""
     by_role: dict[str, list[str]] = {}
     for name, (instance, _) in found.items():
@@ -101,32 +103,32 @@ def _half_done(found: dict[str, tuple[Instance, dict[str, Any]]]) -> list[str]:
     return half
 
 
-def _open_gates(observed: dict[str, Any]) -> int:
-    return sum(1 for topics in observed["ports"].values() for view in topics.values() if view["gate"] == "open")
+def _open_gates(observed: ComponentState) -> int:
+    return sum(link.gate == "open" for topics in observed.ports.values() for link in topics.values())
 
 
-async def _end(name: str, launcher: Launcher, link: ComponentClient) -> None:
+async def _end(name: str, launcher: Launcher, client: ComponentClient) -> None:
     try:
         await launcher.end(name)
     except MidstrideError:
-        link.forget(name)
+        client.forget(name)
 
 
 async def _configuration(
-    specification: Specification, found: dict[str, tuple[Instance, dict[str, Any]]], link: ComponentClient
+    specification: Specification, found: dict[str, tuple[Instance, ComponentState]], client: ComponentClient
 ) -> Configuration:
     by_topic = {connector.topic: connector.name for connector in specification.connectors.values()}
     attachments: list[tuple[PortRef, str]] = []
     modes: dict[FunctionalityRef, int] = {}
     for name, (instance, observed) in sorted(found.items()):
-        for port, topics in observed["ports"].items():
+        for port, topics in observed.ports.items():
             for topic, view in topics.items():
                 if topic not in by_topic:
                     continue
-                if view["gate"] == "closed":  # the last one of its role: its topic is silent, so it may speak again
-                    await link.change(name, "gate", port=port, topic=topic, gate="open")
+                if view.gate == "closed":  # the last one of its role: its topic is silent, so it may speak again
+                    await client.change(name, GateCommand(port=port, topic=topic, gate="open"))
                 attachments.append((PortRef(name, port), by_topic[topic]))
-        for functionality, view in observed["functionalities"].items():
-            index = instance.component.functionalities[functionality].mode_index(view["mode"])
+        for functionality, current in observed.functionalities.items():
+            index = instance.component.functionalities[functionality].mode_index(current.mode)
             modes[FunctionalityRef(name, functionality)] = index
     return configure(specification.context, [instance for instance, _ in found.values()], attachments, modes)

@@ -8,7 +8,7 @@ configuration that was judged there; only where they stand otherwise is Alloy as
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
 from typing import Final
@@ -49,12 +49,12 @@ class StepVerifier:
 
     verifier: Verifier
     judged: tuple[Configuration, ...]
-    live: Callable[[Configuration], Awaitable[ObservedConfiguration]]
+    observe: Callable[[Configuration], ObservedConfiguration]
     tell: Callable[[Verdict], object]
 
     async def look(self, configuration: Configuration) -> None:
         """Raises VerificationError where what is live is not known, or is not known to be valid."""
-        found = await self.live(configuration)
+        found = self.observe(configuration)
         if found.silent:
             raise VerificationError(f"what is live is not known: {', '.join(found.silent)} did not answer")
         if found.configuration in self.judged:
