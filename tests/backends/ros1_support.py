@@ -15,11 +15,10 @@ import time
 import uuid
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Any
 
 from midstride.runtime import reaper
 from midstride.runtime.reaper import Reaper
-from midstride.wire.messages import ENV_TOKEN
+from midstride.wire.environment import ENV_TOKEN
 from tests.backends.ros2_support import Rig
 
 BARE = """
@@ -33,9 +32,9 @@ rospy.spin()
 
 
 def free_port() -> int:
-    with socket.socket() as door:
-        door.bind(("127.0.0.1", 0))
-        port: int = door.getsockname()[1]
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        port: int = listening.getsockname()[1]
         return port
 
 
@@ -56,18 +55,19 @@ def own_master_uri() -> Iterator[str]:
 
 
 @contextlib.asynccontextmanager
-async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
+async def rig(folder: Path) -> AsyncIterator[Rig]:
     """A back end, opened; at the end it is closed, and everything it started is ended, its master included."""
     from midstride.backends.ros1 import create_backend
 
     token = f"test-{uuid.uuid4().hex}"
     with own_master_uri(), Reaper(ENV_TOKEN, token) as guarding:
-        backend = create_backend(logs=folder / "logs", guardian=guarding, **options)
+        backend = create_backend(folder / "components", logs=folder / "logs", guardian=guarding)
         rig = Rig(backend, folder, token)
-        await backend.open(rig.heard)
+        await backend.open(rig.exits.append)
         try:
             yield rig
         finally:
+            rig.client.close()
             for instance in list(rig.handles):
                 await backend.end(instance, 2.0)
             await backend.close()

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 NAMES: Final = ("ros2", "ros1", "sim")
 
 
-def make(name: str, *, logs: Path | None = None, guardian: Reaper | None = None) -> Backend:
+def make(name: str, control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> Backend:
     """The back end called ``name``. Raises BackendError where it is unknown or cannot be had here.
 
-    ``logs`` is the folder of the components' logs, ``guardian`` ends what is started should this
-    process be killed; the simulator, whose components live in this process, needs neither.
+    ``control`` is the folder of the components' control sockets, ``logs`` that of their logs; ``guardian`` ends what is
+    started should this process be killed. The simulator, whose components live in this process, needs none of them.
     """
     if name == "sim":
         from midstride.backends.simulator import Simulator
@@ -29,11 +29,11 @@ def make(name: str, *, logs: Path | None = None, guardian: Reaper | None = None)
     if name == "ros2":
         from midstride.backends.ros2 import create_backend
 
-        return create_backend(logs=logs, guardian=guardian)
+        return create_backend(control, logs=logs, guardian=guardian)
     if name == "ros1":
         from midstride.backends import ros1
 
-        return ros1.create_backend(logs=logs, guardian=guardian)
+        return ros1.create_backend(control, logs=logs, guardian=guardian)
     raise BackendError(f"there is no back end {name}; there are {', '.join(NAMES)}")
 
 
