@@ -76,9 +76,11 @@ async def rig(folder: Path) -> AsyncIterator[Rig]:
 
 
 @contextlib.contextmanager
-def program(*arguments: str, source: str = BARE) -> Iterator[subprocess.Popen[bytes]]:
-    """A bare program of rospy's, that knows nothing of Midstride; killed at the end."""
-    process = subprocess.Popen([sys.executable, "-c", source, *arguments], start_new_session=True)
+def program(*arguments: str, source: str = BARE, output: Path | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """A program started by hand, by default a bare subscriber of rospy's; killed at the end."""
+    command = [sys.executable, "-u", "-c", source, *arguments]
+    with contextlib.nullcontext() if output is None else output.open("w") as out:
+        process = subprocess.Popen(command, start_new_session=True, stdout=out, stderr=out)
     try:
         yield process
     finally:
