@@ -5,10 +5,12 @@ Nothing here imports ROS at the top, so that the tests can be collected where th
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
@@ -16,6 +18,7 @@ import uuid
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 
+from midstride.backends.ros1 import rpc
 from midstride.runtime import reaper
 from midstride.runtime.reaper import Reaper
 from midstride.wire.environment import ENV_TOKEN
@@ -98,3 +101,36 @@ def wait_for(path: Path, lines: int, seconds: float = 20.0) -> list[str]:
             return found
         assert time.monotonic() < deadline, f"only {len(found)} of {lines} lines came"
         time.sleep(0.01)
+
+
+# -- a connection to a publisher, made by hand (TCPROS) ------------------------------------------------------------
+
+
+def pack_string(text: str) -> bytes:
+    """A string as ROS 1 serialises it, and a message of one string."""
+    return struct.pack("<I", len(text.encode())) + text.encode()
+
+
+async def read_block(reader: asyncio.StreamReader) -> bytes:
+    """A length, and as many bytes."""
+    (length,) = struct.unpack("<I", await reader.readexactly(4))
+    return await reader.readexactly(length)
+
+
+async def subscribe(
+    r: Rig, node: str, topic: str, definition: str
+) -> tuple[dict[str, str], asyncio.StreamReader, asyncio.StreamWriter]:
+    """The header with which the publisher answers, and the connection."""
+    uri = await r.backend._master.address_of(node)
+    _, _, (_, host, port) = await rpc.call(uri, "requestTopic", "/by_hand", topic, [["TCPROS"]])
+    reader, writer = await asyncio.open_connection(host, port)
+    asked = {"callerid": "/by_hand", "topic": topic, "md5sum": "*", "message_definition": definition}
+    packed = b"".join(pack_string(f"{name}={value}") for name, value in asked.items())
+    writer.write(struct.pack("<I", len(packed)) + packed)
+    block, answered = await read_block(reader), {}
+    while block:
+        (length,) = struct.unpack_from("<I", block)
+        name, _, value = block[4 : 4 + length].decode().partition("=")
+        answered[name], block = value, block[4 + length :]
+    assert "error" not in answered, answered
+    return answered, reader, writer
