@@ -56,7 +56,7 @@ async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
     from midstride.runtime.workspace import Workspace
 
     specification = decode_specification(json.loads((EXAMPLE / "filter.json").read_text()))
-    manager = Manager(specification, backends.make("ros2", logs=folder / "logs"), Workspace(folder), EXAMPLE)
+    manager = Manager(specification, backends.make("ros2", Workspace(folder)), Workspace(folder), EXAMPLE)
     path = folder / "counts.json"
     reported: Counter[str] = Counter()
     unknown = 0
@@ -68,14 +68,15 @@ async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
             for index in range(swaps):
                 component = ("MedianFilter", "MeanFilter")[index % 2]
                 outcome = await manager.change(Request(replace=(("filter", component),)))
-                if outcome["outcome"] != "done":
-                    raise SystemExit(f"swap {index}: {outcome['because']}")
-                for swap in outcome["swaps"]:
+                if outcome.outcome != "done":
+                    raise SystemExit(f"swap {index}: {outcome.because}")
+                for swap in outcome.swaps:
                     for figure in ("missed", "lost", "duplicates"):
-                        if swap[figure] is None:
+                        found: int | None = getattr(swap, figure)
+                        if found is None:
                             unknown += 1
                         else:
-                            reported[figure] += swap[figure]
+                            reported[figure] += found
             process.send_signal(signal.SIGTERM)
             process.wait(timeout=30)
         finally:

@@ -47,20 +47,20 @@ async def main(folder: Path, component: str, point: str) -> int:
     workspace = Workspace(folder)
     state = workspace.load()
     specification = swap_specification() if state is None else specification_of(state)
-    backend = backends.make("ros2", logs=workspace.logs)
+    backend = backends.make("ros2", workspace)
     manager = Manager(specification, backend, workspace, BENCHMARKS)
     await manager.up()
     try:
         status = await manager.status()
-        if not status["valid"]:
-            print(f"not valid: {status['violations']} {status['components']}")
+        if not status.valid:
+            print(f"not valid: {status.violations} {status.components}")
             return 1
         if component == "down":
             await manager.down()
         elif component != "nothing":
             killed_at(backend, point)
             outcome = await manager.change(Request(replace=(("source", component),)))
-            print(outcome["outcome"], outcome["because"])
+            print(outcome.outcome, outcome.because)
     finally:
         await manager.close()
     return 0

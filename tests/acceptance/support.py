@@ -95,8 +95,9 @@ async def managed(
     from midstride import backends
 
     folder.mkdir(exist_ok=True)
-    backend: Any = backends.make("ros2", logs=folder / "logs")
-    manager = Manager(specification, backend, Workspace(folder), directory)
+    workspace = Workspace(folder)
+    backend: Any = backends.make("ros2", workspace)
+    manager = Manager(specification, backend, workspace, directory)
     try:
         await manager.up()
         yield manager, backend

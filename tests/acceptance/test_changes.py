@@ -17,6 +17,7 @@ from immutables import Map
 from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
+from midstride.plan.forms import encode_plan
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
 from tests.acceptance.support import ended, managed, swap_specification
@@ -29,7 +30,7 @@ REPLACE = Request(replace=(("source", "OtherSource"),))
 async def step(manager: Manager, kind: str, action: str) -> None:
     """Until an event of ``kind`` tells of a step ``action``."""
     async for event in manager.subscribe():
-        if event["kind"] == kind and event["step"].get("action") == action:
+        if event.kind == kind and event.step and event.step.action == action:
             return
 
 
@@ -52,7 +53,7 @@ def test_both_publishers_are_live_at_the_cut_and_one_is_gated(tmp_path: Path) ->
                 return True
 
             await until_async(both)
-            assert (await changing)["outcome"] == "done"
+            assert (await changing).outcome == "done"
             assert seen == [({"/source", "/source_2"}, {"source": "open", "source_2": "closed"})]
 
     with ended():
@@ -92,7 +93,7 @@ def busy_specification(folder: Path) -> Specification:
 
 
 async def is_busy(manager: Manager) -> bool:
-    return bool((await manager.peek("busy"))["functionalities"]["work"]["busy"])
+    return bool((await manager.peek("busy")).functionalities["work"].busy)
 
 
 def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(tmp_path: Path) -> None:
@@ -102,15 +103,15 @@ def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(
             changing = asyncio.ensure_future(manager.change(Request(remove=("busy",), strategy="quiesce")))
             await step(manager, "step", "degrade")
             answers = 0
-            while (view := (await manager.status())["components"][0]["functionalities"][0])["busy"] is not None:
-                assert view["name"] == "busy.work" and view["busy"] > 0
+            while (view := (await manager.status()).components[0].functionalities[0]).busy is not None:
+                assert view.name == "busy.work" and view.busy > 0
                 answers += 1
             assert answers >= 3, "the status waited for the call of user code"
             await step(manager, "step_done", "degrade")
             link = (await manager.peek("busy"))["ports"]["out"].get("/late")
             count = None if link is None else link["count"]
             outcome = await changing
-            assert outcome["outcome"] == "done", outcome["because"]
+            assert outcome.outcome == "done", outcome.because
             # The call under way had written its message before the degrade was acknowledged, and none came after.
             assert count is None or count >= 1
 
@@ -133,9 +134,9 @@ def test_a_call_that_outlasts_the_drain_fails_the_step_and_nothing_has_changed(
             monkeypatch.setattr(manager, "_executor", impatient)
             await until_async(lambda: is_busy(manager))
             outcome = await manager.change(Request(remove=("busy",), strategy="quiesce"))
-            assert outcome["outcome"] == "rolled_back" and "busy" in outcome["because"]
+            assert outcome.outcome == "rolled_back" and "busy" in str(outcome.because)
             status = await manager.status()
-            assert status["valid"] and status["components"][0]["functionalities"][0]["mode"] == "normal"
+            assert status.valid and status.components[0].functionalities[0].mode == "normal"
 
     with ended():
         run(main())
@@ -147,9 +148,9 @@ async def picture(manager: Manager, backend: Any) -> dict[str, Any]:
     for name in ("source", "sink"):
         state = await manager.peek(name)
         gates = {
-            f"{port} {topic}": view["gate"] for port, topics in state["ports"].items() for topic, view in topics.items()
+            f"{port} {topic}": view.gate for port, topics in state["ports"].items() for topic, view in topics.items()
         }
-        own[name] = ({key: view["mode"] for key, view in state["functionalities"].items()}, gates)
+        own[name] = ({key: view.mode for key, view in state["functionalities"].items()}, gates)
     graph = await backend.endpoints()
     on_swap = {name for name, topic in (*graph.publishers, *graph.subscribers) if topic == "/swap"}
     return {"own": own, "graph": on_swap, "model": manager.configuration}
@@ -164,7 +165,7 @@ def test_a_step_that_fails_at_any_index_leaves_all_as_it_was(strategy: str, tmp_
             plan = await manager.plan(replace(REPLACE, strategy=strategy))
             needing = [
                 index
-                for index, document in enumerate(plan.step_documents())
+                for index, document in enumerate(encode_plan(plan)["steps"])
                 if "source_2" in str({**document, "step": None}) and document["action"] != "create"
             ]
             before = await picture(manager, backend)
@@ -172,12 +173,12 @@ def test_a_step_that_fails_at_any_index_leaves_all_as_it_was(strategy: str, tmp_
                 changing = asyncio.ensure_future(manager.change(replace(REPLACE, strategy=strategy)))
                 seen = len(manager.log())
                 async for event in manager.subscribe(seen):
-                    if event["kind"] == "step" and event["index"] == index:
+                    if event.kind == "step" and event.index == index:
                         break
                 os.kill((await manager.peek("source_2"))["pid"], signal.SIGKILL)
                 outcome = await changing
-                assert outcome["outcome"] == "rolled_back", outcome["because"]
-                assert "source_2" in outcome["because"]
+                assert outcome.outcome == "rolled_back", outcome.because
+                assert "source_2" in str(outcome.because)
 
                 async def as_before() -> bool:
                     now = await picture(manager, backend)
@@ -218,8 +219,8 @@ def test_an_endpoint_that_is_not_allowed_is_named_and_the_system_is_as_it_was(tm
         async with managed(tmp_path / "system", specification) as (manager, backend):
             before = await picture(manager, backend)
             outcome = await manager.change(REPLACE)
-            assert outcome["outcome"] == "rolled_back"
-            assert "source_2" in outcome["because"] and "service /source_2/reset" in outcome["because"]
+            assert outcome.outcome == "rolled_back"
+            assert "source_2" in str(outcome.because) and "service /source_2/reset" in str(outcome.because)
             assert await picture(manager, backend) == before
 
     with ended():
@@ -243,9 +244,9 @@ def test_a_full_disk_refuses_a_change_before_anything_is_begun(tmp_path: Path) -
             os.close(filler)
             outcome = await manager.change(REPLACE)
             (small / "filler").unlink()
-            assert outcome["outcome"] == "refused" and "No space left" in outcome["because"]
+            assert outcome.outcome == "refused" and "No space left" in str(outcome.because)
             assert await picture(manager, backend) == before
-            assert (await manager.change(REPLACE))["outcome"] == "done"
+            assert (await manager.change(REPLACE)).outcome == "done"
 
     try:
         with ended():

@@ -9,7 +9,6 @@ import os
 import signal
 import time
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -58,7 +57,7 @@ def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
     """By how much recorder and report differ about the gap of each swap (s); in all else they agree."""
     folder.mkdir()
     windows: list[tuple[int, int]] = []
-    swaps: list[dict[str, Any]] = []
+    swaps: list[SwapReport] = []
 
     async def main() -> list[Row]:
         async with managed(folder / "system", swap_specification()) as (manager, _):
@@ -69,9 +68,9 @@ def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
             for _ in range(SWAPS):
                 begun = time.monotonic_ns()
                 outcome = await manager.change(other(manager, strategy))
-                assert outcome["outcome"] == "done", outcome["because"]
+                assert outcome.outcome == "done", outcome.because
                 windows.append((begun - int(20 * PERIOD * 1e9), time.monotonic_ns()))
-                swaps.extend(outcome["swaps"])
+                swaps.extend(outcome.swaps)
             return recorder.stop()
 
     with ended():
@@ -79,8 +78,8 @@ def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
     assert len(swaps) == SWAPS
     apart = []
     for (begun, over), swap in zip(windows, swaps, strict=True):
-        assert swap["gap"] is not None, "the subscriber did not answer when it was asked what it had received"
-        apart.append(abs(longest_gap(rows, begun, over) - swap["gap"]))
+        assert swap.gap is not None, "the subscriber did not answer when it was asked what it had received"
+        apart.append(abs(longest_gap(rows, begun, over) - swap.gap))
         inside = [row for row in rows if begun <= row.received <= over]
         publishers = {row.publisher for row in inside}
         assert len(publishers) == 2 or None in publishers
@@ -88,30 +87,29 @@ def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
         for publisher in publishers - {None}:
             numbers = [row.number for row in inside if row.publisher == publisher and row.number is not None]
             assert numbers == list(range(min(numbers), max(numbers) + 1))
-        assert (swap["lost"], swap["duplicates"]) == (0, 0)
+        assert (swap.lost, swap.duplicates) == (0, 0)
     return apart
 
 
 def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Path) -> None:
-    async def main() -> dict[str, Any]:
+    async def main() -> SwapReport:
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
             changing = asyncio.ensure_future(manager.change(other(manager)))
             async for event in manager.subscribe():
-                if event["kind"] == "step_done" and event["step"].get("action") == "handover":
+                if event.kind == "step_done" and event.step and event.step.action == "handover":
                     break
             pid = (await manager.peek("source_2"))["pid"]
             os.kill(pid, signal.SIGSTOP)
             await asyncio.sleep(0.3)
             os.kill(pid, signal.SIGCONT)
             outcome = await changing
-            assert outcome["outcome"] == "done", outcome["because"]
-            swap: dict[str, Any] = outcome["swaps"][0]
-            return swap
+            assert outcome.outcome == "done", outcome.because
+            return outcome.swaps[0]
 
     with ended():
         swap = run(main())
-    assert swap["missed"] >= 14
-    assert swap["gap_periods"] >= 14
+    assert swap.missed is not None and swap.missed >= 14
+    assert swap.gap_periods is not None and swap.gap_periods >= 14
 
 
 async def planted(folder: Path, order: tuple[str, ...]) -> SwapReport:

@@ -20,6 +20,7 @@ from midstride.runtime import reaper
 from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.reaper import Reaper, look
+from midstride.wire.channel import Channel
 from midstride.wire.commands import AttachCommand, DetachCommand, Detached, ModesCommand, WelcomeCommand
 from midstride.wire.environment import ENV_TOKEN
 from midstride.wire.frames import Greeting, Registration
@@ -66,6 +67,13 @@ def run(coroutine: Coroutine[Any, Any, T], seconds: float = 60.0) -> T:
         return await asyncio.wait_for(coroutine, seconds)
 
     return asyncio.run(bounded())
+
+
+def without_midstride() -> dict[str, str]:
+    """The environment of a process started by hand, with the middleware set as for one that a manager starts."""
+    from midstride.backends.ros2 import dds_profiles
+
+    return dds_profiles.tuned_environment({k: v for k, v in os.environ.items() if not k.startswith("MIDSTRIDE_")})
 
 
 def alive(pid: int) -> bool:
@@ -146,6 +154,17 @@ class Rig:
     async def link(self, instance: str, port: str, topic: str) -> LinkState:
         """The state of one attachment."""
         return (await self.client.observe(instance)).ports[port][topic]
+
+    async def channel(self, instance: str) -> Channel:
+        """A control connection beside the manager's."""
+        transport = self.backend.transport
+        return await Channel.open(transport, transport.address(instance), self.token, timeout=5.0)
+
+    async def shows_node(self, full_name: str) -> bool:
+        return full_name in (await self.backend.endpoints()).nodes
+
+    async def shows_reader(self, full_name: str, topic: str) -> bool:
+        return (full_name, topic) in (await self.backend.endpoints()).subscribers
 
     def pid(self, instance: str) -> int:
         pid = self.handles[instance].pid

@@ -15,7 +15,7 @@ import pytest
 from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle, Launch
 from midstride.runtime.component_client import ComponentClient
-from midstride.wire.messages import ENV_TOKEN, Command
+from midstride.wire.environment import ENV_TOKEN, Command
 from tests.backends.ros2_support import LISTENER, TALKER, Bare, alive, rig, run, shared_memory_of, until, until_async
 
 pytestmark = pytest.mark.ros2
@@ -297,7 +297,7 @@ from pathlib import Path
 from midstride.backends.ros2 import create_backend
 from midstride.runtime.backend import Launch
 from midstride.runtime.reaper import Guardian
-from midstride.wire.messages import ENV_TOKEN
+from midstride.wire.environment import ENV_TOKEN
 
 async def main(token):
     heard = asyncio.Event()

@@ -17,7 +17,7 @@ import pytest
 
 from midstride.backends.ros2 import dds_profiles
 from midstride.errors import BackendError
-from midstride.wire.messages import ENV_TOKEN, Command
+from midstride.wire.environment import ENV_TOKEN, Command
 from tests.backends.ros2_support import LISTENER, TALKER, Bare, Rig, alive, rig, run, until
 
 pytestmark = pytest.mark.ros2

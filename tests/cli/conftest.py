@@ -18,7 +18,7 @@ import pytest
 
 from midstride.cli import main
 from midstride.runtime.reaper import look
-from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
+from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"

@@ -14,8 +14,8 @@ from midstride.model.contract import Interval, Predicate, QoS
 from midstride.model.diagnostics import CATALOGUE, Problem, suggestion
 from midstride.model.specification import Specification
 from midstride.model.specification_checks import check, check_component, errors
-from tests.model.build import at, component, mode, named, source
 from tests.codec.test_specification_form import FAULTS, spoil
+from tests.model.build import at, component, mode, named, source
 
 STRING = "std_msgs/msg/String"
 FAST = {"type": STRING, "rate": 10}

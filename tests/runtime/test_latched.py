@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -13,6 +12,7 @@ from midstride.codec.specification import decode_specification
 from midstride.model.contract import QoS
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import replace
 
@@ -58,7 +58,7 @@ def test_a_replacement_goes_on_with_what_it_wrote_on_entry(strategy: str, tmp_pa
     (tmp_path / "mapper.py").write_text(_PROGRAM)
     simulator = Simulator()
 
-    async def main() -> tuple[list[str], dict[str, Any], list[str]]:
+    async def main() -> tuple[list[str], Outcome, list[str]]:
         manager = Manager(decode_specification(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
         await manager.up()
         try:
@@ -70,7 +70,7 @@ def test_a_replacement_goes_on_with_what_it_wrote_on_entry(strategy: str, tmp_pa
 
     before, outcome, after = simulator.run(main())
     assert before == ["mapper"]
-    assert (outcome["outcome"], outcome["because"]) == ("done", None)
+    assert (outcome.outcome, outcome.because) == ("done", None)
     assert after == ["mapper_2"]
 
 
@@ -79,7 +79,7 @@ def test_one_that_is_attached_again_has_its_message_on_the_topic_again(tmp_path:
     (tmp_path / "mapper.py").write_text(_PROGRAM)
     simulator = Simulator()
 
-    async def main() -> tuple[dict[str, Any], list[str]]:
+    async def main() -> tuple[Outcome, list[str]]:
         manager = Manager(decode_specification(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
         await manager.up()
         try:
@@ -90,5 +90,5 @@ def test_one_that_is_attached_again_has_its_message_on_the_topic_again(tmp_path:
             await manager.close()
 
     outcome, after = simulator.run(main())
-    assert outcome["outcome"] == "rolled_back"
+    assert outcome.outcome == "rolled_back"
     assert after == ["mapper"]

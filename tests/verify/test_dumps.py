@@ -22,7 +22,7 @@ from midstride.verify.checking import Asking, verify_configuration, verify_plan,
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
 from midstride.verify.export import dump_configuration, dump_plan
 from midstride.verify.library import carried
-from midstride.verify.verdict import Answer, Finding, Verdict
+from midstride.verify.verdict import Answer, Finding, Verdict, VerdictForm
 from tests.verify.systems import EXAMPLES, ROVER, TALKER, plan, specification
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "alloy"
@@ -130,7 +130,7 @@ def test_what_is_not_valid_is_told_by_its_names(how: str, kind: str, words: str)
     assert verdict.answer is Answer.VIOLATED
     assert [finding.kind for finding in verdict.findings] == [kind]
     assert words in str(verdict.findings[0])
-    assert verdict.to_document()["verdict"] == "violated"
+    assert VerdictForm.of(verdict).verdict == "violated"
 
 
 HOSTILE = """

@@ -15,6 +15,7 @@ from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification
 from midstride.plan.request import Request
+from midstride.plan.request_form import decode_request
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +68,7 @@ def read(folder: Path) -> Demo:
             specification=load(folder / document["specification"]),
             listen_to=str(document["listen_to"]),
             acts=tuple(
-                DemoStep(str(act["name"]), str(act["says"]), Request.from_document(act["request"]))
-                for act in document["acts"]
+                DemoStep(str(act["name"]), str(act["says"]), decode_request(act["request"])) for act in document["acts"]
             ),
         )
     except (KeyError, TypeError) as error:

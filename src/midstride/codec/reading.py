@@ -12,6 +12,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from typing import Any, TypeVar
 
 import msgspec
@@ -87,6 +88,13 @@ def decode(
     if faults:
         raise SpecificationError(faults)
     return value
+
+
+def under(key: str, problems: Iterable[Problem]) -> Iterable[Problem]:
+    """The problems of a part, as those of the whole in which it is under ``key``."""
+    for problem in problems:
+        declared = (key, *problem.declared) if problem.declared else ()
+        yield replace(problem, subject=(key, *problem.subject), declared=declared)
 
 
 def decode_form(document: object, form: type[F]) -> F:

@@ -38,7 +38,7 @@ R = TypeVar("R")
 # How long a call of user code may take to return before a mode change is given up (s).
 DRAIN_TIMEOUT: Final = 5.0
 
-Told = Callable[[str, str, dict[str, Any]], None]
+Tell = Callable[[str, str, dict[str, Any]], object]
 
 
 @dataclass(slots=True)
@@ -51,7 +51,7 @@ class ActionDriver:
 
     client: ComponentClient
     launcher: Launcher
-    tell: Told
+    tell: Tell
     is_gone: Callable[[str], bool] = lambda _: False
     lingering_readers: LingeringReaders = no_lingering_readers
     before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None

@@ -207,16 +207,16 @@ class ComponentClient:
     async def observe(self, instance: str) -> ComponentState:
         """The component's state; its revision is the one expected from now on."""
         state = await self.read(instance, ObserveCommand(timeout=0.0))
-        self.accept(state)
+        self._revisions[instance] = state.revision
         return state
 
     async def peek(self, instance: str) -> ComponentState:
         """The component's state, for showing: the revision expected of it stays as it is."""
         return await self.read(instance, ObserveCommand(timeout=0.0))
 
-    def accept(self, state: ComponentState) -> None:
-        """The state is in the model now: its revision is the one expected from now on."""
-        self._revisions[state.instance] = state.revision
+    def accept(self, instance: str) -> None:
+        """The state that it last reported is in the model now: its revision is the one expected from now on."""
+        self._revisions[instance] = self._latest[instance].state.revision
 
     async def undo(self, instance: str, command: Command[Any]) -> None:
         """Have a component put something back, whatever revision it is at; a refusal is final, a failure ignored.

@@ -36,16 +36,12 @@ def observe(configuration: Configuration, client: ComponentClient, gone: Contain
 def own_degradations(
     configuration: Configuration, client: ComponentClient, gone: Container[str]
 ) -> dict[FunctionalityRef, int]:
-    """The functionalities that report a worse mode than the model has; ``gone`` are left out.
-
-    The caller takes them into the model: the components are expected at the revision that they report it at.
-    """
+    """The functionalities that report a worse mode than the model has; ``gone`` are left out."""
     worse: dict[FunctionalityRef, int] = {}
     for name in sorted(configuration.instances):
         latest = client.latest(name)
-        if latest is not None and name not in gone and (found := own_degradations_in(configuration, latest.state)):
-            worse.update(found)
-            client.accept(latest.state)
+        if latest is not None and name not in gone:
+            worse.update(own_degradations_in(configuration, latest.state))
     return worse
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from midstride.errors import MidstrideError
 from midstride.model.action import Action, Attach, Create, Detach, Handover, Remove
@@ -190,7 +190,3 @@ def _normal(configuration: Configuration, output: PortRef) -> Predicate | None:
 
 def _unknown(topic: str, port: PortRef, period: float | None) -> SwapReport:
     return SwapReport(topic, str(port), period, None, None, None, None, None)
-
-
-def to_documents(reports: Iterable[SwapReport]) -> list[dict[str, Any]]:
-    return [entry.to_document() for entry in reports]

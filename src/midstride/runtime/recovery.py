@@ -1,20 +1,14 @@
 """Finding a running system again: what an earlier manager left, and what is true of it now.
 
-The state file says what the earlier manager believed; each component says what it is. Where they
+The state store has what the earlier manager believed; each component reports what it is. Where they
 differ, the component is right. What a killed manager left half done (a second instance of a role
 behind its gate) is ended here, so that the configuration is one the model knows.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Callable, Sequence
 
-from immutables import Map
-
-from midstride.codec.component import decode_component, encode_component
-from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import MidstrideError
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
@@ -22,60 +16,30 @@ from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.state_store import SavedInstance
 from midstride.wire.commands import GateCommand, RecordCommand
 from midstride.wire.state import ComponentState
 
-Tell = Callable[[str, str], None]
+Tell = Callable[[str, str], object]
 
 
-def state_document(
+async def recover(
+    saved: Sequence[SavedInstance],
     specification: Specification,
-    backend: str,
-    token: str,
-    instances: Iterable[Instance],
-    attachments: Iterable[tuple[PortRef, str]],
-    handles: Mapping[str, Handle],
-) -> dict[str, Any]:
-    """What the next manager needs to find this system again."""
-    return {
-        "version": 1,
-        "backend": backend,
-        "token": token,
-        "specification": encode_specification(specification),
-        "instances": [
-            {
-                "name": instance.name,
-                "role": instance.role,
-                "component": encode_component(instance.component),
-                "parameters": dict(instance.parameters),
-                "handle": asdict(handles[instance.name]) if instance.name in handles else None,
-            }
-            for instance in sorted(instances, key=lambda instance: instance.name)
-        ],
-        "attachments": [[str(port), connector] for port, connector in sorted(attachments)],
-    }
-
-
-def specification_of(state: dict[str, Any]) -> Specification:
-    return decode_specification(state["specification"])
-
-
-async def adopt(
-    state: dict[str, Any], specification: Specification, launcher: Launcher, client: ComponentClient, tell: Tell
+    launcher: Launcher,
+    client: ComponentClient,
+    tell: Tell,
 ) -> Configuration:
     """The configuration of what still runs. Ends half-started components; never touches what works."""
     found: dict[str, tuple[Instance, ComponentState]] = {}
-    for entry in state["instances"]:
-        instance = Instance(
-            entry["name"], entry["role"], decode_component(entry["component"]), Map(entry["parameters"])
-        )
-        handle = Handle(**entry["handle"]) if entry["handle"] else Handle(instance.name)
-        observed = await launcher.adopt(handle, own=entry["handle"] is not None)
-        if observed is None:
+    for entry in saved:
+        instance, handle = entry.instance, entry.handle
+        state = await launcher.adopt(handle or Handle(instance.name), own=handle is not None)
+        if state is None:
             tell("gone", f"{instance.name} no longer runs")
             await launcher.abandon(instance.name)
             continue
-        found[instance.name] = (instance, observed)
+        found[instance.name] = (instance, state)
         tell("adopted", f"{instance.name} was found again")
     for name in await launcher.end_strays(found):
         tell("ended", f"{name} had just been started by an earlier manager, and is ended")

@@ -16,6 +16,7 @@ from typing import Final
 from midstride.errors import VerificationError
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
+from midstride.runtime.component_client import SILENCE
 from midstride.runtime.observed_configuration import ObservedConfiguration
 from midstride.verify.checking import Asking, verify_configuration, verify_plan
 from midstride.verify.verdict import Verdict
@@ -56,7 +57,10 @@ class StepVerifier:
         """Raises VerificationError where what is live is not known, or is not known to be valid."""
         found = self.observe(configuration)
         if found.silent:
-            raise VerificationError(f"what is live is not known: {', '.join(found.silent)} did not answer")
+            silent = ", ".join(found.silent)
+            raise VerificationError(
+                f"what is live is not known: {silent} has reported nothing for more than {SILENCE:g} s"
+            )
         if found.configuration in self.judged:
             return
         verdict = await self.verifier.configuration(found.configuration)

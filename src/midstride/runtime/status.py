@@ -1,9 +1,8 @@
-"""What is live and in which mode, as the components themselves tell it, beside what the model says."""
+"""What is live and in which mode, as the components report it, beside what the model says."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef, PortRef
@@ -11,89 +10,116 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime.backend import Exited
 from midstride.runtime.component_client import ComponentClient
-from midstride.wire.state import ComponentState
+from midstride.runtime.reports import (
+    AttachmentStatus,
+    ComponentStatus,
+    CrashedInstance,
+    FunctionalityStatus,
+    RunningCommand,
+    Status,
+    TopicStatus,
+    Why,
+)
+from midstride.runtime.running_system import RunningSystem
+from midstride.wire.state import ComponentState, FunctionalityState, GateState
 
-State = dict[str, Any]
 
-
-def status(configuration: Configuration, client: ComponentClient, gone: Mapping[str, Exited]) -> State:
-    """The document of ``midstride status``."""
-    states = {name: client.responsive(name) for name in sorted(configuration.instances)}
+def status(
+    system: RunningSystem,
+    client: ComponentClient,
+    *,
+    crashed: Mapping[str, Exited],
+    pids: Mapping[str, int | None],
+    backend: str,
+    running: RunningCommand | None,
+    unwritten: str | None,
+) -> Status:
+    """The answer to ``midstride status``. ``pids`` are known of those that report nothing."""
+    configuration = system.configuration
     found = violations(configuration)
     components = [
-        _component(configuration, instance, states[name]) for name, instance in sorted(configuration.instances.items())
+        _component(configuration, instance, client.responsive(name), pids.get(name))
+        for name, instance in sorted(configuration.instances.items())
     ]
-    differing = [row["name"] for row in components if not row["as_modelled"]]
-    crashed = [
-        {"name": name, "status": exited.status, "log": exited.log_tail}
-        for name, exited in sorted(gone.items())
-        if name not in configuration.instances
-    ]
-    return {
-        "valid": not found and not differing and all(row["reachable"] for row in components),
-        "violations": [str(violation) for violation in found],
-        "components": components,
-        "crashed": crashed,
-        "topics": [
-            {
-                "name": name,
-                "satisfied": Evaluator(configuration).connector_satisfied(name),
-                "publishers": [str(port) for port in sorted(configuration.publishers_on(name))],
-                "subscribers": [str(port) for port in sorted(configuration.subscribers_on(name))],
-            }
-            for name in sorted(configuration.context.connectors)
+    return Status(
+        valid=not found and all(each.reachable and each.as_modelled for each in components),
+        violations=[str(violation) for violation in found],
+        components=components,
+        crashed=[
+            CrashedInstance(name=name, status=exited.status, log=exited.log_tail)
+            for name, exited in sorted(crashed.items())
+            if name not in configuration.instances
         ],
-    }
+        topics=_topics(configuration),
+        system=system.specification.name,
+        backend=backend,
+        revision=system.revision,
+        running=running,
+        unwritten=unwritten,
+    )
 
 
-def _component(configuration: Configuration, instance: Instance, state: ComponentState | None) -> State:
-    own = {} if state is None else state.functionalities
-    functionalities = []
-    as_modelled = True
-    for ref in instance.functionality_refs():
-        functionality = configuration.functionality(ref)
-        modelled = configuration.mode(ref).name
-        view = own.get(ref.functionality)
-        mode = modelled if view is None else view.mode
-        as_modelled = as_modelled and mode == modelled
-        functionalities.append(
-            {
-                "name": str(ref),
-                "mode": mode,
-                "modelled": modelled,
-                "normal": mode == functionality.modes[0].name,
-                "because": None if view is None else view.because,
-                "since": None if view is None else view.since,
-                "busy": None if view is None else view.busy,
-            }
+def _topics(configuration: Configuration) -> list[TopicStatus]:
+    evaluator = Evaluator(configuration)
+    return [
+        TopicStatus(
+            name=name,
+            satisfied=evaluator.connector_satisfied(name),
+            publishers=[str(port) for port in sorted(configuration.publishers_on(name))],
+            subscribers=[str(port) for port in sorted(configuration.subscribers_on(name))],
         )
-    links = {} if state is None else state.ports
+        for name in sorted(configuration.context.connectors)
+    ]
 
-    def gate(port: PortRef, connector: str) -> str | None:
-        link = links.get(port.port, {}).get(configuration.context.connectors[connector].topic)
-        return None if link is None else link.gate
 
-    return {
-        "name": instance.name,
-        "role": instance.role,
-        "component": instance.component.name,
-        "pid": None if state is None else state.pid,
-        "reachable": state is not None,
-        "waiting": None if state is None else state.waiting,
-        "as_modelled": as_modelled,
-        "functionalities": functionalities,
-        "attachments": [
-            {
-                "port": str(port),
-                "connector": connector,
-                "gate": gate(port, connector),
-            }
+def _component(
+    configuration: Configuration, instance: Instance, state: ComponentState | None, pid: int | None
+) -> ComponentStatus:
+    reported = {} if state is None else state.functionalities
+    functionalities = [
+        _functionality(configuration, ref, reported.get(ref.functionality)) for ref in instance.functionality_refs()
+    ]
+    return ComponentStatus(
+        name=instance.name,
+        role=instance.role,
+        component=instance.component.name,
+        pid=pid if state is None else state.pid,
+        reachable=state is not None,
+        waiting=None if state is None else state.waiting,
+        as_modelled=all(each.mode == each.modelled for each in functionalities),
+        functionalities=functionalities,
+        attachments=[
+            AttachmentStatus(port=str(port), connector=connector, gate=_gate(configuration, state, port, connector))
             for port, connector in configuration.attached_ports(instance.name)
         ],
-    }
+    )
 
 
-def why(configuration: Configuration, client: ComponentClient, functionality: str) -> State:
+def _gate(
+    configuration: Configuration, state: ComponentState | None, port: PortRef, connector: str
+) -> GateState | None:
+    topics = {} if state is None else state.ports.get(port.port, {})
+    link = topics.get(configuration.context.connectors[connector].topic)
+    return None if link is None else link.gate
+
+
+def _functionality(
+    configuration: Configuration, ref: FunctionalityRef, state: FunctionalityState | None
+) -> FunctionalityStatus:
+    modelled = configuration.mode(ref).name
+    mode = modelled if state is None else state.mode
+    return FunctionalityStatus(
+        name=str(ref),
+        mode=mode,
+        modelled=modelled,
+        normal=mode == configuration.functionality(ref).modes[0].name,
+        because=None if state is None else state.because,
+        since=None if state is None else state.since,
+        busy=None if state is None else state.busy,
+    )
+
+
+def why(configuration: Configuration, client: ComponentClient, functionality: str) -> Why:
     """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
     asked = FunctionalityRef.parse(functionality)
     every = [ref for instance in configuration.instances.values() for ref in instance.functionality_refs()]
@@ -107,28 +133,26 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
         raise PlanRefused(f"there is no functionality {functionality}; there are {known}")
     ref = sorted(matching)[0]
     state = client.responsive(ref.instance)
-    view = None if state is None else state.functionalities.get(ref.functionality)
-    mode = configuration.mode(ref).name if view is None else view.mode
-    return {
-        "functionality": str(ref),
-        "mode": mode,
-        "normal": configuration.functionality(ref).modes[0].name == mode,
-        "because": None if view is None else view.because,
-        "chain": _chain(configuration, ref),
-        "inputs": {
-            str(PortRef(ref.instance, name)): Evaluator(configuration).input_satisfied(PortRef(ref.instance, name))
-            for name in configuration.functionality(ref).inputs
-        },
-    }
+    reported = _functionality(configuration, ref, None if state is None else state.functionalities[ref.functionality])
+    evaluator = Evaluator(configuration)
+    inputs = [PortRef(ref.instance, name) for name in configuration.functionality(ref).inputs]
+    return Why(
+        functionality=str(ref),
+        mode=reported.mode,
+        normal=reported.normal,
+        because=reported.because,
+        chain=_reasons(configuration, ref),
+        inputs={str(port): evaluator.input_satisfied(port) for port in inputs},
+    )
 
 
-def _chain(configuration: Configuration, ref: FunctionalityRef) -> list[str]:
+def _reasons(configuration: Configuration, ref: FunctionalityRef) -> list[str]:
     """For each better mode than the current one: what it assumes that does not hold."""
-    judge, functionality, told = Evaluator(configuration), configuration.functionality(ref), []
-    for index in range(configuration.modes[ref]):
-        mode = functionality.modes[index]
-        missing = [a for a in mode.assumptions if not judge.assumption_satisfied(ref, functionality, a)]
-        told += [f"not {mode.name}: it {judge.why_assumption_unsatisfied(ref, a)}" for a in missing]
+    evaluator, functionality = Evaluator(configuration), configuration.functionality(ref)
+    reasons = []
+    for mode in functionality.modes[: configuration.modes[ref]]:
+        missing = [a for a in mode.assumptions if not evaluator.assumption_satisfied(ref, functionality, a)]
+        reasons += [f"not {mode.name}: it {evaluator.why_assumption_unsatisfied(ref, a)}" for a in missing]
         if not missing:
-            told.append(f"not {mode.name}: all it assumes holds; nobody has raised it yet")
-    return told
+            reasons.append(f"not {mode.name}: all it assumes holds; it has not been upgraded yet")
+    return reasons

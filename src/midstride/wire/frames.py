@@ -82,6 +82,7 @@ class StateChanged(Frame, frozen=True, kw_only=True, tag="state"):
 FromComponent: TypeAlias = Greeting | Reply | Registration | StateChanged
 FromClient: TypeAlias = Hello | Request
 
+
 class _Named(msgspec.Struct):
     command: str
 

@@ -34,7 +34,7 @@ from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.process import Process, find, spawn
 from midstride.runtime.reaper import Reaper
-from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
+from midstride.wire.environment import ENV_INSTANCE, Announcement, Command, Reply
 
 # A manager that has just joined knows nobody yet: that long it listens before it says that a name is free (s).
 _LISTEN: Final = 0.3

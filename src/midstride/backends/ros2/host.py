@@ -33,7 +33,7 @@ from midstride.backends.ros2.timers import Ros2GridTimer
 from midstride.errors import NodeError
 from midstride.model.contract import QoS
 from midstride.node.host import MessageInfo
-from midstride.wire.messages import ENV_PARAMETERS, ENV_TOKEN, Announcement, Command, Reply
+from midstride.wire.environment import ENV_PARAMETERS, ENV_TOKEN, Announcement, Command, Reply
 
 T = TypeVar("T")
 

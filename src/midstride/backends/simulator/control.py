@@ -7,12 +7,22 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from collections.abc import Awaitable, Callable
 from typing import Literal, Protocol, TypeAlias
 
 from midstride.backends.simulator.clock import SimulatedClock
 from midstride.errors import NodeError, Unreachable
-from midstride.wire.frames import Reply, Request, command_name, decode_from_client, decode_from_component, encode
+from midstride.wire.frames import (
+    Reply,
+    Request,
+    StateChanged,
+    command_name,
+    decode_from_client,
+    decode_from_component,
+    encode,
+)
 from midstride.wire.pipe import PipeEnd, PipeListener, PipeNetwork
+from midstride.wire.state import ComponentState
 from midstride.wire.transport import Connection, Serve
 
 _SCHEME = "memory:"
@@ -56,7 +66,10 @@ class ClientEnd:
         request = decode_from_client(frame)
         fault = None
         if isinstance(request, Request):
-            fault = self._control.faults.of_call(self._instance, command_name(request))
+            name = command_name(request)
+            if self._control.before_request is not None:
+                await self._control.before_request(self._instance, name)
+            fault = self._control.faults.of_call(self._instance, name)
         if fault == "unreachable":
             raise Unreachable("the simulator was told that it cannot be reached")
         if isinstance(request, Request) and fault == "refused":
@@ -71,6 +84,13 @@ class ClientEnd:
         while (line := await self._end.receive()) is not None:
             if self._party is not None:
                 await self._party.thaw()
+            if self._control.rewrite_state is not None:
+                frame = decode_from_component(line)
+                if isinstance(frame, StateChanged):
+                    state = self._control.rewrite_state(frame.state)
+                    if state is None:
+                        continue
+                    line = encode(StateChanged(state=state))
             if self._lost_replies:
                 frame = decode_from_component(line)
                 if isinstance(frame, Reply) and frame.id in self._lost_replies:
@@ -126,6 +146,10 @@ class SimulatedControl:
 
     def __init__(self, clock: SimulatedClock, latency: float, faults: RequestFaults) -> None:
         self.faults = faults
+        # Awaited before each request, with the component's name and the command's: for tests and rehearsals.
+        self.before_request: Callable[[str, str], Awaitable[None]] | None = None
+        # What becomes of a state that a component reports; None: it gets lost.
+        self.rewrite_state: Callable[[ComponentState], ComponentState | None] | None = None
         self._clock = clock
         self._latency = latency
         self._pipes = PipeNetwork()

@@ -71,7 +71,9 @@ def verify_command(
         else:
             click.echo(f"There is nothing to draw: {picture} is not written.", err=True)
     if wants_json():
-        print_json(verdict.to_document())
+        from midstride.verify.verdict import VerdictForm
+
+        print_json(VerdictForm.of(verdict))
     else:
         for text, style in lines(verdict):
             console().print(text, style=style, markup=False)
