@@ -1,6 +1,6 @@
 """Who this process is, and which platform it runs on: asked once, in ``Component.start``.
 
-The manager tells a component's process through environment variables (wire/messages.py). In the
+The manager tells a component's process through environment variables (wire/environment.py). In the
 simulator many components share one process, so there a context variable says it instead.
 """
 
