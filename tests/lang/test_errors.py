@@ -215,6 +215,8 @@ HOSTILE = {
     "many constraints": "system s\ncontract C = std_msgs/msg/String where " + "a = 1, " * 30_000 + "a = 2",
     "unknown names": "system s\ncomponent C { output out }\n"
     + "".join(f"topic /t{n} : p/T\nnode n{n} : C {{ out -> /u{n} }}\n" for n in range(5_000)),
+    "unknown contracts": "system s\n"
+    + "".join(f"contract Contract{n} = p/T\ntopic /t{n} : Kontract{n}\n" for n in range(5_000)),
     "many outputs": "system s\ncomponent C {\n" + "".join(f"output a{n}\n" for n in range(20_000)) + "}\n",
     "many guarantees": "system s\n"
     + "".join(f"topic /t{n} : p/T\nenvironment {{ guarantee g{n} on /t{n} : p/T }}\n" for n in range(20_000)),

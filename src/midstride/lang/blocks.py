@@ -11,8 +11,8 @@ from collections.abc import Callable, Mapping
 
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.lexer import Tokens
-from midstride.lang.near_miss import nearest
 from midstride.lang.token_stream import BELONGS, RESERVED, Panic, TokenStream
+from midstride.model.near_miss import nearest
 
 Handlers = Mapping[str, Callable[[], None]]
 

@@ -15,8 +15,8 @@ from typing import Final
 from midstride.lang.catalogue_model import MODEL
 from midstride.lang.catalogue_text import TEXT
 from midstride.lang.diagnostics import Severity
-from midstride.lang.near_miss import did_you_mean
 from midstride.model.diagnostics import CATALOGUE as MODEL_KINDS
+from midstride.model.near_miss import did_you_mean
 
 
 @dataclass(frozen=True, slots=True)

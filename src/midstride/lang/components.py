@@ -15,7 +15,6 @@ from immutables import Map
 from midstride.lang.contracts import Contracts
 from midstride.lang.declarations import MAX_PARTS, bounded
 from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.near_miss import did_you_mean
 from midstride.lang.syntax import (
     Allowed,
     Assumed,
@@ -37,6 +36,7 @@ from midstride.model.component import (
     ParameterSpec,
 )
 from midstride.model.contract import NOTHING, Predicate
+from midstride.model.near_miss import did_you_mean
 
 T = TypeVar("T")
 

@@ -11,7 +11,6 @@ from typing import Any, Final, get_args
 
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.message_types import MessageDefinition, MessageTypes, Missing, field_kind
-from midstride.lang.near_miss import did_you_mean
 from midstride.lang.parse_contract import SECONDS
 from midstride.lang.source import Span
 from midstride.lang.syntax import ContractDeclaration, ContractExpression, FieldConstraint, Name, Policy
@@ -29,6 +28,7 @@ from midstride.model.contract import (
     ValueSet,
     canonical_type,
 )
+from midstride.model.near_miss import did_you_mean
 
 _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "reliability": get_args(Reliability),
@@ -154,11 +154,12 @@ class Contracts:
         return self._resolved.get(first)
 
     def _undeclared(self, name: str, span: Span) -> None:
-        if name not in self.lost:
-            help = did_you_mean(name, self.declared)
-            if help is None:
-                help = f"declare it (`contract {name} = …`), or name a message type (`std_msgs/msg/String`)"
-            self.reporter.report("E008", span, f"there is no contract `{name}`", help=help)
+        if name in self.lost or self.reporter.is_full:  # looking for near misses takes time
+            return
+        help = did_you_mean(name, self.declared)
+        if help is None:
+            help = f"declare it (`contract {name} = …`), or name a message type (`std_msgs/msg/String`)"
+        self.reporter.report("E008", span, f"there is no contract `{name}`", help=help)
 
     def _type(self, name: Name) -> bool:
         """Whether a type may be used: it is known, or nothing is known of its package."""

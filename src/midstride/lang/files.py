@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import Final
 
 from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.near_miss import did_you_mean
 from midstride.lang.parser import parse
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import File, IncludeStatement, Item, NamespaceBlock
+from midstride.model.near_miss import did_you_mean
 
 Read = Callable[[Path], str]
 

@@ -12,11 +12,11 @@ from immutables import Map
 from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, bounded, topic_name
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.files import Read, Unreadable, read_source
-from midstride.lang.near_miss import did_you_mean
 from midstride.lang.parameter_files import Given, Section, read_sections
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import ComponentDeclaration, Name
 from midstride.model.component import ComponentSpec, ParameterSpec, ParameterValue
+from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Node
 
 

@@ -7,7 +7,6 @@ from typing import Final
 
 from midstride.lang.blocks import BlockParser
 from midstride.lang.lexer import string_value
-from midstride.lang.near_miss import nearest
 from midstride.lang.syntax import (
     ContractExpression,
     FieldConstraint,
@@ -21,6 +20,7 @@ from midstride.lang.syntax import (
 from midstride.lang.token_stream import RESERVED, Panic
 from midstride.model.component import ParameterValue
 from midstride.model.contract import Scalar
+from midstride.model.near_miss import nearest
 
 HERTZ: Final = {"Hz": 1.0, "kHz": 1000.0}
 SECONDS: Final = {"s": 1.0, "ms": 0.001, "us": 0.000001, "min": 60.0}

@@ -10,9 +10,9 @@ from typing import Final
 
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.lexer import Tokens, string_value
-from midstride.lang.near_miss import nearest
 from midstride.lang.source import Span
 from midstride.lang.syntax import Name, Number, SourceLayout
+from midstride.model.near_miss import nearest
 
 # The words that begin a statement, with the block they belong to. No declared name may be one: lists need no comma, so
 # the next statement must be told from the next name.
