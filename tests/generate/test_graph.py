@@ -58,7 +58,7 @@ def test_the_papers_figure_1() -> None:
     assert {topic.name for topic in drawn.topics} == {"/scan", "/obstacles", "/cmd_vel", "/odom"}
     assert Edge("node detector", "topic /obstacles", start_port="out") in drawn.edges
     assert Edge("topic /obstacles", "node controller", end_port="obstacles") in drawn.edges
-    assert Edge("environment camera_device", "node detector", relies=True) in drawn.edges
+    assert Edge("environment camera_device", "node detector", assumed=True) in drawn.edges
     assert Edge("environment localization", "topic /odom") in drawn.edges
     assert len(drawn.edges) == 7
 

@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from midstride.lang.files import Unreadable, decoded
+from midstride.lang.files import Unreadable, decode_utf8
 from midstride.lang.load import load_text
 from midstride.lang.printer import format_text
 
@@ -88,7 +88,7 @@ def mutated(data: bytes, others: list[bytes], rng: random.Random) -> bytes:
 def check(data: bytes) -> None:
     """Deal with one input as the command line would; raises only where something is wrong with the language."""
     try:
-        text = decoded(data)
+        text = decode_utf8(data)
     except Unreadable:
         return
     files = {Path("a.stride"): text, Path("p.yaml"): text}

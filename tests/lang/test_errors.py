@@ -189,10 +189,10 @@ def test_the_json_form_of_a_diagnostic() -> None:
         "column": 8,
         "end_line": 2,
         "end_column": 9,
-        "message": "a file names its system once",
+        "message": "a file can name only one system",
         "help": None,
         "follows": None,
-        "notes": [{"message": "the first one is here", "file": "t.stride", "line": 1, "column": 8}],
+        "notes": [{"message": "first named here", "file": "t.stride", "line": 1, "column": 8}],
     }
 
 

@@ -306,8 +306,8 @@ def test_what_only_some_nodes_are_given_is_told_once_for_all_parameters() -> Non
     text += "".join(f"node {name} : Talker {{ out -> /t }}\n" for name in "abc")
     found = loading(text, {"p.yaml": "a: {ros__parameters: {x: 1, y: 2, z: 3}}\nb: {ros__parameters: {y: 1}}\n"})
     assert [diagnostic.message for diagnostic in found.diagnostics] == [
-        "parameter `x` (and 1 more) is given for a, but not for b, and Talker declares no value for them",
-        "parameter `y` is given for a, but not for c, and Talker declares no value for it",
+        "parameter `x` (and 1 more) is set for a but not for b, and Talker declares no value for them",
+        "parameter `y` is set for a but not for c, and Talker declares no value for it",
     ]
 
 

@@ -106,17 +106,19 @@ MISTAKES = {
     "a type as Python has it": Mistake(
         "topic /stop   : std_msgs/msg/Bool",
         "topic /stop   : ‹E133›std_msgs.msg.Bool",
-        "is no message type",
+        "is not a message type",
         "write `std_msgs/msg/Bool`",
     ),
     "a type as C++ has it": Mistake(
         "topic /stop   : std_msgs/msg/Bool",
         "topic /stop   : ‹E133›std_msgs::msg::Bool",
-        "is no message type",
+        "is not a message type",
         "write `std_msgs/msg/Bool`",
     ),
-    "the unit of a time for a rate": Mistake("@ 20 Hz", "@ 20 ‹E127›ms", "`ms` is no unit of a rate", "write `20 Hz`"),
-    "no unit": Mistake("@ 20 Hz", "@ ‹E127›20", "a rate needs its unit", "write `20 Hz`"),
+    "the unit of a time for a rate": Mistake(
+        "@ 20 Hz", "@ 20 ‹E127›ms", "`ms` is not a valid unit for a rate", "write `20 Hz`"
+    ),
+    "no unit": Mistake("@ 20 Hz", "@ ‹E127›20", "a rate needs a unit", "write `20 Hz`"),
     "a brace too few": Mistake(
         "    mode off { }\n  }\n}\n\ncomponent Mean",
         "    mode off { }\n  }‹E123›\n\ncomponent Mean",
@@ -124,21 +126,23 @@ MISTAKES = {
         None,
     ),
     "a brace too many": Mistake(
-        '"python3 sensor.py"', '"python3 sensor.py" ‹E124›}', "closes component `Sensor`, and `output`", "leave it out"
+        '"python3 sensor.py"', '"python3 sensor.py" ‹E124›}', "closes component `Sensor` before `output`", "remove it"
     ),
     "a quote too few": Mistake(
-        '"python3 sensor.py"', '‹E113›"python3 sensor.py', "not closed", 'end it with `"` on the same line'
+        '"python3 sensor.py"', '‹E113›"python3 sensor.py', "unterminated string", 'end it with `"` on the same line'
     ),
     "a command without quotes": Mistake(
         '"python3 sensor.py"', "‹E120›python3 sensor.py", "in double quotes", 'write `run "python3 sensor.py"`'
     ),
-    "a semicolon": Mistake("/raw    : Distance", "/raw    : Distance‹E110›;", "`;` means nothing here", "leave it out"),
-    "a comment of C": Mistake("20 Hz", "20 Hz ‹E110›// fast", "`//` begins no comment", "comments begin with `#`"),
+    "a semicolon": Mistake("/raw    : Distance", "/raw    : Distance‹E110›;", "unexpected character `;`", "remove it"),
+    "a comment of C": Mistake(
+        "20 Hz", "20 Hz ‹E110›// fast", "`//` does not start a comment", "comments start with `#`"
+    ),
     "a colon as in YAML": Mistake(
-        "component Sensor", "component‹E120›: Sensor", "expected the name of a component, found `:`", "leave it out"
+        "component Sensor", "component‹E120›: Sensor", "expected a component name, found `:`", "remove it"
     ),
     "a capital": Mistake(
-        "component Sensor", "‹E121›Component Sensor", "`Component` begins", "did you mean `component`?"
+        "component Sensor", "‹E121›Component Sensor", "unknown statement `Component`", "did you mean `component`?"
     ),
     "an equals sign for a colon": Mistake(
         "guarantee stop : std_msgs/msg/Bool @ 10 Hz }\n    mode",
@@ -147,7 +151,7 @@ MISTAKES = {
         None,
     ),
     "two nodes of one name": Mistake(
-        "node brake  :", "node ‹E007›filter  :", "there is a node `filter` already", "give each its own name"
+        "node brake  :", "node ‹E007›filter  :", "node `filter` is already declared", "use another name"
     ),
     "the modes the wrong way round": Mistake(
         "    mode normal   { assume distance   guarantee stop : std_msgs/msg/Bool @ 10 Hz }\n"
@@ -206,13 +210,13 @@ MISTAKES = {
         "@ 20 Hz",
         "@ 20 Hz where ‹E138›radiation_type = INFRARED",
         "is a number",
-        "by their value: `radiation_type = 1`",
+        "the value of the constant: `radiation_type = 1`",
     ),
     "a file that is not there": Mistake(
         "contract Distance",
         'include ‹E100›"parts/lidar.stride"\ncontract Distance',
         "no such file",
-        "it is looked for beside this file, as `parts/lidar.stride`",
+        "the path is relative to this file: `parts/lidar.stride`",
     ),
     "a parameter nobody declares": Mistake(
         "in <- /raw ",
@@ -223,7 +227,7 @@ MISTAKES = {
     "a parameter with a unit": Mistake(
         '"python3 mean.py"',
         '"python3 mean.py" parameters { span = 5 ‹E120›s, mean = 1 }',
-        "has no unit",
+        "cannot have a unit",
         "write `span = 5`",
     ),
     "a parameter with a colon": Mistake(
@@ -239,7 +243,7 @@ MISTAKES = {
         "node sensor", "keep brake ‹E120›at normal\nnode sensor", "expected `.` after `brake`", None
     ),
     "a time without a unit": Mistake(
-        "node sensor", "limit brake.watch below baseline ‹E127›2\nnode sensor", "a time needs its unit", "write `2 s`"
+        "node sensor", "limit brake.watch below baseline ‹E127›2\nnode sensor", "a time needs a unit", "write `2 s`"
     ),
     "orders in a circle": Mistake(
         "node sensor",

@@ -62,10 +62,16 @@ def test_a_file_that_is_no_system_and_that_none_includes(service: LanguageServic
     [
         (
             "topic /sc|an      :",
-            ["**topic** `/scan`", "`sensor_msgs/msg/LaserScan @ 10 Hz", "from `lidar.out`", "satisfied"],
+            [
+                "**topic** `/scan`",
+                "`sensor_msgs/msg/LaserScan @ 10 Hz",
+                "published by `lidar.out`",
+                "subscribed by `detector.scan`",
+                "satisfied",
+            ],
         ),
         ("      assume Came|ra", ["**contract** `Camera`", "sensor_msgs/msg/Image @ 15 Hz"]),
-        ("node det|ector   :", ["a `ObstacleDetector`", "`detector.detect` will be in mode **normal**"]),
+        ("node det|ector   :", ["component `ObstacleDetector`", "`detector.detect` will be in mode **normal**"]),
         (
             "like Obs|tacleDetector",
             ["`python3 -m patrol.detector`", "input `scan : sensor_msgs", "functionality `detect`"],
@@ -73,7 +79,7 @@ def test_a_file_that_is_no_system_and_that_none_includes(service: LanguageServic
         ("controller.con|trol at", ["modes: normal, stop; weight 10", "will be in mode **normal**"]),
         ("control at nor|mal", ["assumes obstacles", "guarantees `cmd : geometry_msgs/msg/Twist @ 20 Hz`"]),
         ("produces o|ut\n\n    mode", ["normal: `sensor_msgs/msg/Range @ 10 Hz`", "degraded: `nothing`"]),
-        ("gpu_mem|ory = 8192", ["capacity 8192", "held at first: 2048"]),
+        ("gpu_mem|ory = 8192", ["capacity 8192", "in use initially: 2048"]),
         ("guarantee camera_|device", ["`sensor_msgs/msg/Image @ 30 Hz"]),
         ("changeable thres|hold", ["`0.4`, changeable in place"]),
     ],
@@ -190,23 +196,28 @@ def test_rename_in_a_file_included_twice_changes_both_of_what_it_declares() -> N
 @pytest.mark.parametrize(
     ("where", "name", "told"),
     [
-        ("node det|ector   :", "lidar", "there is a node `lidar` already"),
-        ("topic /obst|acles :", "/odom", "there is a topic `/odom` already"),
-        ("mode lid|ar_only {", "normal", "there is one mode `normal` here already"),
-        ("  input  sc|an : Scan", "Camera", "`Camera` is an input of ObstacleDetector and a contract"),
-        ("contract Sc|an   =", "contract", "`contract` is a word of the language"),
+        ("node det|ector   :", "lidar", "node `lidar` is already declared"),
+        ("topic /obst|acles :", "/odom", "topic `/odom` is already declared"),
+        ("mode lid|ar_only {", "normal", "duplicate mode `normal`"),
+        ("  input  sc|an : Scan", "Camera", "`Camera` is both an input of ObstacleDetector and a contract"),
+        ("contract Sc|an   =", "contract", "`contract` is a keyword"),
     ],
 )
 def test_a_name_that_is_taken_is_refused(service: LanguageService, where: str, name: str, told: str) -> None:
-    with pytest.raises(ValueError, match=f"^it would be an error: {re.escape(told)}"):
+    with pytest.raises(ValueError, match=f"^the rename would cause an error: {re.escape(told)}"):
         service.rename(ROOT, *at(PATROL, where), name)
 
 
 @pytest.mark.parametrize(
-    ("where", "name"), [("contract Sc|an   =", "a b"), ("contract Sc|an   =", "a/b"), ("# pat|rol", "x")]
+    ("where", "name", "message"),
+    [
+        ("contract Sc|an   =", "a b", "`a b` is not a valid contract name"),
+        ("contract Sc|an   =", "a/b", "`a/b` is not a valid contract name"),
+        ("# pat|rol", "x", "there is no symbol to rename at this position"),
+    ],
 )
-def test_what_cannot_be_renamed_is_refused(service: LanguageService, where: str, name: str) -> None:
-    with pytest.raises(ValueError, match=r"cannot name a contract|nothing that has a name"):
+def test_what_cannot_be_renamed_is_refused(service: LanguageService, where: str, name: str, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}$"):
         service.rename(ROOT, *at(PATROL, where), name)
 
 

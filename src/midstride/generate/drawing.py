@@ -45,7 +45,7 @@ def _dot_edge(edge: Edge, ids: dict[str, str], laid: GraphLayout) -> str:
     start = ids[edge.start] + (f":{_quoted('out ' + edge.start_port)}:{out}" if edge.start_port else "")
     end = ids[edge.end] + (f":{_quoted('in ' + edge.end_port)}:{into}" if edge.end_port else "")
     back = edge in laid.back
-    looks = [*(["dir=back"] if back else []), *(["style=dashed"] if edge.relies else [])]
+    looks = [*(["dir=back"] if back else []), *(["style=dashed"] if edge.assumed else [])]
     return (f"{end} -> {start}" if back else f"{start} -> {end}") + (f" [{', '.join(looks)}]" if looks else "")
 
 
@@ -112,7 +112,7 @@ def to_mermaid(view: View) -> str:
     ids = _ids(view)
     lines = ["flowchart TB" if layout(view).down else "flowchart LR"]
     for box in view.boxes:
-        notes = [f"{kind} {p.name}: {p.note}" for kind, ports in _sides(box) for p in ports if p.note]
+        notes = [f"{kind} {p.name}: {p.note}" for kind, ports in _ports_by_side(box) for p in ports if p.note]
         text = "<br/>".join([f"<b>{_mermaid(box.title)}</b>", *(_mermaid(line) for line in [*box.lines, *notes])])
         lines.append(f'  {ids[box.id]}["{text}"]:::{box.kind}')
     for topic in view.topics:
@@ -120,7 +120,7 @@ def to_mermaid(view: View) -> str:
         lines.append(f'  {ids[topic.id]}(["{_mermaid(topic.name)}{note}"]):::topic')
     for edge in view.edges:
         port = edge.start_port or edge.end_port
-        arrow = "-.->" if edge.relies else "-->"
+        arrow = "-.->" if edge.assumed else "-->"
         label = f"|{_mermaid(port)}|" if port else ""
         lines.append(f"  {ids[edge.start]} {arrow}{label} {ids[edge.end]}")
     lines += [f"  classDef {kind} fill:{colour},stroke:#5f6368" for kind, colour in _COLOURS.items()]
@@ -128,7 +128,7 @@ def to_mermaid(view: View) -> str:
     return "\n".join(lines)
 
 
-def _sides(box: Box) -> tuple[tuple[str, tuple[Port, ...]], tuple[str, tuple[Port, ...]]]:
+def _ports_by_side(box: Box) -> tuple[tuple[str, tuple[Port, ...]], tuple[str, tuple[Port, ...]]]:
     return ("in", box.inputs), ("out", box.outputs)
 
 

@@ -34,17 +34,18 @@ def layout(view: View) -> GraphLayout:
     ids = [*(box.id for box in view.boxes), *(topic.id for topic in view.topics)]
     pairs = list(dict.fromkeys((edge.start, edge.end) for edge in view.edges if edge.start != edge.end))
     order = _greedy(ids, pairs, None)
-    if len(ids) <= _TRIED and (looped := _back(order, pairs)):
+    if len(ids) <= _TRIED and (looped := _back_edges(order, pairs)):
         entries = sorted({id for pair in looped for id in pair} | set(_successors(looped, pairs)), key=ids.index)
         order = min(
-            (order, *(_greedy(ids, pairs, entry) for entry in entries)), key=lambda order: len(_back(order, pairs))
+            (order, *(_greedy(ids, pairs, entry) for entry in entries)),
+            key=lambda order: len(_back_edges(order, pairs)),
         )
-    back = _back(order, pairs)
+    back = _back_edges(order, pairs)
     across = ACROSS_ANNOTATED if any(topic.note for topic in view.topics) else ACROSS
     return GraphLayout(
         tuple(order),
         frozenset(edge for edge in view.edges if (edge.start, edge.end) in back),
-        _boxes_in_a_row(view, order, [pair for pair in pairs if pair not in back]) > across,
+        _longest_path(view, order, [pair for pair in pairs if pair not in back]) > across,
     )
 
 
@@ -95,12 +96,12 @@ def _greedy(ids: list[str], pairs: list[tuple[str, str]], entry: str | None) -> 
     return first + last[::-1]
 
 
-def _back(order: list[str], pairs: list[tuple[str, str]]) -> set[tuple[str, str]]:
+def _back_edges(order: list[str], pairs: list[tuple[str, str]]) -> set[tuple[str, str]]:
     rank = {id: index for index, id in enumerate(order)}
     return {(start, end) for start, end in pairs if rank[start] > rank[end]}
 
 
-def _boxes_in_a_row(view: View, order: list[str], forward: list[tuple[str, str]]) -> int:
+def _longest_path(view: View, order: list[str], forward: list[tuple[str, str]]) -> int:
     """The most boxes on one way through the drawing."""
     boxes = {box.id for box in view.boxes}
     before: dict[str, list[str]] = {}

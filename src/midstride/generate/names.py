@@ -51,14 +51,14 @@ def snake(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower()
 
 
-class Attributes:
+class AttributeNames:
     """Hands out attribute names: the wished one, or one with underscores and a hint behind it."""
 
     def __init__(self, taken: Iterable[str]) -> None:
         self._taken = set(taken)
 
-    def take(self, wished: str, hint: str = "") -> str:
-        name = re.sub(r"[^A-Za-z0-9_]", "_", wished)
+    def take(self, preferred: str, hint: str = "") -> str:
+        name = re.sub(r"[^A-Za-z0-9_]", "_", preferred)
         if keyword.iskeyword(name) or keyword.issoftkeyword(name) or name.startswith("__"):
             name = f"{name.lstrip('_') or 'name'}_"
         if name in self._taken and hint:

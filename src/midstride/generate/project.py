@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from midstride.generate.merge import BEGIN, END, marked
+from midstride.generate.merge import BEGIN, END, with_mark
 from midstride.generate.names import ProgramFile, program, snake
 from midstride.generate.skeleton import Skeleton, skeleton
 from midstride.model.component import ComponentSpec
@@ -19,7 +19,7 @@ Kind = Literal["component", "whole", "copy", "empty"]
 
 
 @dataclass(frozen=True, slots=True)
-class Generated:
+class GeneratedFile:
     """A file, and how it meets what is there already: see :mod:`midstride.generate.merge`."""
 
     path: PurePosixPath
@@ -32,7 +32,7 @@ class Generated:
 class Project:
     """The files, and for each component that got none the reason."""
 
-    files: list[Generated] = field(default_factory=list)
+    files: list[GeneratedFile] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
 
 
@@ -43,10 +43,10 @@ def project(
     specification: Specification, file: str, sources: Mapping[PurePosixPath, str], ros: Literal[1, 2] = 2
 ) -> Project:
     """The project of a system whose specification is in ``file``; ``sources`` are its files, by path beside it."""
-    return _Project(specification, file, sources, ros).build()
+    return _ProjectBuilder(specification, file, sources, ros).build()
 
 
-class _Project:
+class _ProjectBuilder:
     def __init__(
         self, specification: Specification, file: str, sources: Mapping[PurePosixPath, str], ros: Literal[1, 2]
     ) -> None:
@@ -71,7 +71,7 @@ class _Project:
         for name in sorted(self.specification.components):
             self._component(self.specification.components[name])
         for path, text in self.sources.items():
-            self.result.files.append(Generated(path, text, "copy"))
+            self.result.files.append(GeneratedFile(path, text, "copy"))
         self._package_files()
         return self.result
 
@@ -88,11 +88,11 @@ class _Project:
             self.programs[path] = run, component.name
             made = skeleton(component, self._node(component.name), self.specification.environment)
             self.packages.update(made.packages)
-            self.result.files.append(Generated(path, self._skeleton(made), "component"))
+            self.result.files.append(GeneratedFile(path, self._skeleton(made), "component"))
             for parent in path.parents:
                 init = parent / "__init__.py"
                 if parent != PurePosixPath(".") and all(other.path != init for other in self.result.files):
-                    self.result.files.append(Generated(init, "", "empty"))
+                    self.result.files.append(GeneratedFile(init, "", "empty"))
 
     def _node(self, component: str) -> str:
         """The name of a node of the component; its own, spelt as a node's, where it has none."""
@@ -124,21 +124,21 @@ class _Project:
             "ros": self.ros,
             "dependencies": sorted(self.packages),
             "packages": sorted(folders),
-            "shared": self._shared(),
+            "shared": self._installed_files(),
         }
         if self.ros == 2:
-            self._whole("package.xml", "package2.xml.j2", context)
-            self._whole("setup.py", "setup.py.j2", context)
-            self._whole(f"launch/{system}.launch.py", "launch.py.j2", context)
-            self.result.files.append(Generated(PurePosixPath(f"resource/{package}"), "", "empty"))
+            self._add_file("package.xml", "package2.xml.j2", context)
+            self._add_file("setup.py", "setup.py.j2", context)
+            self._add_file(f"launch/{system}.launch.py", "launch.py.j2", context)
+            self.result.files.append(GeneratedFile(PurePosixPath(f"resource/{package}"), "", "empty"))
         else:
-            self._whole("package.xml", "package1.xml.j2", context)
-            self._whole("setup.py", "setup.py.j2", context)
-            self._whole("CMakeLists.txt", "CMakeLists.txt.j2", context)
-            self._whole(f"launch/{system}.launch", "launch.xml.j2", context)
-            self._whole("up.sh", "up.sh.j2", context, executable=True)
+            self._add_file("package.xml", "package1.xml.j2", context)
+            self._add_file("setup.py", "setup.py.j2", context)
+            self._add_file("CMakeLists.txt", "CMakeLists.txt.j2", context)
+            self._add_file(f"launch/{system}.launch", "launch.xml.j2", context)
+            self._add_file("up.sh", "up.sh.j2", context, executable=True)
 
-    def _shared(self) -> list[tuple[str, list[str]]]:
+    def _installed_files(self) -> list[tuple[str, list[str]]]:
         """What is installed into the folder that the system then runs in, by folder in it (``""`` or ``/parts``): the
         specification's files, and the programs that are found by their place."""
         folders: dict[str, list[str]] = {}
@@ -148,8 +148,10 @@ class _Project:
             folders.setdefault(folder, []).append(str(path))
         return sorted(folders.items())
 
-    def _whole(self, path: str, template: str, context: dict[str, Any], executable: bool = False) -> None:
+    def _add_file(self, path: str, template: str, context: dict[str, Any], executable: bool = False) -> None:
         suffix = ".xml" if path.endswith((".xml", ".launch")) else PurePosixPath(path).suffix
         text = self.templates.get_template(template).render(mark="@MARK@", **context)
         before, after = _COMMENT.get(suffix, ("# ", ""))
-        self.result.files.append(Generated(PurePosixPath(path), marked(text, before, after), "whole", executable))
+        self.result.files.append(
+            GeneratedFile(PurePosixPath(path), with_mark(text, before, after), "whole", executable)
+        )

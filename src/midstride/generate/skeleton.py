@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.errors import SpecificationError
-from midstride.generate.names import Attributes
+from midstride.generate.names import AttributeNames
 from midstride.model.component import ComponentSpec, EnvironmentGuarantee, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Interval, OneOf, Predicate, QoS, Scalar, ValueSet, format_number, satisfies
 
 # Attributes of the skeleton's own.
-_OWN: Final = ("component", "wire", "start")
+_RESERVED: Final = ("component", "wire", "start")
 # Names that a skeleton imports; a class that would hide one of them is called otherwise.
 _IMPORTED: Final = ("Component", "QoS", "Interval", "any_of", "at_least", "at_most", "between", "guarantee")
 
@@ -56,7 +56,7 @@ class _Builder:
         self.environment = environment
         name = f"{component.name}Node" if component.name in _IMPORTED else component.name
         self.result = Skeleton(name, node)
-        self.names = Attributes(_OWN)
+        self.names = AttributeNames(_RESERVED)
         self.used = {"Component"}
         self.classes: dict[str, str] = {}  # the name in the code of each message type
         self.ports: dict[str, str] = {}
@@ -139,12 +139,12 @@ class _Builder:
             return f"Interval({ends[0]}, {ends[1]}, low_open={values.low_open}, high_open={values.high_open})"
         helper = "at_most" if math.isinf(low) else "at_least" if math.isinf(high) else "between"
         self.used.add(helper)
-        told = {
+        arguments = {
             "at_most": format_number(high),
             "at_least": format_number(low),
             "between": f"{format_number(low)}, {format_number(high)}",
         }
-        return f"{helper}({told[helper]})"
+        return f"{helper}({arguments[helper]})"
 
     # -- parameters ------------------------------------------------------------------------------------------
 
@@ -198,8 +198,8 @@ class _Builder:
             for name in dict.fromkeys(inputs):
                 handler = self.names.take(f"{method}_{name}")
                 type_ = self.classes[self.component.inputs[name].type]
-                told = f"{about[:-1]}: a message on `{name}`."
-                self.result.methods.append(Method(handler, f"self, message: {type_}", told, body))
+                describe = f"{about[:-1]}: a message on `{name}`."
+                self.result.methods.append(Method(handler, f"self, message: {type_}", describe, body))
                 entries.append(f"self.{self.ports[name]}: self.{handler}")
             called = "{" + ", ".join(entries) + "}"
         arguments = [called]
@@ -268,10 +268,10 @@ def _some(values: ValueSet) -> Scalar:
     """One of the values; a whole number where there is one, since fields may be."""
     if isinstance(values, OneOf):
         return values.values[0]
-    return _whole(values)
+    return _add_file(values)
 
 
-def _whole(interval: Interval) -> Scalar:
+def _add_file(interval: Interval) -> Scalar:
     candidates: list[float] = [0.0]
     for end in (interval.low, interval.high):
         if math.isfinite(end):

@@ -53,7 +53,7 @@ class Edge:
     end: str
     start_port: str = ""
     end_port: str = ""
-    relies: bool = False
+    assumed: bool = False
 
 
 @dataclass(slots=True)
@@ -117,12 +117,12 @@ class _Builder:
         )
 
     def _input(self, component: ComponentSpec, name: str) -> Port:
-        return Port(name, told(component.inputs[name]) if self.annotate else "")
+        return Port(name, describe(component.inputs[name]) if self.annotate else "")
 
     def _output(self, component: ComponentSpec, name: str) -> Port:
         owner = component.find_owner(name)
         guarantee = owner.modes[0].guarantee(name) if owner is not None and owner.modes else None
-        return Port(name, told(guarantee) if self.annotate and isinstance(guarantee, Predicate) else "")
+        return Port(name, describe(guarantee) if self.annotate and isinstance(guarantee, Predicate) else "")
 
     def _functionality(self, functionality: FunctionalitySpec) -> Iterable[str]:
         yield functionality.name
@@ -147,7 +147,7 @@ class _Builder:
             if len(boxes) == 1 and name not in seen_outside and next(iter(boxes)).startswith("group "):
                 inside[boxes.pop()] = inside.get(attached[0][0], 0) + 1
                 continue
-            note = told(connector.guarantee) if self.annotate else ""
+            note = describe(connector.guarantee) if self.annotate else ""
             if self.annotate and connector.max_publishers is not None:
                 note += f", at most {connector.max_publishers} publisher{'' if connector.max_publishers == 1 else 's'}"
             self.view.topics.append(TopicNode(f"topic {name}", name, note))
@@ -163,14 +163,14 @@ class _Builder:
         for offer in self.specification.environment:
             box = Box(f"environment {offer.name}", offer.name, "environment")
             if self.annotate:
-                box = Box(box.id, box.title, box.kind, lines=(told(offer.guarantee),))
+                box = Box(box.id, box.title, box.kind, lines=(describe(offer.guarantee),))
             self.view.boxes.append(box)
             if offer.topic is not None:
                 self.edges[Edge(box.id, f"topic {offer.topic}")] = None
                 continue
             for role in self.specification.roles():
-                if _relies(self.specification.component_of(role), offer.guarantee):
-                    self.edges[Edge(box.id, self.boxes[role], relies=True)] = None
+                if _assumed_by(self.specification.component_of(role), offer.guarantee):
+                    self.edges[Edge(box.id, self.boxes[role], assumed=True)] = None
 
 
 def _shared_namespace(roles: Iterable[str]) -> tuple[str, ...]:
@@ -184,7 +184,7 @@ def _shared_namespace(roles: Iterable[str]) -> tuple[str, ...]:
     return tuple(shared)
 
 
-def _relies(component: ComponentSpec, guarantee: Predicate) -> bool:
+def _assumed_by(component: ComponentSpec, guarantee: Predicate) -> bool:
     """Whether a mode of the component assumes something that the guarantee satisfies."""
     return any(
         isinstance(assumption, Predicate) and satisfies(guarantee, assumption)
@@ -194,14 +194,14 @@ def _relies(component: ComponentSpec, guarantee: Predicate) -> bool:
     )
 
 
-def told(predicate: Predicate) -> str:
+def describe(predicate: Predicate) -> str:
     """A predicate, its type without the part that all types share."""
     return str(predicate).replace("/msg/", "/", 1)
 
 
 def _mode(mode: Mode) -> str:
-    assumed = [told(a) if isinstance(a, Predicate) else str(a) for a in mode.assumptions]
-    given = [f"{name} : {told(guarantee)}" for name, guarantee in sorted(mode.guarantees.items())]
+    assumed = [describe(a) if isinstance(a, Predicate) else str(a) for a in mode.assumptions]
+    given = [f"{name} : {describe(guarantee)}" for name, guarantee in sorted(mode.guarantees.items())]
     parts = [f"assumes {', '.join(assumed)}"] if assumed else []
     parts += [f"guarantees {', '.join(given)}"] if given else []
     return "; ".join(parts) or "nothing"

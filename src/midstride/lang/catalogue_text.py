@@ -1,15 +1,17 @@
-"""The part of the catalogue that is about texts: files, signs, statements, names and types (E100 to E199, W100 to
-W199).
+"""The catalogue of the diagnostics of the text form: files, characters, statements, contracts, names, parameter files
+(E100 to E199, W100 to W199).
 
-Each entry: the title, the explanation, and the examples, whose parts are those of
-:class:`midstride.lang.catalogue.Example`.
+Each entry consists of the title, the explanation and the arguments of each
+:class:`midstride.lang.catalogue.CatalogueExample`.
 """
 
 from __future__ import annotations
 
 from typing import Final, TypeAlias
 
-Parts: TypeAlias = "tuple[str | bytes] | tuple[str | bytes, str] | tuple[str | bytes, str, dict[str, str | bytes]]"
+ExampleParts: TypeAlias = (
+    "tuple[str | bytes] | tuple[str | bytes, str] | tuple[str | bytes, str, dict[str, str | bytes]]"
+)
 
 TALKER: Final = """component Talker {
   output out
@@ -25,12 +27,12 @@ _NODE: Final = "node talker : Talker { out -> /chatter }\n"
 _TALKING: Final = _CHATTER + _NODE
 _MANY: Final = {f"part{n}.stride": f'include "part{n + 1}.stride"\n' for n in range(40)}
 
-TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
+TEXT: Final[dict[str, tuple[str, str, tuple[ExampleParts, ...]]]] = {
     # -- files -----------------------------------------------------------------------------------------
     "E100": (
-        "a file cannot be read",
-        """The file named here is not there, may not be read, or is no regular file. Includes and parameter files are
-        relative to the file that names them.""",
+        "file cannot be read",
+        """The file does not exist, cannot be read or is not a regular file. Paths of includes and parameter files
+        are relative to the file that names them.""",
         (
             ('system s\ninclude "missing.stride"\n',),
             ('system s\nparameters "missing.yaml"\n' + _TALKING.removeprefix("system s\n"),),
@@ -38,8 +40,9 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E101": (
-        "a file is not in UTF-8",
-        """Files are UTF-8, with or without a byte order mark. The message names the first byte that is none.""",
+        "file is not UTF-8",
+        """Files are encoded in UTF-8, with or without a byte order mark. The message gives the position of the first
+        invalid byte.""",
         (
             (b"system caf\xe9\n",),
             ("system s\n".encode("utf-16"),),
@@ -47,13 +50,14 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E102": (
-        "a file is too large",
-        """No specification that people wrote is larger than four megabytes: this is most likely another file.""",
+        "file too large",
+        """Files are limited to four megabytes, far more than a hand-written specification needs. This is probably
+        the wrong file.""",
         (("system s\n" + "# padding\n" * 420_000,),),
     ),
     "E103": (
-        "files include each other",
-        """A cycle of includes has no end. The message names the files of the cycle in order.""",
+        "include cycle",
+        """Files include each other in a cycle. The message lists the files of the cycle in order.""",
         (
             ('system s\ninclude "example.stride"\n',),
             (
@@ -64,28 +68,28 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E104": (
-        "too much is included",
-        """How many files are read, how deep they include each other, and how large they are together is bounded, so
-        that a file that includes itself under many names ends in this error.""",
+        "include limit exceeded",
+        """The number of files, their total size and the depth of includes are limited, so that loading ends even if
+        a file includes itself under many names.""",
         (('system s\ninclude "part0.stride"\n', "example.stride", dict(_MANY)),),
     ),
     "E105": (
-        "a system is included",
-        """An included file is a fragment: it has no `system` line, since the file that includes it names the
+        "included file is a system",
+        """An included file is a fragment: it has no `system` line, because the file that includes it names the
         system.""",
         (('system s\ninclude "other.stride"\n', "example.stride", {"other.stride": "system other\n"}),),
     ),
     "E106": (
-        "no system is named",
-        """The file that is checked, launched or planned for begins with `system NAME`. A fragment, which has no such
-        line, is checked by checking the file that includes it: alone it may lack what others declare.""",
+        "no system name",
+        """The file to check, launch or plan for starts with `system NAME`. A fragment has no such line; check the
+        file that includes it, because a fragment alone may lack declarations.""",
         (("topic /chatter : std_msgs/msg/String\n",), ("",)),
     ),
-    # -- signs -----------------------------------------------------------------------------------------
+    # -- characters -----------------------------------------------------------------------------------------
     "E110": (
-        "a character that means nothing here",
-        """The character belongs to no name, number, text or sign of the language. Names are as in ROS: ASCII letters,
-        digits and underscores, joined by slashes. A device whose path has other characters stands in double quotes.""",
+        "unexpected character",
+        """The character is not part of the language. Names consist of ASCII letters, digits and underscores, joined
+        by slashes, as in ROS. Put a device path with other characters in double quotes.""",
         (
             ("system s\ntopic /chatter : std_msgs/msg/String;\n",),
             ("system s\ntopic /scän : std_msgs/msg/String\n",),
@@ -94,37 +98,38 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E111": (
-        "no name as ROS has them",
-        """A part of the name is empty or begins with a digit, or the whole has more than 255 characters.""",
+        "invalid name",
+        """A part of the name is empty or starts with a digit, or the name has more than 255 characters.""",
         (
             ("system s\ntopic /front//scan : std_msgs/msg/String\n",),
             ("system s\ntopic /scan/ : std_msgs/msg/String\n",),
         ),
     ),
     "E112": (
-        "a text in single quotes",
-        """Texts stand in double quotes. Single quotes may stand in them, as in a command.""",
+        "string in single quotes",
+        """Strings use double quotes. They can contain single quotes, as in a command.""",
         ((_CHATTER.replace("  output out\n", "  run 'python3 -m talker'\n  output out\n") + _NODE,),),
     ),
     "E113": (
-        "a text is not closed, or too long",
-        """A text ends on the line it begins on, and has at most 8192 characters.""",
+        "unterminated or too long string",
+        """A string ends on the line on which it starts, and has at most 8192 characters.""",
         ((_CHATTER.replace("  output out\n", '  run "python3 -m talker\n  output out\n') + _NODE,),),
     ),
     "E114": (
-        "an escape that stands for nothing",
-        r"""In a text `\"` stands for a double quote, `\\` for a backslash, `\n` for a new line and `\t` for a tab.""",
+        "unknown escape sequence",
+        r"""In a string, `\"` is a double quote, `\\` a backslash, `\n` a new line and `\t` a tab. There are no other
+        escape sequences.""",
         ((_CHATTER.replace("  output out\n", '  run "python3 -m talker \\d"\n  output out\n') + _NODE,),),
     ),
     "E115": (
-        "a NUL byte",
-        """No text has NUL bytes: this is most likely a binary file, or one in UTF-16 or UTF-32.""",
+        "NUL byte",
+        """A text file contains no NUL bytes: this is probably a binary file, or one in UTF-16 or UTF-32.""",
         (("system s\n\0\n",),),
     ),
     # -- statements ------------------------------------------------------------------------------------
     "E120": (
-        "something else is expected",
-        """At the place shown the language expects something else. The statement is left out, and reading goes on with
+        "syntax error",
+        """The language requires something else at this place. The statement is skipped, and parsing continues with
         the next one.""",
         (
             ("system s\ntopic /chatter std_msgs/msg/String\n",),
@@ -142,41 +147,41 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E121": (
-        "an unknown statement",
-        """The word begins no statement that may stand here, but resembles one that does, and was read as that one.""",
+        "unknown statement",
+        """No statement that is allowed here starts with this word. It resembles a keyword and was parsed as that.""",
         (
             ("system s\ntopik /chatter : std_msgs/msg/String @ 10 Hz\n" + TALKER + _NODE,),
             (_CHATTER.replace("produces", "produce") + _NODE,),
         ),
     ),
     "E122": (
-        "a statement in the wrong block",
-        """The word begins a statement, but of another block. The message says which.""",
+        "statement in the wrong block",
+        """This statement belongs in another block, which the message names.""",
         ((_CHATTER.replace("  output out\n", "  output out\n  assume out\n") + _NODE,),),
     ),
     "E123": (
-        "a block is not closed",
-        """The block ends before its closing brace: a statement of an outer block begins, or the file ends.""",
+        "block not closed",
+        """The closing brace of the block is missing: a statement of an outer block follows, or the file ends.""",
         (
             (_CHATTER.replace("10 Hz }\n    mode silent", "10 Hz\n    mode silent") + _NODE,),
             ("system s\ncomponent Talker {\n  output out\n",),
         ),
     ),
     "E124": (
-        "a brace that closes nothing",
-        """There is one closing brace more than there are blocks to close.""",
+        "unmatched closing brace",
+        """There are more closing braces than open blocks.""",
         ((_TALKING + "}\n",),),
     ),
     "E125": (
-        "a word of the language as a name",
-        """The words that begin statements cannot be names: lists need no comma, so the next statement would look like
-        the next name.""",
+        "keyword used as a name",
+        """The keywords that start statements cannot be names: lists need no comma, so the next statement would look
+        like the next name.""",
         ((_CHATTER + "component Filter {\n  input input : std_msgs/msg/String\n}\n" + _NODE,),),
     ),
     "E126": (
-        "a number out of range",
-        """Rates are more than 0, numbers of publishers whole. Numbers are at most 1e18, and whole numbers given to
-        parameters have at most 64 bits.""",
+        "number out of range",
+        """Rates must be greater than 0, and the number of publishers must be whole. Numbers are at most 1e18, and
+        integer parameters have at most 64 bits.""",
         (
             ("system s\ntopic /chatter : std_msgs/msg/String @ 0 Hz\n" + TALKER + _NODE,),
             (_TALKING + "resource memory = 1e999\n",),
@@ -185,8 +190,8 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E127": (
-        "a unit is missing or unknown",
-        """Rates are in `Hz` or `kHz`; times in `s`, `ms`, `us` or `min`.""",
+        "missing or unknown unit",
+        """Rates need the unit `Hz` or `kHz`; times need `s`, `ms`, `us` or `min`.""",
         (
             ("system s\ntopic /chatter : std_msgs/msg/String @ 10\n" + TALKER + _NODE,),
             ("system s\ntopic /chatter : std_msgs/msg/String @ 10 hz\n" + TALKER + _NODE,),
@@ -196,8 +201,8 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E128": (
-        "stated twice",
-        """Something that can be stated once only is stated a second time.""",
+        "stated more than once",
+        """Something that can be stated only once is stated again.""",
         (
             ("system s\nsystem t\n",),
             ("system s\ncontract Scan = sensor_msgs/msg/LaserScan @ 10 Hz @ 20 Hz\n",),
@@ -212,22 +217,23 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E129": (
-        "namespaces are nested too deep",
-        """Nobody writes this many namespaces in each other by hand. Several names make one namespace: `namespace
-        a/b`.""",
+        "namespaces nested too deep",
+        """Namespaces are nested deeper than any hand-written file needs. A namespace can combine several names:
+        `namespace a/b`.""",
         (("system s\n" + "namespace n { " * 20 + "} " * 20 + "\n",),),
     ),
     # -- contracts -------------------------------------------------------------------------------------
     "E130": (
-        "an unknown message type",
-        """The package of the type is installed here and has no such message type. Types of packages that are not
+        "unknown message type",
+        """The package of the type is installed, but has no such message type. Types of packages that are not
         installed are not checked.""",
         (("system s\ncontract Scan = sensor_msgs/msg/LaserScam @ 10 Hz\n",),),
     ),
     "E131": (
-        "an unknown QoS policy or value",
-        """QoS profiles use ROS 2's names: reliability (reliable, best_effort), durability (volatile, transient_local),
-        history (keep_last, keep_all), depth, deadline, lifespan, liveliness (automatic, manual_by_topic) and lease.""",
+        "unknown QoS policy or value",
+        """QoS policies have the names used by ROS 2: reliability (reliable, best_effort), durability (volatile,
+        transient_local), history (keep_last, keep_all), depth, deadline, lifespan, liveliness (automatic,
+        manual_by_topic) and lease.""",
         (
             ("system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(reliabilty = best_effort)\n",),
             ("system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(reliability = best_efort)\n",),
@@ -236,8 +242,8 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E132": (
-        "a comparison that cannot be made",
-        """Fields are constrained by `=`, `<`, `<=`, `>`, `>=` and `in`; all but `=` and `in {…}` compare numbers.""",
+        "invalid comparison",
+        """Field constraints use `=`, `<`, `<=`, `>`, `>=` and `in`; all except `=` and `in {…}` compare numbers.""",
         (
             ("system s\ncontract Wide = sensor_msgs/msg/Image where width == 640\n",),
             ("system s\ncontract Wide = sensor_msgs/msg/Image where encoding != rgb8\n",),
@@ -245,7 +251,7 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E133": (
-        "no message type",
+        "not a message type",
         """A message type is written `pkg/msg/Type` as in ROS 2 or `pkg/Type` as in ROS 1.""",
         (
             ("system s\ncontract Scan = sensor_msgs/srv/msg/LaserScan\n",),
@@ -254,14 +260,14 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E134": (
-        "a list of several kinds",
-        """ROS parameters are lists of numbers, of texts, or of true and false.""",
+        "list with mixed types",
+        """List parameters in ROS contain only numbers, only strings or only booleans.""",
         ((_CHATTER.replace("  output", '  parameters { names = ["a", 1] }\n  output') + _NODE,),),
     ),
     "E135": (
-        "`nothing` where something is needed",
-        """`nothing` says that an output produces nothing in a mode. It satisfies no assumption, so no one can assume
-        it and no topic can carry it; and it has no rate, QoS or fields.""",
+        "`nothing` where a contract is required",
+        """`nothing` states that an output produces nothing in a mode. It satisfies no assumption, so it can be
+        neither assumed nor the contract of a topic; and it has no rate, QoS or fields.""",
         (
             ("system s\ntopic /chatter : nothing\n",),
             (_CHATTER.replace("mode silent { }", "mode silent { guarantee out : nothing @ 1 Hz }") + _NODE,),
@@ -269,22 +275,22 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E136": (
-        "contracts are defined by each other",
-        """A contract may refine another one, but in the end one of them names a message type.""",
+        "cycle of contracts",
+        """A contract can refine another one, but the chain must end at a message type.""",
         (("system s\ncontract A = B @ 5 Hz\ncontract B = A @ 6 Hz\n",),),
     ),
     "E137": (
-        "an unknown field",
-        """The message type is installed here and has no such field.""",
+        "unknown field",
+        """The message type is installed, but has no such field.""",
         (
             ("system s\ncontract Wide = sensor_msgs/msg/Image where widht >= 640\n",),
             ("system s\ncontract Wide = sensor_msgs/msg/Image where width.x >= 640\n",),
         ),
     ),
     "E138": (
-        "a field of another kind",
-        """The field is no number, no text, or no truth value, as the comparison would need it; or it is a list or a
-        message, which has no one value.""",
+        "comparison with the wrong type",
+        """The comparison does not match the type of the field (number, string or boolean), or the field is a list or
+        a message, which cannot be compared.""",
         (
             ("system s\ncontract Wide = sensor_msgs/msg/Image where width = wide\n",),
             ("system s\ncontract Wide = sensor_msgs/msg/Image where data = 1\n",),
@@ -292,22 +298,23 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
     ),
     # -- names -----------------------------------------------------------------------------------------
     "E139": (
-        "a private topic of no node",
-        """`~/name` is private to a node. A topic is declared by its full name: `/node/name`.""",
+        "private topic outside a node",
+        """`~/name` is private to a node. Declare the topic by its full name: `/node/name`.""",
         (("system s\ntopic ~/chatter : std_msgs/msg/String\n",),),
     ),
     "E140": (
-        "components are like each other",
-        """A component may be like another one, but in the end, and before long, one of them is declared by itself.""",
+        "cycle of components",
+        """A component can be like another one, but the chain must end, after at most 32 steps, at a component
+        without `like`.""",
         (
             ("system s\ncomponent A like B\ncomponent B like A\n",),
             ("system s\ncomponent C0 { }\n" + "".join(f"component C{n + 1} like C{n}\n" for n in range(40)),),
         ),
     ),
     "E141": (
-        "a name for two things",
-        """A contract and an input have the same name, so `assume NAME` could mean either: this input, or any input that
-        is good enough.""",
+        "name of both a contract and an input",
+        """A contract and an input have the same name, so `assume NAME` is ambiguous: it could mean this input, or
+        any input that satisfies the contract.""",
         (
             (
                 "system s\ncontract scan = sensor_msgs/msg/LaserScan\n"
@@ -316,9 +323,9 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E142": (
-        "an assumption on an input, refined",
-        """`assume scan` relies on the input for what the input itself assumes. More cannot be asked of it in one mode
-        alone; a contract can be assumed with more.""",
+        "refined assumption on an input",
+        """`assume scan` relies on the input with the assumption from its declaration, which a mode cannot refine. An
+        assumed contract can be refined.""",
         (
             (
                 "system s\ncomponent C {\n  input scan : sensor_msgs/msg/LaserScan\n"
@@ -329,8 +336,8 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
     ),
     "E143": (
         "`changeable` in a node",
-        """Whether a parameter can be set in place depends on the program, so the component says it. A node gives
-        values.""",
+        """Whether a parameter can be changed in place depends on the program, so it is declared in the component. A
+        node only sets values.""",
         (
             (
                 _CHATTER.replace("  output", "  parameters { volume = 1 }\n  output")
@@ -339,21 +346,21 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E144": (
-        "an arrow the wrong way round",
-        """`input <- /topic` and `output -> /topic`: the arrow points the way that messages go.""",
+        "arrow in the wrong direction",
+        """The arrow points in the direction of the messages: `input <- /topic` and `output -> /topic`.""",
         ((_CHATTER + "node talker : Talker { out <- /chatter }\n",),),
     ),
     "E145": (
-        "too many parts",
-        """A declaration has more parts of one kind than anyone writes: a component a thousand ports, say. Only so many
-        are looked at.""",
+        "too many entries",
+        """A declaration has more entries of one kind than any hand-written file, such as a component with over a
+        thousand ports. The rest are not checked.""",
         (("system s\nenvironment {\n" + "".join(f"guarantee g{n} : a/B\n" for n in range(1001)) + "}\n",),),
     ),
     # -- parameter files -------------------------------------------------------------------------------
     "E150": (
-        "no ROS parameter file",
-        """A parameter file is YAML: a section for each node, named as in ROS (with its namespace, or with wildcards),
-        and in each `ros__parameters` with texts, numbers, truth values and lists of them.""",
+        "invalid ROS parameter file",
+        """A parameter file is YAML: a section per node, named as in ROS (with its namespace, or with wildcards),
+        each with `ros__parameters`, whose values are strings, numbers, booleans and lists of them.""",
         (
             (_TALKING + 'parameters "p.yaml"\n', "example.stride", {"p.yaml": "talker:\n  volume: 3\n"}),
             (
@@ -371,9 +378,9 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E151": (
-        "a parameter that only some nodes are given",
-        """A parameter file gives a parameter to one node of a component and not to another one, and the component
-        declares no value for it: what the other node is to run with is not said anywhere.""",
+        "parameter set for only some nodes",
+        """A parameter file sets a parameter for one node of a component but not for another, and the component
+        declares no value for it: the value for the other node is undefined.""",
         (
             (
                 "system s\ntopic /chatter : std_msgs/msg/String\n"
@@ -386,13 +393,13 @@ TEXT: Final[dict[str, tuple[str, str, tuple[Parts, ...]]]] = {
     ),
     "E199": (
         "too many errors",
-        """So much is wrong that the rest is not shown: one of the first errors may explain it, or the text is in
-        another language.""",
+        """There are too many errors to show all of them. One of the first errors may be the cause of the rest, or
+        the file may be in another language.""",
         (("system s\n" + "wibble\n;\n" * 120,),),
     ),
     "W160": (
-        "a parameter file without a section for the node",
-        """The node names a parameter file, and no section of it is for this node.""",
+        "parameter file without a section for the node",
+        """The node names a parameter file, but no section of that file applies to the node.""",
         (
             (
                 _CHATTER + 'node talker : Talker { out -> /chatter   parameters "p.yaml" }\n',
