@@ -1,7 +1,7 @@
-"""Problems of a specification, and the catalogue of their kinds.
+"""What can be wrong with a specification: the catalogue as data, and one thing found, as a value.
 
-Codes are stable: ``E…`` are errors, ``W…`` warnings. E001 to E099 and W001 to W099 concern the meaning of a
-specification and are defined here; a concrete syntax uses codes from 100 on.
+Codes are stable: ``E…`` are errors, ``W…`` warnings. E001 to E099 and W001 to W099 are about what a
+specification says, however it is written down, and live here; a concrete syntax takes its own above.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ Severity: TypeAlias = Literal["error", "warning"]
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """A kind of problem: its title, and general advice."""
+    """An entry of the catalogue: what is wrong in general, and what to do about it."""
 
     code: str
     title: str
@@ -31,68 +31,68 @@ class Kind:
 CATALOGUE: Final[dict[str, Kind]] = {
     kind.code: kind
     for kind in (
-        # -- form -----------------------------------------------------------
+        # -- the form of what is written -----------------------------------------------------------
         Kind("E001", "wrong type of value", "write a value of the type that the message names"),
-        Kind("E002", "unknown key", "remove the key, or spell it as the message suggests"),
+        Kind("E002", "unknown key", "take the key out, or write it as the message suggests"),
         Kind("E003", "missing key", "add the key"),
         Kind("E004", "number out of range", "write a finite number within the range that the message names"),
-        Kind("E005", "unknown value", "use one of the values that the message lists"),
+        Kind("E005", "unknown word", "write one of the words that the message lists"),
         Kind(
             "E006",
-            "invalid name",
-            "names consist of letters, digits and underscores and do not start with a digit; topics start with /",
+            "not a name",
+            "names have letters, digits and underscores, and start with no digit; topics start with /",
         ),
         Kind("E007", "duplicate name", "give each its own name"),
-        Kind("E008", "unknown name", "declare it, or use a declared name"),
-        Kind("E009", "invalid command", "write the command as in a shell, with its quotes closed"),
+        Kind("E008", "unknown name", "declare it, or write the name of one that is declared"),
+        Kind("E009", "not a command", "write the command as in a shell, with its quotes closed"),
         # -- components ------------------------------------------------------------------------------
         Kind(
             "E010",
             "M1: the last mode assumes something",
-            "remove the assumptions of the last mode, or add a last mode without any",
+            "let the last mode assume nothing, or add a last mode that does",
         ),
         Kind(
             "E011",
-            "M2: a worse mode guarantees more than a better one",
+            "M2: a worse mode guarantees what a better one does not",
             "let the better mode guarantee at least as much",
         ),
         Kind("E012", "M3: the modes disagree on the endpoint of an output", "state one type and one QoS in all modes"),
-        Kind("E013", "output produced by no functionality", "let one functionality produce it"),
-        Kind("E014", "output produced by several functionalities", "let only one functionality produce it"),
-        Kind("E015", "fewer than two modes", "give the functionality at least two modes, best first"),
-        Kind("E016", "empty field constraint", "relax the constraints until some value satisfies them all"),
+        Kind("E013", "output owned by no functionality", "let one functionality produce it"),
+        Kind("E014", "output owned by several functionalities", "let one functionality alone produce it"),
+        Kind("E015", "nothing to degrade to", "give the functionality at least two modes, best first"),
+        Kind("E016", "empty field constraint", "widen the constraints on the field until some value meets them all"),
         # -- systems ---------------------------------------------------------------------------------
         Kind(
             "E020",
-            "mismatched contracts",
-            "weaken the requirement or strengthen the guarantee",
+            "attachment whose contracts do not satisfy",
+            "weaken what is needed or strengthen what is guaranteed",
         ),
         Kind("E021", "port attached twice to one topic", "attach it once"),
-        Kind("E022", "too many publishers", "detach a publisher or raise the limit"),
-        Kind("E023", "capacity exceeded", "remove a node that uses the resource, or raise the capacity"),
-        Kind("E024", "contradictory constraints", "remove one of them"),
-        Kind("E025", "parameter of the wrong type", "use a value of the type that the component declares"),
+        Kind("E022", "too many publishers", "detach a publisher or raise the cap"),
+        Kind("E023", "capacity exceeded", "take a holder out, or raise the capacity"),
+        Kind("E024", "constraints that contradict each other", "take one of them out"),
+        Kind("E025", "parameter of another type", "write a value of the type of the component's own"),
         # -- warnings --------------------------------------------------------------------------------
-        Kind("W030", "port not attached", "attach it, or remove it from the component"),
-        Kind("W031", "unsatisfied topic", "attach an output that guarantees enough"),
-        Kind("W032", "assumption that cannot be satisfied", "add an input that satisfies it, or weaken the assumption"),
-        Kind("W033", "functionality not in its normal mode initially", "fix the root cause, listed last"),
+        Kind("W030", "port never attached", "attach it, or take it out"),
+        Kind("W031", "topic nobody satisfies", "attach an output that guarantees enough"),
+        Kind("W032", "assumption nothing can satisfy", "attach an input that counts, or weaken the assumption"),
+        Kind("W033", "functionality not at its normal mode at first", "mend what the chain of reasons ends in"),
         Kind(
             "W034",
-            "constraint that does not hold initially",
-            "fix what keeps the functionality degraded, or remove the constraint",
+            "constraint that does not hold at first",
+            "mend what keeps the functionality down, or take the constraint out",
         ),
     )
 }
 
 
-# The total number of names compared to find near misses: with a thousand names, for the first hundred problems.
+# How many names are compared with in all, looking for near misses: a hundred times with a thousand names, say.
 _COMPARISONS: Final = 150_000
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One error or warning. ``subject`` is the path to it in the JSON form, from the specification down."""
+    """One thing wrong. ``subject`` leads to it, by the names of the JSON form, from the specification down."""
 
     code: str
     subject: tuple[str, ...]
@@ -116,7 +116,7 @@ class Problem:
 
 
 def suggested(found: list[Problem]) -> list[Problem]:
-    """``found`` with near misses for unknown names; in a large system only for the first ones, to limit the time."""
+    """``found`` with near misses for unknown names; in a large system for the first ones alone, since it takes time."""
     left = _COMPARISONS
     for index, problem in enumerate(found):
         if problem.candidates is None:
@@ -130,7 +130,7 @@ def suggested(found: list[Problem]) -> list[Problem]:
 
 
 def suggestion(wrong: str, known: Iterable[str]) -> str:
-    """``did you mean `x`?`` if there is a near miss, else the known names; empty if there are none."""
+    """``did you mean `x`?`` for a near miss, else what is known, else nothing."""
     names = sorted(set(known))
     if (hint := did_you_mean(wrong, names)) is not None or not names:
         return hint or ""
@@ -138,7 +138,7 @@ def suggestion(wrong: str, known: Iterable[str]) -> str:
 
 
 def independent(form: Iterable[Problem], names: Iterable[Problem]) -> list[Problem]:
-    """The problems of form and of names, without unknown names whose declaration could not be read."""
+    """Both, without the unknown names that only follow from a declaration that could not be read."""
     found = list(form)
     unread = {fault.subject for fault in found if fault.code == "E001"}
     strayed = {fault.subject for fault in found if fault.code == "E002"}
