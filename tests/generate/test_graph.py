@@ -77,8 +77,8 @@ def test_many_nodes_are_drawn_by_namespace() -> None:
     drawn = view(fleet(10, 15))
     groups = [box for box in drawn.boxes if box.kind == "group"]
     assert [box.title for box in groups] == [f"g{n}" for n in range(10)]
-    assert groups[0].lines == ("15 nodes", "14 topics inside")
-    assert groups[9].lines == ("15 nodes", "15 topics inside")
+    assert groups[0].lines == ("15 nodes", "14 internal topics")
+    assert groups[9].lines == ("15 nodes", "15 internal topics")
     assert {topic.name for topic in drawn.topics} == {"/source", *(f"/g{n}/t14" for n in range(9))}
     assert len(view(fleet(10, 15), collapse=False).boxes) == 151
     assert len(view(fleet(2, 3)).boxes) == 7

@@ -153,7 +153,7 @@ def test_generated_again_what_was_written_is_still_there(midstride: Midstride, t
     states = {entry["file"]: (entry["state"], entry["note"]) for entry in done["files"]}
     assert states["source.py"] == ("written", "new: make_low")
     assert states["chain.stride"] == ("written", None)
-    assert states["setup.py"] == ("kept", "edited, left as it is")
+    assert states["setup.py"] == ("kept", "edited, left unchanged")
     assert states["sink.py"] == ("kept", None)
     assert "MINE = 1" in source.read_text()
     assert (folder / "setup.py").read_text() == "# all mine\n"

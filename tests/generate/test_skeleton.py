@@ -194,9 +194,9 @@ def test_components_that_get_no_skeleton_are_told_why() -> None:
     )
     made = project(load_text(text).require(), "s.stride", {})
     assert made.skipped == {
-        "A": "it has no `run`: it is started elsewhere",
-        "B": "`./b` runs no Python file of this folder",
-        "D": "it runs c.py, as C does",
+        "A": "it has no `run` command: it is started elsewhere",
+        "B": "`./b` does not run a Python file in this folder",
+        "D": "it runs c.py, which is the program of C",
     }
 
 
@@ -232,7 +232,8 @@ def test_the_block_is_written_anew_and_the_rest_survives() -> None:
         "        return 1  # kept\n\n    def talk_silent",
     )
     head, _, tail = mine.partition(END)
-    mine = "# a header of mine\n" + head + END + tail.replace('"""Yours', '# a note\n    """Yours') + "\nprint('bye')\n"
+    tail = tail.replace('"""Your code', '# a note\n    """Your code')
+    mine = "# a header of mine\n" + head + END + tail + "\nprint('bye')\n"
     assert mine.count("mine") >= 2
     merged = merge_component(mine, new)
     assert merged.text is not None
@@ -254,9 +255,19 @@ def test_a_file_without_marks_or_that_is_no_python_is_left_to_the_user() -> None
     broken = merge_component(old + "def (:\n", new)
     assert broken.text is not None
     assert broken.text.endswith("def (:\n")
-    assert "no methods were added" in broken.note
+    assert "no methods added" in broken.note
     renamed = merge_component(old.replace("class Talker(", "class Mine("), new)
     assert "no class Talker" in renamed.note
+
+
+def test_the_block_of_an_earlier_version_is_recognised() -> None:
+    """The marks are found by their beginnings; their wording has changed before."""
+    (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
+    earlier = old.replace(BEGIN, "# >>> midstride: written anew each time").replace(END, "# <<< midstride: yours")
+    merged = merge_component(earlier, new)
+    assert merged == merge_component(old, new)
+    assert merged.text is not None
+    assert (merged.text.count(BEGIN), merged.text.count(END), merged.text.count("# >>>")) == (1, 1, 1)
 
 
 def test_other_files_are_the_users_once_edited() -> None:
@@ -266,7 +277,7 @@ def test_other_files_are_the_users_once_edited() -> None:
     assert merge_whole(old, old).text is None
     assert merge_whole(old, new).text == new
     edited = merge_whole(old.replace("0.1.0", "0.2.0"), new)
-    assert (edited.text, edited.note) == (None, "edited, left as it is")
+    assert (edited.text, edited.note) == (None, "edited, left unchanged")
     assert merge_copy("a", "b", None).text is None
 
 

@@ -1,4 +1,4 @@
-"""Names in generated code: what a program is called by its command, and attributes that collide with nothing."""
+"""Names in generated code: the program file of a command, and unique attribute names."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ _WORD: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 class ProgramFile(NamedTuple):
-    """The file that a command runs, relative to the system's folder; ``packaged``: it is found in its package, not
-    by its place."""
+    """The file that a command runs, relative to the system's folder; ``packaged``: it is a module of a package."""
 
     path: PurePosixPath
     packaged: bool
 
 
 def program(run: str) -> ProgramFile | None:
-    """What a command runs; None for what is no Python program of the system's folder.
+    """The file that a command runs; None if it is not a Python program in the system's folder.
 
     ``python3 -m patrol.detector`` runs ``patrol/detector.py``, ``python3 talker.py`` runs ``talker.py``.
     """
@@ -52,7 +51,7 @@ def snake(name: str) -> str:
 
 
 class AttributeNames:
-    """Hands out attribute names: the wished one, or one with underscores and a hint behind it."""
+    """Assigns unique attribute names: the preferred one, or one with a hint and underscores appended."""
 
     def __init__(self, taken: Iterable[str]) -> None:
         self._taken = set(taken)

@@ -1,4 +1,4 @@
-"""All the files of a generated project, by path: skeletons, launch file, package files, the specification itself."""
+"""The files of a generated project: skeletons, launch file, package files, and copies of the specification."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Kind = Literal["component", "whole", "copy", "empty"]
 
 @dataclass(frozen=True, slots=True)
 class GeneratedFile:
-    """A file, and how it meets what is there already: see :mod:`midstride.generate.merge`."""
+    """A file, and how it is merged into an existing one: see :mod:`midstride.generate.merge`."""
 
     path: PurePosixPath
     text: str
@@ -30,7 +30,7 @@ class GeneratedFile:
 
 @dataclass(slots=True)
 class Project:
-    """The files, and for each component that got none the reason."""
+    """The files, and why some components have none."""
 
     files: list[GeneratedFile] = field(default_factory=list)
     skipped: dict[str, str] = field(default_factory=dict)
@@ -42,7 +42,7 @@ _COMMENT: Final = {".xml": ("<!-- ", " -->")}
 def project(
     specification: Specification, file: str, sources: Mapping[PurePosixPath, str], ros: Literal[1, 2] = 2
 ) -> Project:
-    """The project of a system whose specification is in ``file``; ``sources`` are its files, by path beside it."""
+    """The project of a system specified in ``file``; ``sources`` are its files, by path relative to its folder."""
     return _ProjectBuilder(specification, file, sources, ros).build()
 
 
@@ -55,7 +55,7 @@ class _ProjectBuilder:
         self.sources = sources
         self.ros = ros
         self.result = Project()
-        self.programs: dict[PurePosixPath, tuple[ProgramFile, str]] = {}  # with the component that each is of
+        self.programs: dict[PurePosixPath, tuple[ProgramFile, str]] = {}  # each with its component
         self.packages: set[str] = set()
         self.templates = Environment(
             loader=PackageLoader("midstride.generate"),
@@ -78,11 +78,13 @@ class _ProjectBuilder:
     def _component(self, component: ComponentSpec) -> None:
         run = None if component.run is None else program(component.run)
         if component.run is None:
-            self.result.skipped[component.name] = "it has no `run`: it is started elsewhere"
+            self.result.skipped[component.name] = "it has no `run` command: it is started elsewhere"
         elif run is None:
-            self.result.skipped[component.name] = f"`{component.run}` runs no Python file of this folder"
+            self.result.skipped[component.name] = f"`{component.run}` does not run a Python file in this folder"
         elif run.path in self.programs:
-            self.result.skipped[component.name] = f"it runs {run.path}, as {self.programs[run.path][1]} does"
+            self.result.skipped[component.name] = (
+                f"it runs {run.path}, which is the program of {self.programs[run.path][1]}"
+            )
         else:
             path = run.path
             self.programs[path] = run, component.name
@@ -95,7 +97,7 @@ class _ProjectBuilder:
                     self.result.files.append(GeneratedFile(init, "", "empty"))
 
     def _node(self, component: str) -> str:
-        """The name of a node of the component; its own, spelt as a node's, where it has none."""
+        """The name of a node of the component; the component's name in snake case if it has none."""
         for role in self.specification.roles():
             if self.specification.nodes[role].component == component:
                 return role.rpartition("/")[2]
@@ -139,8 +141,8 @@ class _ProjectBuilder:
             self._add_file("up.sh", "up.sh.j2", context, executable=True)
 
     def _installed_files(self) -> list[tuple[str, list[str]]]:
-        """What is installed into the folder that the system then runs in, by folder in it (``""`` or ``/parts``): the
-        specification's files, and the programs that are found by their place."""
+        """The files to install into the folder that the system runs in, by subfolder (``""`` or ``/parts``): the
+        specification, and the programs that are run by path."""
         folders: dict[str, list[str]] = {}
         programs = sorted(run.path for run, _ in self.programs.values() if not run.packaged)
         for path in [*self.sources, *programs]:

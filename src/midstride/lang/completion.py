@@ -83,11 +83,7 @@ class _CursorContext:
         open_: list[int] = []
         head = -1
         for index, (kind, text) in enumerate(zip(self.kinds, self.texts, strict=True)):
-            if (
-                kind == "name"
-                and text in _BLOCK_KEYWORDS
-                and not (index and self.kinds[index - 1] in {".", "<-", "->", ":"})
-            ):
+            if kind == "name" and text in _BLOCK_KEYWORDS and (not index or self.kinds[index - 1] not in _BEFORE_NAMES):
                 head = index
             elif kind == "{":
                 open_.append(head if self.texts[index - 1] != "in" else -1)
