@@ -1,4 +1,4 @@
-"""Skeletons: what they declare is what the specification says, and what users write in them survives."""
+"""Skeletons: they declare what the specification states, and regeneration keeps the user's code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SAMPLE = load(SEEDS / "patrol.stride").require()
 
 
 def message_module(package: str, *names: str) -> types.ModuleType:
-    """Message classes with whatever fields they are asked for."""
+    """Message classes with any field that is accessed."""
 
     def attributes(self: object, name: str) -> Any:
         if name.startswith("_"):
@@ -59,7 +59,7 @@ def skeletons(specification: Specification) -> dict[str, str]:
 
 
 def registered(text: str, name: str) -> ComponentSpec:
-    """What a program of that text would register: the user's class, wired."""
+    """The declaration that a program with that text would register."""
     namespace: dict[str, Any] = {"__name__": "generated"}
     exec(compile(text, "generated.py", "exec"), namespace)
     made = namespace[name]()
@@ -76,7 +76,7 @@ def registered(text: str, name: str) -> ComponentSpec:
 
 @pytest.mark.usefixtures("messages")
 @pytest.mark.parametrize("name", sorted(SAMPLE.components))
-def test_the_samples_skeletons_keep_its_promises(name: str) -> None:
+def test_the_skeletons_of_the_sample_match_its_declarations(name: str) -> None:
     paths = {
         "Lidar": "lidar",
         "ObstacleDetector": "detector",
@@ -90,7 +90,7 @@ def test_the_samples_skeletons_keep_its_promises(name: str) -> None:
 @pytest.mark.usefixtures("messages")
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(components())
-def test_any_components_skeleton_keeps_its_promises(component: ComponentSpec) -> None:
+def test_the_skeleton_of_any_component_matches_its_declaration(component: ComponentSpec) -> None:
     if any(component.output_endpoint(output) is None for output in component.outputs):
         with pytest.raises(SpecificationError, match="has no type"):
             skeletons(of(component))
@@ -188,7 +188,7 @@ def test_names_in_snake_case() -> None:
     ]
 
 
-def test_components_that_get_no_skeleton_are_told_why() -> None:
+def test_components_without_a_skeleton_have_a_reason() -> None:
     text = (
         'system s\ncomponent A { }\ncomponent B { run "./b" }\ncomponent C { run "python3 c.py" }\ncomponent D like C\n'
     )
@@ -200,7 +200,7 @@ def test_components_that_get_no_skeleton_are_told_why() -> None:
     }
 
 
-# -- what the user wrote -----------------------------------------------------------------------------------
+# -- the user's code -----------------------------------------------------------------------------------
 
 OLD = load_text(
     """system s
@@ -224,7 +224,7 @@ NEW = load_text(
 ).require()
 
 
-def test_the_block_is_written_anew_and_the_rest_survives() -> None:
+def test_the_block_is_rewritten_and_the_rest_kept() -> None:
     (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
     mine = old.replace(
         'assumes nothing."""\n        self.out.write(String())\n\n    def talk_silent',
@@ -247,7 +247,7 @@ def test_the_block_is_written_anew_and_the_rest_survives() -> None:
     compile(merged.text, "merged.py", "exec")
 
 
-def test_a_file_without_marks_or_that_is_no_python_is_left_to_the_user() -> None:
+def test_a_file_without_marks_or_valid_python_is_left_to_the_user() -> None:
     (new,) = skeletons(NEW).values()
     (old,) = skeletons(OLD).values()
     assert merge_component("print('all mine')\n", new) == merge_component(new.replace(BEGIN, ""), new)
@@ -261,7 +261,7 @@ def test_a_file_without_marks_or_that_is_no_python_is_left_to_the_user() -> None
 
 
 def test_the_block_of_an_earlier_version_is_recognised() -> None:
-    """The marks are found by their beginnings; their wording has changed before."""
+    """The marks are found by their beginnings, because their wording has changed before."""
     (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
     earlier = old.replace(BEGIN, "# >>> midstride: written anew each time").replace(END, "# <<< midstride: yours")
     merged = merge_component(earlier, new)
@@ -282,21 +282,21 @@ def test_other_files_are_the_users_once_edited() -> None:
 
 
 def test_the_launch_file_is_a_launch_file() -> None:
-    """Where there is no ROS, the modules it asks for are stood in for; what it starts is what is looked at."""
+    """With stubs for the modules of ROS's launch, so that it runs without ROS."""
     (text,) = [file.text for file in project(OLD, "s.stride", {}).files if file.path.name == "s.launch.py"]
 
     class Thing:
         def __init__(self, *given: Any, **named: Any) -> None:
             self.given, self.named = given, named
 
-    stand_ins = {
+    stubs = {
         "launch": {"LaunchDescription": Thing},
         "launch.actions": {"ExecuteProcess": Thing, "OpaqueFunction": Thing, "RegisterEventHandler": Thing},
         "launch.event_handlers": {"OnShutdown": Thing},
     }
-    before = {name: sys.modules.get(name) for name in stand_ins}
+    before = {name: sys.modules.get(name) for name in stubs}
     try:
-        for name, members in stand_ins.items():
+        for name, members in stubs.items():
             sys.modules[name] = types.ModuleType(name)
             vars(sys.modules[name]).update(members)
         namespace: dict[str, Any] = {"__file__": "/ws/share/s/launch/s.launch.py"}
