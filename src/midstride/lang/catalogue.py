@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.lang.catalogue_model import MODEL
-from midstride.lang.catalogue_text import TEXT, ExampleParts
+from midstride.lang.catalogue_semantics import SEMANTICS
+from midstride.lang.catalogue_syntax import SYNTAX, ExampleParts
 from midstride.lang.diagnostics import Severity
 from midstride.model.diagnostics import CATALOGUE as MODEL_KINDS
 from midstride.model.near_miss import did_you_mean
@@ -60,7 +61,7 @@ def _entries() -> dict[str, CatalogueEntry]:
     for code, (explanation, examples) in MODEL.items():
         kind = MODEL_KINDS[code]
         entries[code] = _entry(code, kind.title, f"{explanation}\n\nWhat to do: {kind.advice}.", examples)
-    for code, (title, explanation, examples) in TEXT.items():
+    for code, (title, explanation, examples) in sorted({**SYNTAX, **SEMANTICS}.items()):
         entries[code] = _entry(code, title, explanation, examples)
     return entries
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from midstride.lang.catalogue_text import TALKER, ExampleParts
+from midstride.lang.catalogue_syntax import TALKER, ExampleParts
 
 _JSON: Final = "example.json"
 _LISTENER: Final = """component Listener {
