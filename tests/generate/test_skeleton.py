@@ -282,21 +282,21 @@ def test_other_files_are_the_users_once_edited() -> None:
 
 
 def test_the_launch_file_is_a_launch_file() -> None:
-    """With stubs for the modules of ROS's launch, so that it runs without ROS."""
+    """Where there is no ROS, the modules it asks for are stood in for; what it starts is what is looked at."""
     (text,) = [file.text for file in project(OLD, "s.stride", {}).files if file.path.name == "s.launch.py"]
 
     class Thing:
         def __init__(self, *given: Any, **named: Any) -> None:
             self.given, self.named = given, named
 
-    stubs = {
+    stand_ins = {
         "launch": {"LaunchDescription": Thing},
         "launch.actions": {"ExecuteProcess": Thing, "OpaqueFunction": Thing, "RegisterEventHandler": Thing},
         "launch.event_handlers": {"OnShutdown": Thing},
     }
-    before = {name: sys.modules.get(name) for name in stubs}
+    before = {name: sys.modules.get(name) for name in stand_ins}
     try:
-        for name, members in stubs.items():
+        for name, members in stand_ins.items():
             sys.modules[name] = types.ModuleType(name)
             vars(sys.modules[name]).update(members)
         namespace: dict[str, Any] = {"__file__": "/ws/share/s/launch/s.launch.py"}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -17,7 +18,6 @@ from midstride.model.document import (
     specification_from_document,
     specification_to_document,
 )
-from midstride.model.near_miss import nearest
 from midstride.model.specification import Node, Specification
 from midstride.model.specification_checks import check, check_component, check_node, errors
 
@@ -138,9 +138,9 @@ def _known(name: str, names: Iterable[str], kind: str, of: str = "") -> None:
     if name in names:
         return
     every = sorted(names)
-    near = nearest(name, every)
+    near = difflib.get_close_matches(name, every, n=1)
     more = f" and {len(every) - SHOWN} more" if len(every) > SHOWN else ""
-    hint = f"; did you mean {near}?" if near else f"; there are {', '.join(every[:SHOWN]) or 'none'}{more}"
+    hint = f"; did you mean {near[0]}?" if near else f"; there are {', '.join(every[:SHOWN]) or 'none'}{more}"
     raise PlanRefused(f"there is no {kind} {name}{of}{hint}")
 
 
