@@ -52,7 +52,7 @@ class ActionDriver:
     client: ComponentClient
     launcher: Launcher
     tell: Tell
-    is_gone: Callable[[str], bool] = lambda _: False
+    has_exited: Callable[[str], bool] = lambda _: False
     lingering_readers: LingeringReaders = no_lingering_readers
     before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
     drain_timeout: float = DRAIN_TIMEOUT
@@ -90,13 +90,17 @@ class ActionDriver:
             case Attach(port, connector):
                 return _has_endpoint(configuration, port, connector)
             case Detach(port, connector):
-                return self.is_gone(port.instance) or _has_endpoint(configuration, port, connector)
+                return self._is_gone(port.instance) or _has_endpoint(configuration, port, connector)
             case Degrade(modes):
-                return all(self.is_gone(ref.instance) for ref in modes)
+                return all(self._is_gone(ref.instance) for ref in modes)
             case Remove(component):
-                return self.is_gone(component)
+                return self.has_exited(component)
             case _:
                 return False
+
+    def _is_gone(self, instance: str) -> bool:
+        """Whether its process has exited, or is about to: the end of its connection is known first."""
+        return self.has_exited(instance) or self.client.is_lost(instance)
 
     async def _create(self, action: Create) -> None:
         await self.launcher.registered(action.instance)

@@ -102,7 +102,7 @@ class Manager:
             client=self._client,
             launcher=self._launcher,
             tell=lambda kind, words, details: self.events.add(kind, words, **details),
-            is_gone=lambda name: name in crashes.unsettled,
+            has_exited=lambda name: name in crashes.unsettled,
             lingering_readers=self._backend.lingering_readers,
         )
         return Executor(driver, self.system, self._store, lambda instance: crashes.returned(instance.name))
