@@ -51,6 +51,12 @@ class Action(ABC):
 
     __slots__ = ()
     kind: ClassVar[str]
+    is_structural: ClassVar[bool] = True
+    """Whether it changes what is live or attached, rather than modes or parameters."""
+
+    @abstractmethod
+    def instances(self) -> tuple[str, ...]:
+        """The instances that the action changes, in a stable order."""
 
     @abstractmethod
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
@@ -85,6 +91,9 @@ class Create(Action):
     kind: ClassVar[str] = "create"
     instance: Instance
 
+    def instances(self) -> tuple[str, ...]:
+        return (self.instance.name,)
+
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         name = self.instance.name
         if name in configuration.instances:
@@ -112,6 +121,9 @@ class Remove(Action):
 
     kind: ClassVar[str] = "remove"
     instance: str
+
+    def instances(self) -> tuple[str, ...]:
+        return (self.instance,)
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if self.instance not in configuration.instances:
@@ -154,6 +166,9 @@ class Attach(Action):
     kind: ClassVar[str] = "attach"
     port: PortRef
     connector: str
+
+    def instances(self) -> tuple[str, ...]:
+        return (self.port.instance,)
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := _port_reasons(configuration, self.port, self.connector):
@@ -199,6 +214,9 @@ class Detach(Action):
     kind: ClassVar[str] = "detach"
     port: PortRef
     connector: str
+
+    def instances(self) -> tuple[str, ...]:
+        return (self.port.instance,)
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := _port_reasons(configuration, self.port, self.connector):
@@ -268,7 +286,11 @@ class Degrade(Action):
     """``degrade F``: to strictly worse modes; everyone outside F, and F in its new modes, is satisfied."""
 
     kind: ClassVar[str] = "degrade"
+    is_structural: ClassVar[bool] = False
     modes: Map[FunctionalityRef, int]
+
+    def instances(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(ref.instance for ref in sorted(self.modes)))
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := tuple(_mode_reasons(configuration, self.modes, "worse")):
@@ -299,7 +321,11 @@ class Upgrade(Action):
     """``upgrade F``: to strictly better modes, in which each of F is satisfied afterwards."""
 
     kind: ClassVar[str] = "upgrade"
+    is_structural: ClassVar[bool] = False
     modes: Map[FunctionalityRef, int]
+
+    def instances(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(ref.instance for ref in sorted(self.modes)))
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := tuple(_mode_reasons(configuration, self.modes, "better")):
@@ -322,6 +348,9 @@ class Handover(Action):
 
     kind: ClassVar[str] = "handover"
     swaps: tuple[Swap, ...]
+
+    def instances(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(port.instance for swap in self.swaps for port in (swap.old, swap.new)))
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if not self.swaps:
@@ -388,8 +417,12 @@ class SetParameters(Action):
     """``set``: changeable parameters of a live component, in place; it touches nothing else (section 6)."""
 
     kind: ClassVar[str] = "set"
+    is_structural: ClassVar[bool] = False
     instance: str
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
+
+    def instances(self) -> tuple[str, ...]:
+        return (self.instance,)
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         instance = configuration.instances.get(self.instance)

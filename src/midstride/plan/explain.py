@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from midstride.model.action import Degrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator
 from midstride.model.specification import Specification
+from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
 from midstride.plan.step import Step
-
-if TYPE_CHECKING:
-    from midstride.plan.plan import Plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,15 +69,16 @@ class LevelShift:
         }
 
 
-def shifts(plan: Plan) -> tuple[LevelShift, ...]:
-    """What stands otherwise after the plan, by role, so that it is seen where a role is replaced as well.
+def level_shifts(change: Change, steps: Sequence[Step]) -> tuple[LevelShift, ...]:
+    """What is in another mode after the plan for good, by role, so that a replaced role is included.
 
-    Of functionalities that start and target both have; greatest losses first.
+    Of functionalities that both start and target have; greatest losses first.
     """
-    levels, change = Levels(plan.change), plan.change
-    *_, end = plan.configurations()
+    levels, end = Levels(change), change.start
+    for step in steps:
+        end = step.action.effect(end)
     found: list[LevelShift] = []
-    for role in sorted({role for step in plan.steps for role in step.roles}):
+    for role in sorted({role for step in steps for role in step.roles}):
         for counted in levels.counted(role):
             was, will = levels.level(change.start, counted.ref), levels.level(end, counted.ref)
             if was != will:
@@ -93,33 +92,37 @@ def _mode(specification: Specification, ref: FunctionalityRef, level: int) -> st
     return modes[level].name if level < len(modes) else None
 
 
-def falls(plan: Plan) -> tuple[Degradation, ...]:
-    """One for each stretch in which a functionality stands below its baseline, in the order they begin."""
-    levels = Levels(plan.change)
-    meter = DisruptionMeter(levels)
-    configurations = list(plan.configurations())
+def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ...]:
+    """One for each stretch of the plan in which a functionality is below its baseline, in the order they begin."""
+    levels = Levels(change)
+    meter, configurations = DisruptionMeter.at_start(levels), [change.start]
     begun: dict[FunctionalityRef, int] = dict.fromkeys(meter.below, 0)
     spent: dict[FunctionalityRef, float] = dict.fromkeys(meter.below, 0.0)
     unserved: dict[FunctionalityRef, int] = {}
-    found: list[Degradation] = []
+    ends: list[tuple[FunctionalityRef, int, int | None, float, int | None]] = []
 
     def close(ref: FunctionalityRef, until: int | None) -> None:
-        because = _because(plan.steps, configurations, ref, begun[ref])
         seconds = round(meter.seconds(ref) - spent[ref], DIGITS)
-        found.append(Degradation(ref, begun.pop(ref), until, seconds, because, unserved.pop(ref, None)))
+        ends.append((ref, begun.pop(ref), until, seconds, unserved.pop(ref, None)))
 
-    for index, step in enumerate(plan.steps):
-        for moved in meter.step(step.action, step.seconds, configurations[index + 1]):
+    for number, step in enumerate(steps, start=1):
+        configurations.append(step.action.effect(configurations[-1]))
+        meter = meter.after(step.action, step.seconds, configurations[-1])
+        for moved in meter.changes:
             counted = levels.find(moved.ref)
             if counted is not None and moved.after and counted.baseline + moved.after == counted.worst:
-                unserved.setdefault(moved.ref, index + 1)
+                unserved.setdefault(moved.ref, number)
             if not moved.before:
-                begun[moved.ref], spent[moved.ref] = index + 1, meter.seconds(moved.ref) - step.seconds
+                begun[moved.ref], spent[moved.ref] = number, meter.seconds(moved.ref) - step.seconds
             elif not moved.after:
-                close(moved.ref, index + 1)
+                close(moved.ref, number)
     for ref in sorted(begun):
         close(ref, None)
-    return tuple(sorted(found, key=lambda fall: (fall.since, fall.functionality)))
+    found = [
+        Degradation(ref, since, until, seconds, _because(steps, configurations, ref, since), unserved_from)
+        for ref, since, until, seconds, unserved_from in ends
+    ]
+    return tuple(sorted(found, key=lambda each: (each.since, each.functionality)))
 
 
 def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref: FunctionalityRef, since: int) -> str:

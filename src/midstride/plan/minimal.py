@@ -20,7 +20,7 @@ from midstride.model.specification import Constraint, Order
 from midstride.plan.change import Change
 from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal, roles_of
 from midstride.plan.disruption import Levels
-from midstride.plan.moves import moves
+from midstride.plan.moves import moves, play
 from midstride.plan.plan import Plan
 from midstride.plan.plan_builder import Ceiling, PlanBuilder
 from midstride.plan.schedule import makespan
@@ -35,7 +35,7 @@ Key = tuple[bool, float, int, float, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
+class Candidate:
     """A whole plan, with what it is ranked by: breaches, disruption, functionalities fallen, makespan, steps."""
 
     key: Key
@@ -83,7 +83,7 @@ def _no_room(change: Change) -> list[str]:
     return told
 
 
-def _relevant(change: Change, found: Found | None, constraints: Iterable[Constraint]) -> list[Constraint]:
+def _relevant(change: Change, found: Candidate | None, constraints: Iterable[Constraint]) -> list[Constraint]:
     """The constraints that have to do with what the plan touches."""
     ports = [port for port, _ in (*change.detached, *change.attached)]
     names = [*change.leaving, *(instance.name for instance in change.coming), *(port.instance for port in ports)]
@@ -93,7 +93,7 @@ def _relevant(change: Change, found: Found | None, constraints: Iterable[Constra
     return [constraint for constraint in constraints if touched.intersection(roles_of(constraint))]
 
 
-def _find(change: Change, levels: Levels, constraints: Sequence[Constraint]) -> Found | None:
+def _find(change: Change, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
     """The best plan found under ``constraints``, perhaps one that breaks some; None where the orders leave none."""
     # Raising somebody above where both ends have it costs steps, and may help others only in a conflict.
     found = _search(change, levels, constraints, _as_far_as_needed(change), None)
@@ -130,64 +130,57 @@ def _search(
     levels: Levels,
     constraints: Sequence[Constraint],
     ceiling: Ceiling | None,
-    best: Found | None,
+    best: Candidate | None,
     *,
     eager: bool = True,
-) -> Found | None:
+) -> Candidate | None:
     """Depth first through the core, the cheapest way first, as far as the number of trials allows.
 
     ``best`` is what has been found before, and what comes back where nothing better is.
     """
     orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
-    trials = _TRIALS
-    watch = ConstraintMonitor(change, levels, constraints) if constraints else None
-    stack = [SearchState(PlanBuilder(change, levels, ceiling, watch), orders, eager=eager)]
-    if stack[0].layers() is None:
+    monitor = ConstraintMonitor.of(change, levels, constraints) if constraints else None
+    start = SearchState.at_start(PlanBuilder.at_start(change, levels, ceiling, monitor), orders, eager=eager)
+    if start.layers() is None:
         return best
-    stack[0].advance()
+    trials = _TRIALS
+    stack = [start.advance()]
     while stack:
-        core = stack.pop()
-        doomed = core.draft.is_doomed
-        if best is not None and (trials <= 0 or doomed or _cannot_beat(core, best)):
+        state = stack.pop()
+        doomed = state.builder.is_doomed
+        if best is not None and (trials <= 0 or doomed or _cannot_beat(state, best)):
             continue
-        if core.only_goes:
-            core.finish()
-            found = _found(change, levels, constraints, core.draft)
+        if state.only_removals_left:
+            found = _candidate(change, levels, constraints, state.finish())
             if best is None or found.key < best.key:
                 best = found
             if best.is_free:
                 break
             continue
-        ways: list[SearchState] = []
-        # What is doomed is followed to its end only where there is nothing else to tell of yet, and by one way.
-        for move in moves(core)[: 1 if doomed else None if trials > 0 else _FEW]:
-            way = core.copy()
-            way.play(move)
-            way.advance()
-            ways.append(way)
-            trials -= 1
-        ways.sort(key=_priority)
-        stack.extend(ways[: None if trials > 0 else 1][::-1])
+        # A doomed state is followed to its end only while there is no other plan to report, and in one way only.
+        tried = moves(state)[: 1 if doomed else None if trials > 0 else _FEW]
+        following = sorted((play(state, move).advance() for move in tried), key=_priority)
+        trials -= len(tried)
+        stack.extend(following[: None if trials > 0 else 1][::-1])
     return best
 
 
-def _priority(core: SearchState) -> tuple[bool, float, float, int]:
-    """Whether a way is doomed; what it has cost and will at least have cost, roughly, once what fell stands again."""
-    change, meter = core.draft.change, core.draft.meter
+def _priority(state: SearchState) -> tuple[bool, float, float, int]:
+    """Whether a state is doomed; roughly what it will have cost once everything that fell is restored."""
+    change, meter = state.builder.change, state.builder.meter
     roles = {ref.instance for ref in meter.below}
-    awaited = [change.seconds("create", i.component) for i in core.creates.values() if i.role in roles]
-    cost = meter.disruption + meter.standing * max(awaited, default=0.0)
-    return core.draft.is_doomed, cost, meter.standing, len(core.draft.steps)
+    awaited = [change.seconds("create", i.component) for i in state.creates.values() if i.role in roles]
+    cost = meter.disruption + meter.missing * max(awaited, default=0.0)
+    return state.builder.is_doomed, cost, meter.missing, len(state.builder.numbered)
 
 
-def _cannot_beat(core: SearchState, best: Found) -> bool:
-    meter = core.draft.meter
+def _cannot_beat(state: SearchState, best: Candidate) -> bool:
+    meter = state.builder.meter
     return not best.breaches and (meter.disruption, len(meter.fallen)) > best.key[1:3]
 
 
-def _found(change: Change, levels: Levels, constraints: Sequence[Constraint], draft: PlanBuilder) -> Found:
-    steps = tuple(draft.steps)
+def _candidate(change: Change, levels: Levels, constraints: Sequence[Constraint], builder: PlanBuilder) -> Candidate:
+    steps, meter = builder.steps, builder.meter
     broken = tuple(breaches(change, steps, levels, constraints))
-    meter = draft.meter
-    span = makespan(change, steps, levels)
-    return Found((bool(broken), meter.disruption, len(meter.fallen), span, len(steps)), steps, broken)
+    key = (bool(broken), meter.disruption, len(meter.fallen), makespan(change, steps, levels), len(steps))
+    return Candidate(key, steps, broken)

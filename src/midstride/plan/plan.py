@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from midstride.model.action import Action
 from midstride.model.component import FunctionalityRef
@@ -13,11 +13,9 @@ from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
+from midstride.plan.explain import Degradation, LevelShift, degradations, level_shifts
 from midstride.plan.schedule import dependencies, makespan
 from midstride.plan.step import Step
-
-if TYPE_CHECKING:
-    from midstride.plan.explain import Degradation, LevelShift
 
 
 @dataclass(frozen=True)
@@ -46,11 +44,11 @@ class Plan:
         Nothing costs less than nothing, so a plan without disruption is proved minimal by that
         alone; of any other, nothing is claimed.
         """
-        meter = DisruptionMeter(levels or Levels(change))
+        meter = DisruptionMeter.at_start(levels or Levels(change))
         configuration = change.start
         for step in steps:
             configuration = step.action.effect(configuration)
-            meter.step(step.action, step.seconds, configuration)
+            meter = meter.after(step.action, step.seconds, configuration)
         return cls(
             strategy=strategy,
             change=change,
@@ -86,16 +84,12 @@ class Plan:
     @cached_property
     def falls(self) -> tuple[Degradation, ...]:
         """Why each functionality falls, from which step to which, and for how long."""
-        from midstride.plan.explain import falls
-
-        return falls(self)
+        return degradations(self.change, self.steps)
 
     @cached_property
     def shifts(self) -> tuple[LevelShift, ...]:
         """What stands otherwise after the plan than before it, for good."""
-        from midstride.plan.explain import shifts
-
-        return shifts(self)
+        return level_shifts(self.change, self.steps)
 
     @cached_property
     def dependencies(self) -> tuple[tuple[int, ...], ...]:

@@ -39,6 +39,9 @@ class Claim(Enum):
     BEFORE = auto()
     AFTER = auto()
 
+    # By identity: the hash that Enum defines in Python is a tenth of a plan's time.
+    __hash__ = object.__hash__
+
 
 # A step with the second claim on a thing waits for each earlier step with one of the first on it.
 _WAITS_FOR: Final[dict[Claim, tuple[Claim, ...]]] = {
@@ -162,10 +165,11 @@ class _Marks:
 
 def _falling(change: Change, steps: Sequence[Step], levels: Levels) -> set[int]:
     """The steps by which something falls below its baseline, or further below it."""
-    meter, configuration, found = DisruptionMeter(levels), change.start, set()
+    meter, configuration, found = DisruptionMeter.at_start(levels), change.start, set()
     for index, step in enumerate(steps):
         configuration = step.action.effect(configuration)
-        if any(moved.after > moved.before for moved in meter.step(step.action, step.seconds, configuration)):
+        meter = meter.after(step.action, step.seconds, configuration)
+        if any(moved.after > moved.before for moved in meter.changes):
             found.add(index)
     return found
 

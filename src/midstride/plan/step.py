@@ -31,7 +31,7 @@ class Step:
     @property
     def is_structural(self) -> bool:
         """Whether it changes what is live or attached."""
-        return isinstance(self.action, (Create, Remove, Attach, Detach, Handover))
+        return self.action.is_structural
 
     def describe(self) -> str:
         """The step in words, modes by name."""
