@@ -67,7 +67,7 @@ def test_talker_minimal_lets_nothing_fall() -> None:
     assert told(plan) == [
         "create talker_2 (NewTalker)",
         "upgrade talker_2.talk from degraded to normal",
-        "hand over /chatter: talker.out -> talker_2.out",
+        "hand over /chatter from talker.out to talker_2.out",
         "remove talker",
     ]
     assert (plan.disruption, plan.fallen, plan.proved_minimal) == (0.0, (), True)
@@ -87,7 +87,7 @@ def test_a_fall_says_why_and_for_how_long() -> None:
     listener, talk = plan.falls
     assert (str(listener.functionality), listener.since, listener.until) == ("listener.listen", 1, 7)
     assert listener.seconds == pytest.approx(1.73)
-    assert "nobody satisfies /chatter" in listener.because
+    assert "/chatter has no publisher" in listener.because
     assert "step 2 (`detach talker.out from /chatter`)" in listener.because
     assert (str(talk.functionality), talk.since, talk.until) == ("talker.talk", 2, 6)
     assert "no instance of talker serves it" in talk.because
@@ -177,7 +177,7 @@ def test_filter_in_a_chain_minimal() -> None:
         "create filter_2 (Median)",
         "attach filter_2.in to /raw",
         "upgrade filter_2.work from degraded to normal",
-        "hand over /clean: filter.out -> filter_2.out",
+        "hand over /clean from filter.out to filter_2.out",
         "degrade filter.work from normal to degraded",
         "detach filter.in from /raw",
         "remove filter",
@@ -365,7 +365,7 @@ def tuned(value: float, *, changeable: bool) -> Specification:
 @pytest.mark.parametrize("strategy", EVERY)
 def test_a_changeable_parameter_is_set_in_place(strategy: str) -> None:
     plan = sound(changed(tuned(0.4, changeable=True), tuned(0.6, changeable=True), strategy))
-    assert told(plan)[-1:] == ["set threshold = 0.6 of detector"]
+    assert told(plan)[-1:] == ["set threshold = 0.6 on detector"]
     assert len(plan.steps) == 1
 
 
@@ -446,7 +446,7 @@ def test_what_the_new_environment_keeps_down_is_told_as_fallen() -> None:
     configuration = initial(start).with_modes({FunctionalityRef("eye", "see"): 1})
     plan = sound(STRATEGIES["minimal"](Change.between(configuration, start, target)))
     assert fallen(plan) == ["eye.see"]
-    assert plan.falls[0].because == "it stands below when the plan begins"
+    assert plan.falls[0].because == "it is already below when the plan begins"
     # While the source comes (1 s) the eye is a level below what it was when its camera still worked.
     assert plan.disruption == pytest.approx(1.0)
 

@@ -165,7 +165,7 @@ def test_the_smallest_set_in_conflict_is_named() -> None:
     user = FunctionalityRef("user", "b")
     words = refused(*devices(Order("a", "b"), Limit(FunctionalityRef("user", "a"), 60.0), Keep(user, "normal")))
     assert words.startswith("no plan was found that meets the constraint `keep user.b at normal`")
-    assert words.endswith("; b and b_2 do not fit at once: B has a capacity of 1")
+    assert words.endswith("; b and b_2 do not fit at the same time: B has a capacity of 1")
     assert "order" not in words
 
 

@@ -30,7 +30,7 @@ def test_single_points_of_failure_come_first_and_reasons_are_told() -> None:
 
 
 def test_a_node_that_is_none_is_refused_with_a_near_miss() -> None:
-    with pytest.raises(PlanRefused, match="there is no node lidr; did you mean `lidar`"):
+    with pytest.raises(PlanRefused, match="there is no node `lidr`; did you mean `lidar`"):
         impacts(SAMPLE, ["lidr"])
 
 

@@ -81,7 +81,7 @@ def test_two_commands_at_once_run_one_after_the_other_and_the_second_is_told(tmp
         assert [outcome["outcome"] for outcome in outcomes] == ["done", "done"]
         assert sorted(manager.configuration.instances) == ["listener", "talker_3"]
         waiting = [event["words"] for event in manager.log() if event["kind"] == "waiting"]
-        assert waiting == ["`replace talker by Talker` waits for `replace talker by NewTalker`"]
+        assert waiting == ["`replace talker with Talker` waits for `replace talker with NewTalker`"]
 
     managed("talker", tmp_path, body)
 
@@ -99,10 +99,10 @@ def test_a_change_seen_at_an_older_revision_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("request_", "because"),
     [
-        (replace("talker", "NewTalke"), "did you mean NewTalker?"),
-        (replace("talkr", "NewTalker"), "did you mean talker?"),
+        (replace("talker", "NewTalke"), "did you mean `NewTalker`?"),
+        (replace("talkr", "NewTalker"), "did you mean `talker`?"),
         (replace("talker", "Listener"), "no port out"),
-        (Request(), "nothing is asked for"),
+        (Request(), "the request is empty"),
         (replace("talker", "NewTalker", "fastest"), "fastest"),
     ],
 )

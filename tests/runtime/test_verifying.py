@@ -167,7 +167,7 @@ def test_a_component_that_does_not_answer_is_no_pass(tmp_path: Path) -> None:
     outcome, before, after, _ = changed(tmp_path, Scripted(), Lying(silent))
     assert outcome["outcome"] == "rolled_back"
     told = "what is live is not known: listener did not answer"
-    assert outcome["because"] == f"degrade listener.listen to degraded: {told}"
+    assert outcome["because"] == f"degrade listener.listen from normal to degraded: {told}"
     assert after == before
 
 

@@ -1,4 +1,4 @@
-"""What the user asks of every plan: ``keep``, ``limit`` and ``order`` (semantics.md section 6)."""
+"""What the user asks of every plan: ``keep``, ``limit`` and ``order`` (docs/semantics.md section 6)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from midstride.plan.change import Change
 from midstride.plan.disruption import DisruptionMeter, Levels
 from midstride.plan.step import Step
 
-# Up to this many constraints, a smallest conflicting set is looked for; beyond, one that has no smaller one in it.
+# Up to this many constraints, a smallest conflicting set is searched for; beyond, one that contains no smaller one.
 _ENUMERABLE: Final = 6
 
 _EPSILON: Final = 1e-9
@@ -25,7 +25,7 @@ _EPSILON: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Breach:
-    """A constraint that a plan does not meet, and where and how it does not."""
+    """A constraint that a plan does not meet, and why."""
 
     constraint: Constraint
     because: str
@@ -50,9 +50,8 @@ def in_force(change: Change) -> tuple[Constraint, ...]:
 def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints: Iterable[Constraint]) -> list[Breach]:
     """The constraints that a plan of these steps does not meet, in the order given.
 
-    A plan is not blamed for a functionality that stands below its ``keep`` when the plan begins,
-    only for taking it lower than it stood. A ``limit`` counts every step during which the functionality is
-    below its baseline.
+    A functionality that is already below its ``keep`` when the plan begins may stay there, but not degrade further.
+    A ``limit`` counts every step during which the functionality is below its baseline.
     """
     asked = tuple(constraints)
     if not asked:
@@ -102,7 +101,7 @@ class ConstraintMonitor:
             if role not in step.roles or keep in broken:
                 continue
             if self.levels.level(configuration, keep.functionality) > threshold:
-                broken = broken.set(keep, f"step {number} ({step.describe()}) takes it below")
+                broken = broken.set(keep, f"step {number} ({step.describe()}) takes it below that mode")
         return self if broken is self.broken else replace(self, broken=broken)
 
     def is_doomed(self, meter: DisruptionMeter) -> bool:
@@ -144,7 +143,7 @@ def _out_of_order(order: Order, steps: Sequence[Step]) -> str | None:
 
 
 def layers(roles: Iterable[str], constraints: Iterable[Constraint]) -> list[list[str]] | None:
-    """The roles in the order that ``order`` constraints ask for, those of one layer in none; None for a cycle."""
+    """The roles in the order that the ``order`` constraints ask for; None for a cycle."""
     left = sorted(set(roles))
     orders = [c for c in constraints if isinstance(c, Order) and c.first != c.then]
     found: list[list[str]] = []
@@ -177,9 +176,9 @@ def conflict(
 
 
 def refusal(conflicting: Sequence[Constraint], breaches: Iterable[Breach], scarce: Iterable[str] = ()) -> PlanRefused:
-    """The refusal that names the constraints in conflict, how the best plan found breaks them, and what is scarce."""
-    told = {breach.constraint: breach.because for breach in breaches}
-    words = [f"`{c}`" + (f" ({told[c]})" if c in told else "") for c in conflicting]
+    """The refusal: the constraints in conflict, how the best plan found breaks them, and which resources are scarce."""
+    reasons = {breach.constraint: breach.because for breach in breaches}
+    words = [f"`{c}`" + (f" ({reasons[c]})" if c in reasons else "") for c in conflicting]
     which = f"the constraint {words[0]}" if len(words) == 1 else f"these constraints together: {'; '.join(words)}"
     because = "".join(f"; {why}" for why in scarce)
     return PlanRefused(f"no plan was found that meets {which}{because}")

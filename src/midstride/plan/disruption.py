@@ -1,8 +1,8 @@
-"""What a plan costs: semantics.md section 6, counted by role.
+"""The disruption that a plan causes, counted by role (docs/semantics.md section 6).
 
-:class:`Levels` says how a role's functionality stands in a configuration, and against what it is
-measured. :class:`DisruptionMeter` follows a plan step by step. Both look only at the roles that a step
-touches, so that a plan's cost is found at the cost of the plan.
+:class:`Levels` yields the level of a role's functionality in a configuration, and its baseline.
+:class:`DisruptionMeter` follows a plan step by step. Both look only at the roles that a step touches, so that the
+effort follows the plan, not the system.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Counted:
 
 
 class Levels:
-    """The levels of the roles' functionalities under one change. Holds what it has looked up."""
+    """The levels of the roles' functionalities in one change. Caches what it has looked up."""
 
     __slots__ = ("_counted", "change")
 
@@ -73,8 +73,7 @@ class Levels:
     def _level(configuration: Configuration, ref: FunctionalityRef, outputs: tuple[str, ...], worst: int) -> int:
         level = worst
         for instance in configuration.instances_by_role.get(ref.instance, ()):
-            own = FunctionalityRef(instance, ref.functionality)
-            mode = configuration.modes.get(own)
+            mode = configuration.modes.get(FunctionalityRef(instance, ref.functionality))
             if mode is None or mode >= level:
                 continue
             if all(PortRef(instance, output) in configuration.connectors_of for output in outputs):
@@ -100,7 +99,7 @@ class Levels:
         return counted.baseline
 
     def below(self, configuration: Configuration, role: str) -> dict[FunctionalityRef, int]:
-        """How many levels below the baseline the functionalities of ``role`` stand, where they do."""
+        """How many levels below the baseline the functionalities of ``role`` are, where they are below."""
         found = {}
         for counted in self.counted(role):
             loss = self._level(configuration, counted.ref, counted.outputs, counted.worst) - counted.baseline
@@ -108,12 +107,9 @@ class Levels:
                 found[counted.ref] = loss
         return found
 
-    def fallen(self, configuration: Configuration, roles: Iterable[str] | None = None) -> dict[FunctionalityRef, int]:
-        """The same over ``roles``; over all of them, at the cost of a walk, where None."""
-        found: dict[FunctionalityRef, int] = {}
-        for role in sorted(self.change.target.nodes) if roles is None else roles:
-            found.update(self.below(configuration, role))
-        return found
+    def fallen(self, configuration: Configuration, roles: Iterable[str]) -> dict[FunctionalityRef, int]:
+        """The same for several roles."""
+        return {ref: loss for role in roles for ref, loss in self.below(configuration, role).items()}
 
     def weight(self, ref: FunctionalityRef) -> float:
         counted = self.find(ref)

@@ -1,4 +1,4 @@
-"""Why each functionality falls in a plan, from which step to which, for how long; what stands otherwise after it."""
+"""Why each functionality degrades during a plan, from which step to which, for how long; and what changes for good."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ class Degradation:
     """A role's functionality below its baseline: the steps (from 1) that take it there and back, and why.
 
     ``seconds`` counts every step of the sequence during which it is below, by the steps'
-    estimates. ``until`` is None where the plan begins below and does not end above. ``unserved`` is the step
-    from which on no instance serves it any more, None where one always does.
+    estimates. ``since`` is 0 where the plan begins below, ``until`` is None where it ends below. ``unserved`` is the
+    step from which on no instance serves the functionality, None where one always does.
     """
 
     functionality: FunctionalityRef
@@ -50,7 +50,7 @@ class Degradation:
 
 @dataclass(frozen=True, slots=True)
 class LevelShift:
-    """A role's functionality that stands otherwise at the end of a plan than at its beginning, for good.
+    """A role's functionality that is in another mode at the end of a plan than at its beginning.
 
     ``before`` and ``after`` are modes; None where no instance serves it. ``levels`` says by how many it ends lower.
     """
@@ -126,27 +126,29 @@ def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ..
 
 
 def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref: FunctionalityRef, since: int) -> str:
-    """The reason, as the model tells it: what would not hold if the functionality stayed as it was."""
+    """The reason: the assumption that would not be satisfied if the functionality stayed in its mode."""
     if since == 0:
-        return "it stands below when the plan begins"
+        return "it is already below when the plan begins"
     step, before = steps[since - 1], configurations[since - 1]
     if not isinstance(step.action, Degrade):
-        return f"after `{step.describe()}` no instance of {ref.instance} serves it any more"
-    own = next((own for own in sorted(step.action.modes) if _by_role(before, own) == ref), None)
+        return f"after `{step.describe()}`, no instance of {ref.instance} serves it"
+    live = next((live for live in sorted(step.action.modes) if _by_role(before, live) == ref), None)
     for number, later in enumerate(steps[since:], start=since + 1):
         if later.is_structural:
             after = configurations[number]
-            if own is not None and own.instance in after.instances:
-                judge = Evaluator(after, {own: before.modes[own]})
-                mode = before.mode(own)
-                functionality = before.functionality(own)
+            if live is not None and live.instance in after.instances:
+                evaluator = Evaluator(after, {live: before.modes[live]})
+                mode = before.mode(live)
+                functionality = before.functionality(live)
                 for assumption in mode.assumptions:
-                    if not judge.assumption_satisfied(own, functionality, assumption):
-                        why = judge.why_assumption_unsatisfied(own, assumption)
-                        return f"in mode {mode.name} {own} {why}, after step {number} (`{later.describe()}`)"
-            return f"the strategy lowers it before step {number} (`{later.describe()}`), without its losing anything"
-    return "the strategy lowers it"
+                    if not evaluator.assumption_satisfied(live, functionality, assumption):
+                        why = evaluator.why_assumption_unsatisfied(live, assumption)
+                        return f"in mode {mode.name}, {live} {why}, after step {number} (`{later.describe()}`)"
+            return (
+                f"the strategy degrades it before step {number} (`{later.describe()}`), although it loses nothing there"
+            )
+    return "the strategy degrades it"
 
 
-def _by_role(configuration: Configuration, own: FunctionalityRef) -> FunctionalityRef:
-    return FunctionalityRef(configuration.instances[own.instance].role, own.functionality)
+def _by_role(configuration: Configuration, live: FunctionalityRef) -> FunctionalityRef:
+    return FunctionalityRef(configuration.instances[live.instance].role, live.functionality)

@@ -1,7 +1,6 @@
-"""What each component means to the others: what falls, and how far, if it is removed or crashes.
+"""The impact of each node on the others: which functionalities degrade, and how far, if it is removed or crashes.
 
-Both end in the same place: ``best`` of what is left (semantics.md section 7). What differs is the way there,
-which is a plan's matter.
+Both lead to the same modes: ``best`` of what remains (docs/semantics.md section 7). Only the way there differs.
 """
 
 from __future__ import annotations
@@ -10,18 +9,17 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from midstride.errors import PlanRefused
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.diagnosis import Diagnosis
-from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification, initial
+from midstride.plan.request import require
 
 
 @dataclass(frozen=True, slots=True)
 class ImpactedFunctionality:
-    """A functionality that falls, by ``levels`` modes, and why it cannot stay."""
+    """A functionality that degrades by ``levels`` modes, and why."""
 
     functionality: FunctionalityRef
     before: str
@@ -38,7 +36,7 @@ class ImpactedFunctionality:
 
 @dataclass(frozen=True, slots=True)
 class Impact:
-    """What falls if ``role`` is gone. ``own`` are its own functionalities, which go with it."""
+    """What degrades without ``role``. ``own`` are its own functionalities, which are lost with it."""
 
     role: str
     component: str
@@ -47,12 +45,12 @@ class Impact:
 
     @property
     def loss(self) -> float:
-        """The levels that others lose, by weight."""
+        """The levels that others lose, times their weight."""
         return sum(fall.loss for fall in self.falls)
 
     @property
     def single_point_of_failure(self) -> bool:
-        """Whether another component's functionality falls to its last mode."""
+        """Whether a functionality of another component degrades to its last mode."""
         return any(fall.is_last for fall in self.falls)
 
     def to_document(self) -> dict[str, Any]:
@@ -79,12 +77,11 @@ class Impact:
 def impacts(specification: Specification, roles: Iterable[str] = ()) -> list[Impact]:
     """The impact of each role (of ``roles``, where any are named), single points of failure and great losses first.
 
-    Raises PlanRefused for a role that there is not. The cost of each follows its forward cone.
+    Raises PlanRefused for an unknown role. The cost of each follows its forward cone.
     """
     named = list(roles) or specification.roles()
     for role in named:
-        if role not in specification.nodes:
-            raise PlanRefused(f"there is no node {role}; {suggestion(role, specification.nodes)}")
+        require("node", role, specification.nodes)
     configuration = initial(specification)
     found = [_impact(specification, configuration, role) for role in named]
     return sorted(found, key=lambda impact: (not impact.single_point_of_failure, -impact.loss, impact.role))
@@ -107,16 +104,16 @@ def _impact(specification: Specification, configuration: Configuration, role: st
 def _falls(
     before: Configuration, after: Configuration, modes: dict[FunctionalityRef, int]
 ) -> Iterator[ImpactedFunctionality]:
-    why = Diagnosis(after)
+    diagnosis = Diagnosis(after)
     for ref, index in modes.items():
         functionality = before.functionality(ref)
-        stood = before.modes[ref]
+        held = before.modes[ref]
         yield ImpactedFunctionality(
             ref,
-            functionality.modes[stood].name,
+            functionality.modes[held].name,
             functionality.modes[index].name,
-            index - stood,
+            index - held,
             functionality.weight,
             index == functionality.last_mode,
-            why.chain(ref, stood),
+            diagnosis.chain(ref, held),
         )

@@ -1,16 +1,16 @@
-"""Strategy ``paper``: the paper's Algorithm 1 and its six-step replace, as its text says (semantics.md section 6).
+"""Strategy ``paper``: the paper's Algorithm 1 and its six-step replace, as its text says (docs/semantics.md section 6).
 
-1. Detach all the ports of what goes; before each detaching, degrade the affected functionalities
-   to their last mode, those that depend on them first.
+1. Detach all ports of the old component; before each detach, degrade the affected functionalities to their last
+   mode, downstream first.
 2. Remove it.
-3. Create what comes, in its last modes.
+3. Create the new component, in its last modes.
 4. Attach its inputs.
 5. Upgrade its functionalities.
 6. Attach its outputs, and upgrade the degraded functionalities of the others, to ``best``.
 
-Several changes: first what goes (1 and 2 for each), then what comes (3 to 6 for each). The paper's
-listing calls itself for ever in a cycle; here the affected are found as a closure, and lowered in
-groups where they support each other.
+For several changes, first everything old is removed (1 and 2 for each), then everything new is added (3 to 6 for
+each). The paper's listing does not terminate in a cycle; here the affected functionalities are computed as a closure,
+and degraded in groups where they support each other.
 """
 
 from __future__ import annotations
@@ -40,8 +40,7 @@ def paper(change: Change) -> Plan:
 def six_steps(strategy: str, change: Change, lowered_first: Iterable[FunctionalityRef]) -> Plan:
     """The paper's process, after lowering ``lowered_first`` to their last modes.
 
-    Where the user asks for an order of roles, the whole process runs for one layer of roles after
-    the other.
+    Where the user asks for an order of roles, the whole process runs for one layer of roles at a time.
     """
     levels = Levels(change)
     constraints = in_force(change)
@@ -90,13 +89,13 @@ def _detach(plan: PlanBuilder, port: PortRef, connector: str) -> PlanBuilder:
 
 
 def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
-    """AffectedFuncs and AffectedConns to their end: whoever is not satisfied any more goes to its last mode."""
+    """The closure of AffectedFuncs and AffectedConns: each functionality no longer satisfied, in its last mode."""
     overlay: Modes = {}
-    judge = Evaluator(after, overlay)
+    evaluator = Evaluator(after, overlay)
     pending = list(seeds)
     while pending:
         ref = pending.pop()
-        if ref in overlay or judge.satisfied(ref):
+        if ref in overlay or evaluator.satisfied(ref):
             continue
         functionality = after.functionality(ref)
         overlay[ref] = functionality.last_mode

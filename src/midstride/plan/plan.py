@@ -1,4 +1,4 @@
-"""A plan: the steps from a running configuration to a target, and what they cost (semantics.md section 6)."""
+"""A plan: the steps from a running configuration to a target, and what they cost (docs/semantics.md section 6)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Plan:
 
     ``disruption`` is in weighted functionality-seconds, ``makespan`` the critical path of the
     steps that do not commute, ``seconds`` the plain sum. ``fallen`` names roles' functionalities
-    that ever stand below the baseline. ``proved_minimal`` is claimed only where it is proved.
+    that are ever below the baseline. ``proved_minimal`` is claimed only where it is proved.
     """
 
     strategy: str
@@ -39,10 +39,9 @@ class Plan:
 
     @classmethod
     def of(cls, strategy: str, change: Change, steps: Sequence[Step], levels: Levels | None = None) -> Plan:
-        """The plan that consists of ``steps``, with its costs worked out.
+        """The plan that consists of ``steps``, with its costs.
 
-        Nothing costs less than nothing, so a plan without disruption is proved minimal by that
-        alone; of any other, nothing is claimed.
+        No disruption is less than 0, so a plan without disruption is minimal; of any other, nothing is claimed.
         """
         meter = DisruptionMeter.at_start(levels or Levels(change))
         configuration = change.start
@@ -83,17 +82,17 @@ class Plan:
 
     @cached_property
     def falls(self) -> tuple[Degradation, ...]:
-        """Why each functionality falls, from which step to which, and for how long."""
+        """Why each functionality degrades, from which step to which, and for how long."""
         return degradations(self.change, self.steps)
 
     @cached_property
     def shifts(self) -> tuple[LevelShift, ...]:
-        """What stands otherwise after the plan than before it, for good."""
+        """The functionalities that are in another mode after the plan than before it."""
         return level_shifts(self.change, self.steps)
 
     @cached_property
     def dependencies(self) -> tuple[tuple[int, ...], ...]:
-        """For each step, the earlier ones it does not commute with: it must wait for these alone."""
+        """For each step, the earlier ones with which it does not commute, and for which it must wait."""
         return dependencies(self.change, self.steps, Levels(self.change))
 
     def step_documents(self) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ from typing import Any
 from immutables import Map
 
 from midstride.errors import MidstrideError, StepFailed
-from midstride.model.action import Action, Create, Degrade, Upgrade
+from midstride.model.action import Action, Create, Degrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.runtime.action_driver import ActionDriver, by_component
@@ -50,7 +50,8 @@ class Executor:
         for index, action in enumerate(actions):
             document = dict(documents[index]) if index < len(documents) else {}
             position = {"index": index, "of": len(actions), "step": document}
-            self._tell("step", f"{index + 1}/{len(actions)} {self.describe(action)}", position)
+            what = action.describe(self.configuration)
+            self._tell("step", f"{index + 1}/{len(actions)} {what}", position)
             try:
                 if isinstance(action, Create):
                     await self._start_ahead(actions[index:])
@@ -58,7 +59,7 @@ class Executor:
                 if self.after_step is not None:
                     await self.after_step(self.configuration)
             except (Exception, asyncio.CancelledError) as error:
-                what, why = self.describe(action), _told(error)
+                why = _told(error)
                 self._tell("step_failed", f"{what} failed: {why}", position)
                 await self._abandon_started(actions[index:])
                 problem = await self._roll_back(done)
@@ -91,7 +92,8 @@ class Executor:
     async def perform(self, action: Action) -> None:
         """Check one action against the model, carry it out, and move the model on. Raises MidstrideError."""
         after = action.apply(self.configuration)
-        await self.performer.perform(action, self.configuration, f"the plan asked for it: {self.describe(action)}")
+        because = f"the plan asked for it: {action.describe(self.configuration)}"
+        await self.performer.perform(action, self.configuration, because)
         self.configuration = after
         await self.moved(after)
 
@@ -116,22 +118,10 @@ class Executor:
         try:
             await self.performer.perform(action, configuration, because)
         except MidstrideError as error:
-            self._tell("note", f"{self.describe(action)} failed: {error}", {})
+            self._tell("note", f"{action.describe(configuration)} failed: {error}", {})
             return False
-        self._tell("degraded", self.describe(action), {})
+        self._tell("degraded", action.describe(configuration), {})
         return True
-
-    def describe(self, action: Action) -> str:
-        """The action in words, with modes by name."""
-        if isinstance(action, (Degrade, Upgrade)):
-            told = [f"{ref} to {self._mode_name(ref, index)}" for ref, index in sorted(action.modes.items())]
-            return f"{action.kind} {', '.join(told)}"
-        return action.describe()
-
-    def _mode_name(self, ref: FunctionalityRef, index: int) -> str:
-        if ref.instance not in self.configuration.instances:
-            return str(index)
-        return self.configuration.functionality(ref).modes[index].name
 
     async def _roll_back(self, done: Done) -> str | None:
         """Undo what was done, last first. None, or why it could not be undone."""
@@ -141,10 +131,11 @@ class Executor:
         self.performer.rolling_back = True
         for action, before in reversed(done):
             for undoing in action.undo(before):
+                what = undoing.describe(self.configuration)
                 try:
                     await self.perform(undoing)
                 except Exception as error:
-                    problem = f"{self.describe(undoing)}: {_told(error)}"
+                    problem = f"{what}: {_told(error)}"
                     self._tell("rollback_failed", f"not everything could be taken back: {problem}", {})
                     return problem
         self._tell("rolled_back", "everything is as before", {})
