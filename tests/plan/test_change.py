@@ -115,7 +115,7 @@ def test_unknown_names_are_suggested() -> None:
         Change.removing(configuration, start, "speaker")
     with pytest.raises(PlanRefused, match=r"no topic `/chater` \(did you mean `/chatter`\?\)"):
         Change.adding(configuration, start, Node("more", "Talker", Map({"out": ("/chater",)})))
-    with pytest.raises(PlanRefused, match=r"no strategy minimum; did you mean `minimal`\?"):
+    with pytest.raises(PlanRefused, match=r"no strategy `minimum`; did you mean `minimal`\?"):
         planner("minimum")
     assert planner() is STRATEGIES["minimal"]
 
