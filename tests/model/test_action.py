@@ -124,6 +124,16 @@ def test_degrade_protects_those_outside_the_group() -> None:
     assert is_valid(both.apply(configuration))
 
 
+def test_degrade_does_not_answer_for_what_was_unsatisfied_before() -> None:
+    """After a crash several degrade one by one: the step of one must not wait for the steps of the others."""
+    modes = [mode("normal", out=at(10)), mode("slow", out=at(1)), mode("degraded")]
+    instances = {"talker": component("Talker", {}, ["out"], modes), "listener": sink("Listener")}
+    slow = {"talker.work": 1, "listener.work": 0}
+    configuration = system(instances, ["talker.out /chatter", "listener.in /chatter"], modes=slow)
+    assert not is_valid(configuration)
+    assert Degrade(Map({work("talker"): 2})).check(configuration) == ()
+
+
 def test_degrade_to_a_mode_whose_own_assumptions_do_not_hold() -> None:
     """Each of F must be satisfied in its new mode, better than the last or not."""
     choosy = component(

@@ -19,6 +19,7 @@ from midstride.model.component import (
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change import Change
+from midstride.plan.quiesce import reachable
 from midstride.plan.registry import STRATEGIES
 from tests.plan.cases import (
     NEED,
@@ -80,6 +81,31 @@ def test_talker_by_quiescence_lowers_all_that_it_reaches_first() -> None:
         "degrade talker.talk from normal to degraded",
     ]
     assert plan.disruption == pytest.approx(1.5 * (1 + 2))
+
+
+def test_quiescence_reaches_everything_downstream() -> None:
+    """Three levels down the chain, and from a new publisher, which does not run yet."""
+    parts = [work("Sensor", outputs=["out"]), work("NewSensor", outputs=["out"])]
+    parts += [work("Filter", ["in"], ["out"]), work("Sink", ["in"])]
+    nodes = {
+        "sensor": ("Sensor", {"out": "/raw"}),
+        "one": ("Filter", {"in": "/raw", "out": "/one"}),
+        "two": ("Filter", {"in": "/one", "out": "/two"}),
+        "sink": ("Sink", {"in": "/two"}),
+        "logger": ("Sink", {"in": "/raw"}),
+    }
+    start = system(parts, nodes)
+    running = initial(start)
+    change = Change.replacing(running, start, "sensor", "NewSensor")
+    assert [str(ref) for ref in reachable(change)] == [
+        "logger.work",
+        "one.work",
+        "sensor.work",
+        "sink.work",
+        "two.work",
+    ]
+    second = Change.adding(running, start, Node("second", "Sensor", Map({"out": ("/two",)})))
+    assert [str(ref) for ref in reachable(second)] == ["sink.work"]
 
 
 def test_a_fall_says_why_and_for_how_long() -> None:

@@ -88,6 +88,16 @@ def test_keep_does_not_forbid_to_bring_up_what_is_down() -> None:
     assert told(plan)[-1] == "upgrade listener.listen from degraded to normal"
 
 
+def test_keep_does_not_forbid_to_replace_what_is_down_already() -> None:
+    """The listener stays as low as it is, since there is no talker: the plan takes it no lower."""
+    start = talker().without_node("talker")
+    listen = component("NewListener", functionality("listen", ["in"]))
+    start = replace(start, components=start.components.set("NewListener", listen))
+    target = bound(start.with_replaced("listener", "NewListener"), Keep(LISTEN, "normal"))
+    plan = sound(changed(start, target, "minimal"))
+    assert "create listener_2 (NewListener)" in told(plan)
+
+
 def test_keep_at_a_mode_that_is_none() -> None:
     assert "listener.listen has no mode loud; it has normal, degraded" in refused(
         talker(), bound(talker().with_replaced("talker", "NewTalker"), Keep(LISTEN, "loud"))

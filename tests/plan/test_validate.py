@@ -8,12 +8,13 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from immutables import Map
 
 from midstride.model.component import FunctionalityRef
-from midstride.model.specification import Keep, Limit, Order, Specification, initial
+from midstride.model.specification import Keep, Limit, Node, Order, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.registry import STRATEGIES
-from midstride.plan.validate import ReplayFinding, replay_document
+from midstride.plan.validate import ReplayFinding, replay, replay_document
 from tests.plan.cases import component, functionality, replaced, system, talker, work
 
 Document = dict[str, Any]
@@ -116,6 +117,28 @@ def test_a_name_that_no_instance_may_have(name: str, words: str) -> None:
     assert words in findings(spoilt)
 
 
+def test_the_name_of_a_node_is_not_free_for_an_instance_of_another_role() -> None:
+    start = talker()
+    target = start.with_replaced("talker", "NewTalker").with_node(
+        Node("talker_2", "Listener", Map({"in": ("/chatter",)}))
+    )
+    plan = STRATEGIES["minimal"](Change.between(initial(start), start, target))
+    spoilt = plan.to_document()
+    assert replay_document(spoilt).holds
+    # The new talker takes the name of the new node, and the new node another one, so that no name occurs twice.
+    spoilt["steps"] = rename(spoilt["steps"], '"talker_2', '"listener_9')
+    spoilt["steps"] = rename(spoilt["steps"], '"talker_3', '"talker_2')
+    assert "talker_2 is not a valid name for an instance of talker" in findings(spoilt)
+
+
+def test_a_plan_from_an_invalid_configuration() -> None:
+    """A document of such a plan is refused earlier, since its start and target do not make a change."""
+    plan = replaced(talker(), "talker", "NewTalker", "minimal")
+    silent = plan.change.start.with_modes({FunctionalityRef("talker", "talk"): 1})
+    result = replay(dataclasses.replace(plan, change=dataclasses.replace(plan.change, start=silent)))
+    assert "the start is not valid: listener.listen in mode normal: assumes in: no publisher satisfies" in str(result)
+
+
 def test_another_name_that_it_may_have() -> None:
     spoilt = document()
     spoilt["steps"] = rename(spoilt["steps"], "talker_2", "talker_9")
@@ -189,8 +212,6 @@ def test_an_order_that_is_not_kept() -> None:
 
 def test_parameters_that_were_not_set() -> None:
     from dataclasses import replace
-
-    from immutables import Map
 
     from midstride.model.component import ParameterSpec
 

@@ -85,9 +85,8 @@ def play(state: SearchState, move: Move) -> SearchState:
 def _removed_early(state: SearchState, name: str) -> SearchState:
     """Break before make: detach every port of ``name``, and remove it."""
     new = state.builder.change.replaced.get(name)
-    if new is not None:
+    if new is not None:  # to attach the new instance before that is a move too: "split"
         state = state.without_swaps(new)
-        state = state.attach_what_fits(state.order_gate())
     return state.remove([name], [pair for pair in state.detaches if pair[0].instance == name])
 
 

@@ -89,7 +89,7 @@ class SearchState:
         while state is not before and not state.only_removals_left:
             before = state
             gate = state.order_gate()
-            state = state._create_what_fits(gate).attach_what_fits(gate).raise_touched()._hand_over_for_free(gate)
+            state = state._create_what_fits(gate)._attach_what_fits(gate).raise_touched()._hand_over_for_free(gate)
         return state
 
     def raise_touched(self) -> SearchState:
@@ -141,7 +141,7 @@ class SearchState:
         capacity = to_fraction(configuration.context.capacity(resource))
         return configuration.held.get(resource, _NOTHING) + amount - capacity
 
-    def attach_what_fits(self, gate: OrderGate) -> SearchState:
+    def _attach_what_fits(self, gate: OrderGate) -> SearchState:
         """Attach what fits beside every other publisher that is, or may have to be, attached to the same topic."""
         wanted: dict[str, int] = {}
         for port, connector in self.attaches:
