@@ -16,7 +16,7 @@ from typing import Final, NamedTuple, TypeAlias
 
 from immutables import Map
 
-from midstride.model.contract import DEFAULT_QOS, NOTHING, Contract, Predicate, QoS
+from midstride.model.contract import NOTHING, Contract, Predicate, QoS
 
 ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] | list[float] | list[str]"
 
@@ -303,23 +303,3 @@ class Resource:
 
     name: str
     capacity: float = 1.0
-
-
-__all__ = [
-    "DEFAULT_QOS",
-    "Assumption",
-    "ComponentSpec",
-    "Connector",
-    "Endpoint",
-    "EnvironmentGuarantee",
-    "FunctionalityRef",
-    "FunctionalitySpec",
-    "InputAlternatives",
-    "Mode",
-    "ParameterSpec",
-    "ParameterValue",
-    "PortRef",
-    "Resource",
-    "value_fits",
-    "value_kind",
-]

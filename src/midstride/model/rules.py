@@ -241,15 +241,3 @@ def is_valid(configuration: Configuration) -> bool:
 def normal_guarantee(component: ComponentSpec, output: str) -> Contract:
     """What ``output`` guarantees in the normal mode of its owner."""
     return component.owner(output).modes[0].guarantee(output)
-
-
-__all__ = [
-    "Evaluator",
-    "Violation",
-    "cap_violation",
-    "capacity_violation",
-    "is_valid",
-    "normal_guarantee",
-    "publishers_count",
-    "violations",
-]
