@@ -116,11 +116,6 @@ class Levels:
         return 0.0 if counted is None else counted.weight
 
 
-def instances_touched(action: Action) -> tuple[str, ...]:
-    """The instances that an action changes, in a stable order."""
-    return action.instances()
-
-
 @dataclass(frozen=True, slots=True)
 class LevelChange:
     """How many levels below its baseline a role's functionality is before a step, and after it."""
