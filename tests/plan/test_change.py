@@ -14,7 +14,7 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.registry import STRATEGIES, planner
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from tests.plan.cases import NEED, SLOW, component, functionality, system, talker, work
 
 
@@ -126,22 +126,22 @@ LAME = component("Lame", FunctionalitySpec("f", (Mode("only"),)))
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        (Request(add=(Node("b ad", "Talker"),)), "`b ad` is not a valid node name"),
-        (Request(add=(Node("n" * 256, "Talker"),)), "is not a valid node name"),
+        (PlanRequest(add=(Node("b ad", "Talker"),)), "`b ad` is not a valid node name"),
+        (PlanRequest(add=(Node("n" * 256, "Talker"),)), "is not a valid node name"),
         (
-            Request(add=(Node("more", "Talker", Map({"out": ("/chatter", "/chatter")})),)),
+            PlanRequest(add=(Node("more", "Talker", Map({"out": ("/chatter", "/chatter")})),)),
             "more.out is attached to /chatter twice",
         ),
-        (Request(remove=("talker", "talker")), "node talker is named twice"),
-        (Request(remove=("talker",), replace=(("talker", "NewTalker"),)), "node talker is named twice"),
+        (PlanRequest(remove=("talker", "talker")), "node talker is named twice"),
+        (PlanRequest(remove=("talker",), replace=(("talker", "NewTalker"),)), "node talker is named twice"),
         (
-            Request(remove=("talker",), components=(LAME,)),
+            PlanRequest(remove=("talker",), components=(LAME,)),
             "component Lame: /functionalities/f/modes: f has only one mode",
         ),
-        (Request(to=replace(talker(), components=Map(Lame=LAME))), "/components/Lame/functionalities/f/modes: "),
+        (PlanRequest(to=replace(talker(), components=Map(Lame=LAME))), "/components/Lame/functionalities/f/modes: "),
     ],
 )
-def test_what_is_asked_for_must_be_well_formed(request_: Request, words: str) -> None:
+def test_what_is_asked_for_must_be_well_formed(request_: PlanRequest, words: str) -> None:
     """The command line and the API say by single changes what a file may not say either."""
     with pytest.raises(PlanRefused) as caught:
         request_.target(talker())
@@ -235,7 +235,7 @@ def calls_to_plan(specification: Specification, strategy: str) -> int:
         nonlocal count
         count += event in ("call", "c_call")
 
-    request = Request(replace=(("filter0", "Other"),))
+    request = PlanRequest(replace=(("filter0", "Other"),))
     sys.setprofile(note)
     try:
         target = request.target(specification)

@@ -17,7 +17,7 @@ from midstride.backends.simulator import Simulator
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime import runtime_verification
 from midstride.runtime.component_client import SILENCE
 from midstride.runtime.manager import Manager
@@ -242,7 +242,7 @@ def test_an_unverified_change_asks_nobody(tmp_path: Path) -> None:
     verifier = Scripted(of_plan=VIOLATED)
 
     async def body(manager: Manager, _: Simulator) -> Outcome:
-        return await manager.change(Request(replace=(("talker", "NewTalker"),)))
+        return await manager.change(PlanRequest(replace=(("talker", "NewTalker"),)))
 
     outcome = managed("talker", tmp_path, body, verifier=verifier)
     assert outcome.outcome == "done"

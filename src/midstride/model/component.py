@@ -139,7 +139,7 @@ class ParameterSpec:
 
 
 @dataclass(frozen=True, slots=True)
-class Endpoint:
+class NodeEndpoint:
     """An endpoint of a node that is accepted although it is not a port (``allows service ~/reset``)."""
 
     kind: str
@@ -165,7 +165,7 @@ class ComponentSpec:
     functionality_order: tuple[str, ...] = ()
     resource_usage: Map[str, float] = field(default_factory=Map)
     parameters: Map[str, ParameterSpec] = field(default_factory=Map)
-    allows: tuple[Endpoint, ...] = ()
+    allows: tuple[NodeEndpoint, ...] = ()
     run: str | None = None
     startup_seconds: float | None = None
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
@@ -194,7 +194,7 @@ class ComponentSpec:
         functionalities: tuple[FunctionalitySpec, ...] = (),
         holds: Mapping[str, float] | None = None,
         parameters: Mapping[str, ParameterSpec] | None = None,
-        allows: tuple[Endpoint, ...] = (),
+        allows: tuple[NodeEndpoint, ...] = (),
         run: str | None = None,
         takes: float | None = None,
     ) -> ComponentSpec:

@@ -19,7 +19,7 @@ from midstride.model.component import ComponentSpec, FunctionalityRef, Parameter
 from midstride.model.configuration import Configuration, Instance, SystemContext
 from midstride.model.specification import DEFAULT_SECONDS, Node, Specification
 from midstride.plan.change_builder import ChangeBuilder, between, of_roles
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 
 Attachment = tuple[PortRef, str]
 
@@ -94,7 +94,7 @@ class Change:
         cls,
         configuration: Configuration,
         specification: Specification,
-        request: Request,
+        request: PlanRequest,
         target: Specification,
         measured: Mapping[str, float] | None = None,
     ) -> Change:
@@ -110,19 +110,19 @@ class Change:
     @classmethod
     def replacing(cls, configuration: Configuration, specification: Specification, role: str, component: str) -> Change:
         """``role`` replaced with ``component``. The cost follows the change. Raises PlanRefused."""
-        request = Request(replace=((role, component),))
+        request = PlanRequest(replace=((role, component),))
         return cls.of_request(configuration, specification, request, request.target(specification))
 
     @classmethod
     def adding(cls, configuration: Configuration, specification: Specification, node: Node) -> Change:
         """A further node. The cost follows the change. Raises PlanRefused."""
-        request = Request(add=(node,))
+        request = PlanRequest(add=(node,))
         return cls.of_request(configuration, specification, request, request.target(specification))
 
     @classmethod
     def removing(cls, configuration: Configuration, specification: Specification, role: str) -> Change:
         """One node less. The cost follows the change. Raises PlanRefused."""
-        request = Request(remove=(role,))
+        request = PlanRequest(remove=(role,))
         return cls.of_request(configuration, specification, request, request.target(specification))
 
     @classmethod

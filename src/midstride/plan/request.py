@@ -15,7 +15,7 @@ from midstride.model.specification_checks import check, check_component, check_n
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class PlanRequest:
     """A request for a change. ``components`` are declarations that the specification does not have yet."""
 
     replace: tuple[tuple[str, str], ...] = ()
