@@ -1,4 +1,4 @@
-"""Each action: what it asks, what it does, and what it says when it is refused (semantics.md section 4)."""
+"""Each action: what it asks, what it does, and what it says when it is refused (docs/semantics.md section 4)."""
 
 from __future__ import annotations
 

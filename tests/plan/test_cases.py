@@ -112,7 +112,7 @@ def test_quiescence_reaches_everything_downstream() -> None:
 
 def test_a_fall_says_why_and_for_how_long() -> None:
     plan = replaced(talker(), "talker", "NewTalker", "paper")
-    listener, talk = plan.falls
+    listener, talk = plan.degradations
     assert (str(listener.functionality), listener.since, listener.until) == ("listener.listen", 1, 7)
     assert listener.seconds == pytest.approx(1.73)
     assert "/chatter has no publisher" in listener.because
@@ -474,7 +474,7 @@ def test_what_the_new_environment_keeps_down_is_told_as_fallen() -> None:
     configuration = initial(start).with_modes({FunctionalityRef("eye", "see"): 1})
     plan = sound(STRATEGIES["minimal"](Change.between(configuration, start, target)))
     assert fallen(plan) == ["eye.see"]
-    assert plan.falls[0].because == "it is already below when the plan begins"
+    assert plan.degradations[0].because == "it is already below when the plan begins"
     # While the source comes (1 s) the eye is a level below what it was when its camera still worked.
     assert plan.disruption == pytest.approx(1.0)
 
@@ -496,8 +496,8 @@ def test_what_a_replacement_never_comes_up_to_is_told(strategy: str) -> None:
     start = replace(start, components=start.components.set("Blind", blind))
     plan = sound(replaced(start, "talker", "Blind", strategy))
     assert plan.disruption == 0.0 or strategy != "minimal"
-    assert [encode(LevelShiftForm.of(shift)) for shift in plan.shifts] == [
+    assert [encode(LevelShiftForm.of(shift)) for shift in plan.level_shifts] == [
         {"functionality": "listener.listen", "from": "normal", "to": "degraded", "levels": 1},
         {"functionality": "talker.talk", "from": "normal", "to": "degraded", "levels": 1},
     ]
-    assert replaced(talker(), "talker", "NewTalker", strategy).shifts == ()
+    assert replaced(talker(), "talker", "NewTalker", strategy).level_shifts == ()

@@ -42,18 +42,18 @@ class Impact:
 
     role: str
     component: str
-    falls: tuple[ImpactedFunctionality, ...]
+    impacted: tuple[ImpactedFunctionality, ...]
     own: tuple[str, ...]
 
     @property
     def loss(self) -> float:
         """The levels that others lose, times their weight."""
-        return sum(fall.loss for fall in self.falls)
+        return sum(each.loss for each in self.impacted)
 
     @property
     def single_point_of_failure(self) -> bool:
         """Whether a functionality of another component degrades to its last mode."""
-        return any(fall.is_last for fall in self.falls)
+        return any(each.is_last for each in self.impacted)
 
 
 class ImpactedForm(Form, frozen=True, omit_defaults=False):
@@ -87,14 +87,14 @@ class ImpactForm(Form, frozen=True, omit_defaults=False):
             own=list(impact.own),
             falls=[
                 ImpactedForm(
-                    functionality=str(fall.functionality),
-                    before=fall.before,
-                    after=fall.after,
-                    levels=fall.levels,
-                    weight=fall.weight,
-                    because=list(fall.because),
+                    functionality=str(each.functionality),
+                    before=each.before,
+                    after=each.after,
+                    levels=each.levels,
+                    weight=each.weight,
+                    because=list(each.because),
                 )
-                for fall in impact.falls
+                for each in impact.impacted
             ],
         )
 
@@ -121,12 +121,12 @@ def _impact(specification: Specification, configuration: Configuration, role: st
     without = configuration.without_instance(role)
     modes = lowered(without, [ref for ref in users if ref.instance != role])
     after = without.with_modes(modes)
-    falls = sorted(_falls(configuration, after, modes), key=lambda fall: (-fall.loss, fall.functionality))
+    impacted = sorted(_impacted(configuration, after, modes), key=lambda each: (-each.loss, each.functionality))
     own = tuple(name for name in instance.component.functionality_order)
-    return Impact(role, specification.nodes[role].component, tuple(falls), own)
+    return Impact(role, specification.nodes[role].component, tuple(impacted), own)
 
 
-def _falls(
+def _impacted(
     before: Configuration, after: Configuration, modes: dict[FunctionalityRef, int]
 ) -> Iterator[ImpactedFunctionality]:
     diagnosis = Diagnosis(after)

@@ -10,9 +10,10 @@ from midstride.model.action import Action
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
+from midstride.plan import explain
 from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
-from midstride.plan.explain import Degradation, LevelShift, degradations, level_shifts
+from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.schedule import dependencies, makespan
 from midstride.plan.step import Step
 
@@ -80,14 +81,14 @@ class Plan:
             yield configuration
 
     @cached_property
-    def falls(self) -> tuple[Degradation, ...]:
+    def degradations(self) -> tuple[Degradation, ...]:
         """Why each functionality degrades, from which step to which, and for how long."""
-        return degradations(self.change, self.steps)
+        return explain.degradations(self.change, self.steps)
 
     @cached_property
-    def shifts(self) -> tuple[LevelShift, ...]:
+    def level_shifts(self) -> tuple[LevelShift, ...]:
         """The functionalities that are in another mode after the plan than before it."""
-        return level_shifts(self.change, self.steps)
+        return explain.level_shifts(self.change, self.steps)
 
     @cached_property
     def dependencies(self) -> tuple[tuple[int, ...], ...]:
