@@ -31,7 +31,7 @@ from midstride.codec.form import encode
 from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.wire.commands import Receipt
 
@@ -151,7 +151,7 @@ async def midstride(way: Way, platform: Platform, strategy: str, swaps: int) -> 
             while len(way.windows) < swaps:
                 await asyncio.sleep(TAIL)
                 begun = time.monotonic_ns()
-                outcome = await manager.change(Request(replace=(("source", component),), strategy=strategy))
+                outcome = await manager.change(PlanRequest(replace=(("source", component),), strategy=strategy))
                 way.windows.append((begun, time.monotonic_ns()))
                 way.own.extend(map(encode, outcome.swaps))
                 way.lost_seconds.append(sum(outcome.fallen.values()))

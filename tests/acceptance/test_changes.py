@@ -19,14 +19,14 @@ from midstride.model.component import ComponentSpec, Connector, FunctionalitySpe
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
 from midstride.plan.forms import encode_plan
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.wire.state import GateState
 from tests.acceptance.support import Recorder, ended, managed, swap_specification
 from tests.backends.ros2_support import run, until_async
 
 pytestmark = pytest.mark.ros2
-REPLACE = Request(replace=(("source", "OtherSource"),))
+REPLACE = PlanRequest(replace=(("source", "OtherSource"),))
 
 
 async def step(manager: Manager, kind: str, action: str) -> None:
@@ -38,7 +38,7 @@ async def step(manager: Manager, kind: str, action: str) -> None:
 
 def test_both_publishers_are_live_at_the_cut_and_one_is_gated(tmp_path: Path) -> None:
     async def main() -> None:
-        async with managed(tmp_path / "system", swap_specification()) as (manager, backend):
+        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
             changing = asyncio.ensure_future(manager.change(REPLACE))
             await step(manager, "step", "handover")
             seen: list[dict[str, GateState | None]] = []
@@ -111,7 +111,7 @@ def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(
             await asyncio.to_thread(recorder.wait_until_it_hears)
             await a_call_begins(manager)
             begun = time.time_ns()
-            changing = asyncio.ensure_future(manager.change(Request(remove=("busy",), strategy="quiesce")))
+            changing = asyncio.ensure_future(manager.change(PlanRequest(remove=("busy",), strategy="quiesce")))
             await step(manager, "step", "degrade")
             answers = 0
             while (view := (await manager.status()).components[0].functionalities[0]).busy is not None:
@@ -146,7 +146,7 @@ def test_a_call_that_outlasts_the_drain_fails_the_step_and_nothing_has_changed(
 
             monkeypatch.setattr(manager._session, "_executor", impatient)
             await a_call_begins(manager)
-            outcome = await manager.change(Request(remove=("busy",), strategy="quiesce"))
+            outcome = await manager.change(PlanRequest(remove=("busy",), strategy="quiesce"))
             assert outcome.outcome == "rolled_back" and "busy" in str(outcome.because)
             status = await manager.status()
             assert status.valid and status.components[0].functionalities[0].mode == "normal"

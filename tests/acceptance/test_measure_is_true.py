@@ -12,7 +12,7 @@ from statistics import median
 
 import pytest
 
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.wire.commands import GateCommand, Receipt, RecordCommand, RecordsCommand
@@ -24,9 +24,9 @@ SWAPS = 5
 ATTEMPTS = 3
 
 
-def other(manager: Manager, strategy: str = "minimal") -> Request:
+def other(manager: Manager, strategy: str = "minimal") -> PlanRequest:
     now = manager.specification.nodes["source"].component
-    return Request(replace=(("source", "Source" if now == "OtherSource" else "OtherSource"),), strategy=strategy)
+    return PlanRequest(replace=(("source", "Source" if now == "OtherSource" else "OtherSource"),), strategy=strategy)
 
 
 def longest_gap(rows: list[Receipt], begun: int, over: int) -> float:

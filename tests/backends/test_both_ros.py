@@ -10,7 +10,7 @@ import pytest
 
 from midstride.backends import ros1
 from midstride.cli.files import load
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import Reaper, remaining_groups
 from midstride.runtime.reports import Outcome
@@ -53,7 +53,7 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
         """There and back again."""
         outcomes = []
         for component in ("NewTalker", "Talker"):
-            outcomes.append(await manager.change(Request(replace=(("talker", component),))))
+            outcomes.append(await manager.change(PlanRequest(replace=(("talker", component),))))
         return outcomes
 
     async def scenario(guardian: Reaper) -> None:

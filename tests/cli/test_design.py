@@ -54,8 +54,8 @@ def test_warnings_count_only_where_asked(run: Any, patrol: Path) -> None:
     file = changed(patrol, 'include "sensors.stride"\n', "")
     status, out, _ = run("check", file)
     assert status == 0
-    assert "controller.control cannot at first be in mode normal" in out
-    assert "nobody satisfies /obstacles" in out
+    assert "controller.control cannot start in mode normal" in out
+    assert "no publisher satisfies /obstacles" in out
     assert run("check", "--strict", file)[0] == 1
 
 

@@ -36,8 +36,8 @@ class Scripted:
 
 ANSWER = {"outcome": "done"}
 TWO_AT_ONCE = told(
-    ("command", "first", "replace talker by NewTalker"),
-    ("waiting", "second", "`remove listener` waits for `replace talker by NewTalker`"),
+    ("command", "first", "replace talker with NewTalker"),
+    ("waiting", "second", "`remove listener` waits for `replace talker with NewTalker`"),
     ("step_done", None, "1/1 done"),
     ("outcome", None, "done"),
     ("command", "second", "remove listener"),
@@ -55,12 +55,12 @@ def shown(id: str | None) -> list[str]:
 
 
 def test_who_was_first_does_not_see_what_the_other_one_does() -> None:
-    assert shown("first") == ["replace talker by NewTalker", "1/1 done", "done"]
+    assert shown("first") == ["replace talker with NewTalker", "1/1 done", "done"]
 
 
 def test_who_waits_sees_that_and_then_what_it_asked_for() -> None:
     waits, *rest = shown("second")
-    assert waits.endswith("waits for `replace talker by NewTalker`")
+    assert waits.endswith("waits for `replace talker with NewTalker`")
     assert rest == ["remove listener", "1/1 done, of the second", "done, of the second"]
 
 

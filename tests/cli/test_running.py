@@ -97,7 +97,7 @@ def test_a_replacement_is_shown_and_measured(talker: Midstride) -> None:
     done = talker("replace", "talker", "NewTalker", "--yes")
     assert done.status == 0, done.err
     lines = done.out.splitlines()
-    assert lines[0] == "replace talker by NewTalker"
+    assert lines[0] == "replace talker with NewTalker"
     assert "Nothing falls: every functionality keeps its level throughout." in lines
     assert [line.split()[1] for line in lines if "✓" in line] == ["1/4", "2/4", "3/4", "4/4"]
     assert re.match(r"/chatter +listener.in +\d+ ms +1\.\d\d", lines[-1])

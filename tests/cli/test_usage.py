@@ -247,15 +247,15 @@ def test_the_paper_s_seven_steps(capsys: pytest.CaptureFixture[str]) -> None:
     assert status == 0
     steps = [line.split(maxsplit=1)[1].rsplit("  ", 1)[0].strip() for line in out.splitlines() if line[:1].isdigit()]
     assert steps == [
-        "degrade listener.listen: normal → degraded",
+        "degrade listener.listen from normal to degraded",
         "detach talker.out from /chatter",
         "remove talker",
-        "create talker_2 (NewTalker, as talker)",
-        "upgrade talker_2.talk: degraded → normal",
+        "create talker_2 (NewTalker)",
+        "upgrade talker_2.talk from degraded to normal",
         "attach talker_2.out to /chatter",
-        "upgrade listener.listen: degraded → normal",
+        "upgrade listener.listen from degraded to normal",
     ]
-    assert out.startswith("talker.json: replace talker by NewTalker\n")
+    assert out.startswith("talker.json: replace talker with NewTalker\n")
     assert "Falls: listener.listen to degraded for about" in out
 
 
@@ -321,13 +321,13 @@ def test_to_another_specification(tmp_path: Path, capsys: pytest.CaptureFixture[
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--replace", "talkr=NewTalker"], "there is no node talkr; did you mean talker?"),
-        (["--replace", "talker=NewTalkr"], "there is no component NewTalkr; did you mean NewTalker?"),
-        (["--remove", "nobody"], "there is no node nobody; there are listener, talker"),
-        (["--add", "second Listener in=/chater"], "there is no topic /chater; did you mean /chatter?"),
-        (["--add", "second Listener inn=/chatter"], "there is no port inn of Listener; did you mean in?"),
-        (["--add", "'b ad' Listener in=/chatter"], "`b ad` cannot name a node"),
-        (["--replace", "talker=Listener"], "Listener cannot play talker: it has no port out"),
+        (["--replace", "talkr=NewTalker"], "there is no node `talkr`; did you mean `talker`?"),
+        (["--replace", "talker=NewTalkr"], "there is no component `NewTalkr`; did you mean `NewTalker`?"),
+        (["--remove", "nobody"], "there is no node `nobody`; known: listener, talker"),
+        (["--add", "second Listener in=/chater"], "there is no topic `/chater` (did you mean `/chatter`?)"),
+        (["--add", "second Listener inn=/chatter"], "Listener has no port `inn` (did you mean `in`?)"),
+        (["--add", "'b ad' Listener in=/chatter"], "`b ad` is not a valid node name"),
+        (["--replace", "talker=Listener"], "Listener cannot replace talker: it has no port out"),
     ],
 )
 def test_a_plan_that_is_refused(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -389,15 +389,18 @@ def test_a_runtime_folder_that_cannot_be_made(
     assert "cannot create the folder /dev/null/midstride" in err
 
 
-def test_what_the_terminal_cannot_show_stops_nothing(midstride: Midstride) -> None:
-    done = midstride("plan", TALKER, "--replace", "talker=NewTalker", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
+def test_what_the_terminal_cannot_show_stops_nothing(midstride: Midstride, tmp_path: Path) -> None:
+    file = tmp_path / "größe.json"
+    file.write_text(Path(TALKER).read_text())
+    done = midstride("plan", str(file), "--replace", "talker=NewTalker", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
     assert (done.status, done.err) == (0, "")
-    assert "upgrade talker_2.talk: degraded ? normal" in done.out
+    assert done.out.startswith("gr??e.json: replace talker")
+    assert "hand over /chatter from talker.out to talker_2.out" in done.out
 
 
 def test_piped_tables_are_not_folded(midstride: Midstride) -> None:
     done = midstride("plan", TALKER, "--replace", "talker=NewTalker", "--strategy", "paper", COLUMNS="40")
-    assert "nobody satisfies /chatter (it has no publisher), after step 2" in done.out
+    assert "assumes in: /chatter has no publisher, after step 2" in done.out
 
 
 def test_who_is_lowered_first_and_then_gone_is_not_said_to_stand_in_its_lowest_mode(

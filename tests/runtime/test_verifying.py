@@ -17,7 +17,7 @@ from midstride.backends.simulator import Simulator
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime import runtime_verification
 from midstride.runtime.component_client import SILENCE
 from midstride.runtime.manager import Manager
@@ -165,7 +165,7 @@ def test_a_component_that_does_not_answer_is_no_pass(tmp_path: Path) -> None:
     outcome, before, after, _ = changed(tmp_path, Scripted(), Lying(silent))
     assert outcome.outcome == "rolled_back"
     unknown = "what is live is not known: listener has reported nothing for more than 2 s"
-    assert outcome.because == f"degrade listener.listen to degraded: {unknown}"
+    assert outcome.because == f"degrade listener.listen from normal to degraded: {unknown}"
     assert after == before
 
 
@@ -242,7 +242,7 @@ def test_an_unverified_change_asks_nobody(tmp_path: Path) -> None:
     verifier = Scripted(of_plan=VIOLATED)
 
     async def body(manager: Manager, _: Simulator) -> Outcome:
-        return await manager.change(Request(replace=(("talker", "NewTalker"),)))
+        return await manager.change(PlanRequest(replace=(("talker", "NewTalker"),)))
 
     outcome = managed("talker", tmp_path, body, verifier=verifier)
     assert outcome.outcome == "done"

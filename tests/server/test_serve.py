@@ -18,7 +18,7 @@ import httpx
 import pytest
 
 from midstride import errors
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import Tcp, serve
 from tests.server.scripted import ScriptedManager
@@ -184,7 +184,7 @@ class Changing(ScriptedManager):
         self.seconds = seconds
 
     async def change(
-        self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, id: str | None = None
     ) -> Any:
         self.asked.append(("change", None))
         try:

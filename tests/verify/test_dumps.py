@@ -118,7 +118,7 @@ def broken(configuration: Configuration, how: str) -> Configuration:
         (
             "mode",
             "assumption",
-            "motor.drive in mode normal: assumes in: nobody satisfies /cmd (planner.cmd in mode deg",
+            "motor.drive in mode normal: assumes in: no publisher satisfies /cmd (planner.cmd in mode deg",
         ),
         ("cap", "cap", "/cmd"),
         ("capacity", "capacity", "planner, planner_2: together they hold more of a resource than there is"),

@@ -108,7 +108,7 @@ PLANTED = [
     Planted(
         "a step is missing: the degrade before a detach",
         "talker", drop(1),
-        1, "precondition", ("step 1, detach talker.out from /chatter", "nobody satisfies /chatter"),
+        1, "precondition", ("step 1, detach talker.out from /chatter", "/chatter has no publisher"),
         "listener.listen in mode normal", "in",
     ),
     Planted(
@@ -164,7 +164,7 @@ PLANTED = [
     Planted(
         "the redundant second is detached as well",
         "no cameras", drop(1, 2),
-        2, "precondition", ("step 2, detach right.out from /image", "nobody satisfies /image"),
+        2, "precondition", ("step 2, detach right.out from /image", "no publisher satisfies /image"),
         "planner.plan in mode normal", "in",
     ),
     Planted(

@@ -14,7 +14,7 @@ from midstride.codec.reading import parse_json
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.plan.request_form import decode_request
 
 _PACKAGE = Path(midstride.__file__).resolve().parent
@@ -26,7 +26,7 @@ class DemoStep:
 
     name: str
     says: str
-    request: Request
+    request: PlanRequest
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,6 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from midstride.model import wording
+
 Document = Mapping[str, Any]
 
 UNKNOWN = "unknown"
@@ -28,27 +30,23 @@ def seconds(value: float | None) -> str:
 
 def step_words(step: Document) -> str:
     """One step of a plan in a few words."""
-    action = step["action"]
-    match action:
+    match step["action"]:
         case "create":
-            instance, role = step["component"], step.get("role")
-            played = f", as {role}" if role and role != instance else ""
-            return f"create {instance} ({step['of']}{played})"
+            return wording.creation(step["component"], step["of"])
         case "remove":
-            return f"remove {step['component']}"
-        case "attach" | "detach":
-            return f"{action} {step['port']} {'to' if action == 'attach' else 'from'} {step['connector']}"
-        case "degrade" | "upgrade":
-            moves = [f"{name}: {modes['from']} → {modes['to']}" for name, modes in step["modes"].items()]
-            return f"{action} {', '.join(moves)}"
+            return wording.removal(step["component"])
+        case "attach":
+            return wording.attachment(step["port"], step["connector"])
+        case "detach":
+            return wording.detachment(step["port"], step["connector"])
+        case "degrade" | "upgrade" as kind:
+            return wording.mode_changes(kind, ((name, m["from"], m["to"]) for name, m in step["modes"].items()))
         case "handover":
-            swaps = [f"{swap['connector']} from {swap['old']} to {swap['new']}" for swap in step["swaps"]]
-            return f"hand over {', '.join(swaps)}"
+            return wording.handover((swap["connector"], swap["old"], swap["new"]) for swap in step["swaps"])
         case "set":
-            values = ", ".join(f"{name} = {value!r}" for name, value in step.get("parameters", {}).items())
-            return f"set {step['component']}: {values}"
-        case _:
-            return str(action)
+            return wording.parameters(step["component"], step.get("parameters", {}))
+        case other:
+            return str(other)
 
 
 def plan(document: Document, title: str) -> RenderableType:

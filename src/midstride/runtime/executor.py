@@ -17,7 +17,7 @@ from immutables import Map
 from msgspec import UNSET
 
 from midstride.errors import MidstrideError, StepFailed
-from midstride.model.action import Action, Create, Degrade, Remove, SetParameters, Upgrade
+from midstride.model.action import Action, Create, Degrade, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.plan.forms import AnyStep
@@ -54,7 +54,8 @@ class Executor:
         for index, action in enumerate(actions):
             step = forms[index] if index < len(forms) else UNSET
             position = {"index": index, "of": len(actions), "step": step}
-            self._tell("step", f"{index + 1}/{len(actions)} {self.describe(action)}", position)
+            what = action.describe(self.system.configuration)
+            self._tell("step", f"{index + 1}/{len(actions)} {what}", position)
             try:
                 if isinstance(action, Create):
                     await self._start_ahead(actions[index:])
@@ -62,7 +63,7 @@ class Executor:
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as error:
-                what, why = self.describe(action), _words(error)
+                why = _words(error)
                 self._tell("step_failed", f"{what} failed: {why}", position)
                 await self._abandon_started(actions[index:])
                 problem = await self._roll_back(done)
@@ -96,7 +97,7 @@ class Executor:
         """Check one action against the model, carry it out, and move the model on. Raises MidstrideError."""
         before = self.system.configuration
         after = action.apply(before)
-        await self.driver.perform(action, before, f"the plan asked for it: {self.describe(action)}")
+        await self.driver.perform(action, before, f"the plan asked for it: {action.describe(before)}")
         self._moved(after)
         match action:
             case Remove(instance):
@@ -127,22 +128,10 @@ class Executor:
         try:
             await self.driver.perform(action, configuration, because)
         except MidstrideError as error:
-            self._tell("note", f"{self.describe(action)} failed: {error}", {})
+            self._tell("note", f"{action.describe(configuration)} failed: {error}", {})
             return False
-        self._tell("degraded", self.describe(action), {})
+        self._tell("degraded", action.describe(configuration), {})
         return True
-
-    def describe(self, action: Action) -> str:
-        """The action in words, with modes by name."""
-        if isinstance(action, (Degrade, Upgrade)):
-            told = [f"{ref} to {self._mode_name(ref, index)}" for ref, index in sorted(action.modes.items())]
-            return f"{action.kind} {', '.join(told)}"
-        return action.describe()
-
-    def _mode_name(self, ref: FunctionalityRef, index: int) -> str:
-        if ref.instance not in self.system.configuration.instances:
-            return str(index)
-        return self.system.configuration.functionality(ref).modes[index].name
 
     async def _roll_back(self, done: Done) -> str | None:
         """Undo what was done, last first. None, or why it could not be undone."""
@@ -152,10 +141,11 @@ class Executor:
         self.driver.rolling_back = True
         for action, before in reversed(done):
             for undoing in action.undo(before):
+                what = undoing.describe(self.system.configuration)
                 try:
                     await self.perform(undoing)
                 except Exception as error:
-                    problem = f"{self.describe(undoing)}: {_words(error)}"
+                    problem = f"{what}: {_words(error)}"
                     self._tell("rollback_failed", f"the roll-back is incomplete: {problem}", {})
                     return problem
         self._tell("rolled_back", "everything is as it was before", {})

@@ -110,7 +110,7 @@ one sig step2 extends Step {}
 pred step2_may { can_upgrade_all[S1, left_2_see_f -> left_2_see_normal] }
 pred step2_holds { upgrade_all[S1, S2, left_2_see_f -> left_2_see_normal] }
 
-/* step 3: hand over /image: left.out -> left_2.out */
+/* step 3: hand over /image from left.out to left_2.out */
 one sig step3 extends Step {}
 pred step3_may { some univ and some univ and can_handover_within[S2, topic_image -> left_out -> left_2_out] }
 pred step3_holds { some univ and some univ and can_handover_within[S2, topic_image -> left_out -> left_2_out] and handover[S2, S3, topic_image -> left_out -> left_2_out] }

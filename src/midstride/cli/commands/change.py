@@ -41,7 +41,7 @@ def replace_command(
 ) -> int:
     """Replace what plays NODE by COMPONENT, on the same topics."""
     request = {"replace": [[node, component]], "components": _components(file), "strategy": strategy}
-    return change(system, request, f"replace {node} by {component}", yes, verify)
+    return change(system, request, f"replace {node} with {component}", yes, verify)
 
 
 @click.command("add")

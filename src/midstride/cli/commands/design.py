@@ -61,8 +61,8 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     for impact in found:
         mark = "single point of failure: " if impact.single_point_of_failure else ""
         heading = f"{mark}{impact.role} ({impact.component})"
-        click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.falls else 'nothing else falls'}")
-        for fall in impact.falls:
+        click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.impacted else 'nothing else falls'}")
+        for fall in impact.impacted:
             levels = f"{fall.levels} mode{'' if fall.levels == 1 else 's'}"
             click.echo(f"  {fall.functionality}: {fall.before} -> {fall.after} ({levels}, weight {fall.weight:g})")
             for reason in fall.because[:1]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import cache
 from itertools import product
 
+from midstride.model import wording
 from midstride.verify.prove.goals import Case
 from midstride.verify.prove.solvers import Session, value
 from midstride.verify.prove.terms import Term, app
@@ -91,22 +92,19 @@ class Wording:
         action = self.case.action
         word, _, which = action.partition(" ")
         if word in ("create", "remove"):
-            return f"{word} {self.short(self.value('the_component'))}"
+            instance = self.short(self.value("the_component"))
+            return wording.creation(instance) if word == "create" else wording.removal(instance)
         if word in ("attach", "detach"):
-            where = "to" if word == "attach" else "from"
-            return f"{word} {which} {self.port(self.value('the_port'))} {where} {self.short(self.value('the_topic'))}"
+            port, topic = f"{which} {self.port(self.value('the_port'))}", self.short(self.value("the_topic"))
+            return wording.attachment(port, topic) if word == "attach" else wording.detachment(port, topic)
         if word in ("degrade", "upgrade"):
             members = [f for f in self.every(FUNCTIONALITY) if self.true(app("in_group", f))]
-            chosen = [f"{self.functionality(f)} to {self.short(self.value(app('mode_named', f)))}" for f in members]
-            return f"{word} {', '.join(chosen) or 'nobody'}"
+            entered = {f: self.short(self.value(app("mode_named", f))) for f in members}
+            return wording.mode_changes(word, ((self.functionality(f), None, mode) for f, mode in entered.items()))
         if word == "handover":
             swaps = product(self.every(TOPIC), self.every(PORT), self.every(PORT))
-            chosen = [
-                f"{self.short(k)} from {self.port(o)} to {self.port(n)}"
-                for k, o, n in swaps
-                if self.true(app("swapped", k, o, n))
-            ]
-            return f"hand over {', '.join(chosen) or 'nothing'}"
+            chosen = [each for each in swaps if self.true(app("swapped", *each))]
+            return wording.handover((self.short(k), self.port(o), self.port(n)) for k, o, n in chosen)
         return ""
 
     def breaches(self, s: State) -> list[str]:
