@@ -32,7 +32,7 @@ def changed(patrol: Path, old: str, new: str, name: str = "new.stride") -> Path:
 
 
 def test_what_is_right_is_said_in_a_line(run: Any, patrol: Path) -> None:
-    assert run("check", patrol) == (0, f"{patrol}: nothing to complain of.\n", "")
+    assert run("check", patrol) == (0, f"{patrol}: no problems found\n", "")
     assert json.loads(run("check", patrol, "--json")[1]) == {"ok": True, "diagnostics": []}
 
 
@@ -92,7 +92,7 @@ def test_fmt_rewrites_in_place_once(run: Any, patrol: Path) -> None:
     patrol.write_bytes(before.replace(b"{ publishers <= 1 }", b"{publishers<=1}").replace(b"\n", b"\r\n"))
     os.chmod(patrol, 0o640)
     status, out, _ = run("fmt", "--check", patrol)
-    assert (status, out) == (1, f"{patrol}: not in canonical form\n")
+    assert (status, out) == (1, f"{patrol}: not formatted\n")
     assert run("fmt", patrol) == (0, f"{patrol}: formatted\n", "")
     assert patrol.read_bytes() == before
     assert patrol.stat().st_mode & 0o777 == 0o640
@@ -136,7 +136,7 @@ def test_graph_says_what_it_needs(run: Any, patrol: Path, monkeypatch: pytest.Mo
     assert run("graph", patrol, "-o", patrol.parent / "x.pdf")[0] == 2
     monkeypatch.setenv("PATH", str(patrol.parent))
     status, _, err = run("graph", patrol, "-o", patrol.parent / "x.svg")
-    assert (status, "needs Graphviz" in err) == (1, True)
+    assert (status, "need Graphviz" in err) == (1, True)
 
 
 @pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not installed")
@@ -157,7 +157,7 @@ def test_impact(run: Any, patrol: Path) -> None:
 
 
 def test_diff(run: Any, patrol: Path) -> None:
-    assert run("diff", patrol, patrol) == (0, "They mean the same.\n", "")
+    assert run("diff", patrol, patrol) == (0, "No differences.\n", "")
     file = changed(patrol, "threshold = 0.4", "threshold = 0.5")
     status, out, _ = run("diff", patrol, file)
     assert status == 1

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import cast
 
 from midstride.cli.client import Client, Document, Event
-from midstride.cli.follow import Following
+from midstride.cli.follow import FollowedRequest
 
 
 def told(*events: tuple[str, str | None, str]) -> list[Event]:
@@ -48,9 +48,9 @@ TWO_AT_ONCE = told(
 
 def shown(id: str | None) -> list[str]:
     client = Scripted(TWO_AT_ONCE)
-    following = Following(cast(Client, client), client.ask, since=0, until="outcome", id=id)
-    words = [str(event["words"]) for event in following]
-    assert following.answer() == ANSWER
+    followed = FollowedRequest(cast(Client, client), client.ask, since=0, until="outcome", id=id)
+    words = [str(event["words"]) for event in followed]
+    assert followed.answer() == ANSWER
     return words
 
 

@@ -42,16 +42,16 @@ def test_what_stays_lower_is_not_called_nothing() -> None:
         "Done in 270 ms.",
         "Stays lower: brake.watch, from normal to cautious.",
     ]
-    assert render.fell(done(plan=plan(afterwards=lower))) == "brake.watch for good"
-    assert render.fell(done(fallen={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
-    assert render.fell(done()) == "nothing"
+    assert render.fallen_line(done(plan=plan(afterwards=lower))) == "brake.watch permanently"
+    assert render.fallen_line(done(fallen={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
+    assert render.fallen_line(done()) == "nothing"
     rolled_back = done("rolled_back", plan=plan(afterwards=lower), because="create filter_2 (Median): it ended")
     assert shown(render.outcome(rolled_back)) == [
-        "Rolled back in 270 ms, every step is undone: create filter_2 (Median): it ended",
+        "Rolled back in 270 ms, every step undone: create filter_2 (Median): it ended",
         "Nothing fell below its level.",
     ]
     crashed = shown(render.outcome(done("rolled_back", because="the process of talker has ended", ended=["talker"])))
-    assert crashed[1].startswith("By itself ended meanwhile: talker;")
+    assert crashed[1].startswith("Exited unexpectedly meanwhile: talker;")
     assert len(crashed) == 2
 
 
@@ -63,7 +63,7 @@ def test_of_one_that_does_not_answer_no_mode_is_claimed() -> None:
     assert live[2].split() == ["talker", "Talker", "7", "talk", "normal"]
     silent = {**component, "reachable": False}
     told = shown(render.status({**state, "valid": False, "violations": [], "components": [silent]}))
-    assert " ".join(told[2].split()) == "talker Talker 7, no answer talk unknown it was in mode normal"
+    assert " ".join(told[2].split()) == "talker Talker 7, not responding talk unknown last known mode: normal"
 
 
 def test_why_a_mode_ended_is_said_by_the_error_and_not_by_the_end_of_its_traceback() -> None:
@@ -87,5 +87,5 @@ def test_why_a_mode_ended_is_said_by_the_error_and_not_by_the_end_of_its_traceba
 
 def test_what_has_fallen_by_itself_meanwhile_is_not_called_nothing() -> None:
     assert shown(render.outcome(done(degraded=["talker_2.talk"])))[1:] == [
-        "By itself fell meanwhile: talker_2.talk; `midstride why talker_2.talk` says why."
+        "Degraded unexpectedly meanwhile: talker_2.talk; see `midstride why talker_2.talk`."
     ]

@@ -53,14 +53,14 @@ def test_components_outlive_their_manager_and_are_found_again(midstride: Midstri
     until(lambda: heard(midstride) != said, "the listener hears nothing any more")
     done = midstride("status")
     assert done.status == 1
-    assert "its components may still run: `midstride up` with its file finds them again" in done.err
+    assert "its components may still be running: `midstride up FILE` reattaches to them" in done.err
     with unwritten(midstride) as late:
         up = midstride("up", TALKER, "-d")
         assert up.status == 0, up.err
         assert late.wait(20) == -signal.SIGTERM
     assert "late had just been started by an earlier manager, and is ended" in up.out
     assert "talker_2 was found again" in up.out
-    assert "was running, and is not as" in up.err  # the file says Talker, a NewTalker runs
+    assert "was already running and differs from" in up.err  # the file says Talker, a NewTalker runs
     assert midstride.components("talker") == components
     assert midstride("status", "--json").json["valid"]
     back = midstride("apply", TALKER, "--yes", "--json").json

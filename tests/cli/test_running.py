@@ -46,7 +46,7 @@ def test_up_shows_what_it_does(midstride: Midstride) -> None:
     assert os.getsid(manager) == manager
     again = midstride("up", TALKER, "--backend", "sim", "-d")
     assert (again.status, again.out) == (1, "")
-    assert f"talker is running already, under the manager with process {manager}" in again.err
+    assert f"talker is already running (manager process {manager})" in again.err
     down = midstride("down")
     assert (down.status, down.out) == (0, "talker is down.\n")
     assert midstride("status").status == 1
@@ -97,7 +97,7 @@ def test_a_replacement_is_shown_and_measured(talker: Midstride) -> None:
     done = talker("replace", "talker", "NewTalker", "--yes")
     assert done.status == 0, done.err
     lines = done.out.splitlines()
-    assert lines[0] == "replace talker by NewTalker"
+    assert lines[0] == "replace talker with NewTalker"
     assert "Nothing falls: every functionality keeps its level throughout." in lines
     assert [line.split()[1] for line in lines if "✓" in line] == ["1/4", "2/4", "3/4", "4/4"]
     assert re.match(r"/chatter +listener.in +\d+ ms +1\.\d\d", lines[-1])
@@ -155,14 +155,14 @@ def test_nobody_to_ask(talker: Midstride) -> None:
     before = len(talker("log", "--json").json)
     done = talker("remove", "listener")
     assert (done.status, done.out) == (2, "")
-    assert "say --yes to go ahead" in done.err
+    assert "not a terminal; pass --yes" in done.err
     assert len(talker("log", "--json").json) == before
 
 
 def test_a_person_is_asked(talker: Midstride) -> None:
     events = len(talker("log", "--json").json)
     with Terminal(talker, "add", "second", "Listener", "in=/chatter") as terminal:
-        shown = terminal.until("Go ahead? [y/N]: ")
+        shown = terminal.until("Proceed? [y/N]: ")
         assert "create second (Listener)" in shown
         assert "Nothing falls" in shown
         terminal.press("n\n")
@@ -170,7 +170,7 @@ def test_a_person_is_asked(talker: Midstride) -> None:
         assert terminal.status == 1
     assert len(talker("log", "--json").json) == events
     with Terminal(talker, "add", "second", "Listener", "in=/chatter") as terminal:
-        terminal.until("Go ahead? [y/N]: ")
+        terminal.until("Proceed? [y/N]: ")
         terminal.press("y\n")
         assert "Done in" in terminal.rest()
         assert terminal.status == 0
@@ -180,7 +180,7 @@ def test_a_person_is_asked(talker: Midstride) -> None:
 def test_what_was_shown_is_what_is_done(talker: Midstride) -> None:
     """A change between the preview and the yes: the plan that was shown is not the one that would be carried out."""
     with Terminal(talker, "remove", "listener") as terminal:
-        terminal.until("Go ahead? [y/N]: ")
+        terminal.until("Proceed? [y/N]: ")
         assert talker("add", "second", "Listener", "in=/chatter", "--yes").status == 0
         terminal.press("y\n")
         assert "the configuration has changed since the plan was shown" in " ".join(terminal.rest().split())
@@ -223,7 +223,7 @@ def test_the_live_view_is_left_and_the_system_goes_on(midstride: Midstride) -> N
     with Terminal(midstride, "up", TALKER, "--backend", "sim") as terminal:
         terminal.until("Ctrl-C leaves the view")
         terminal.press("\x03")
-        assert "talker goes on running." in terminal.rest()
+        assert "talker keeps running:" in terminal.rest()
         assert terminal.status == 0
     assert midstride("status", "--json").json["valid"]
     with Terminal(midstride, "watch") as terminal:
@@ -244,7 +244,7 @@ def test_ctrl_c_while_coming_up_takes_it_down_again(midstride: Midstride, tmp_pa
     with Terminal(midstride, "up", str(file), "--backend", "sim") as terminal:
         terminal.until("create talker")
         terminal.press("\x03")
-        assert "Ending what has been started of talker" in terminal.rest()
+        assert "Stopping everything started for talker" in terminal.rest()
         assert terminal.status == 130
     assert midstride("status").status == 1
 
@@ -256,7 +256,7 @@ def test_ctrl_c_before_the_manager_answers_takes_it_down_again(midstride: Midstr
         while not log.exists():
             time.sleep(0.001)
         terminal.press("\x03")
-        assert "Ending what has been started of talker" in terminal.rest()
+        assert "Stopping everything started for talker" in terminal.rest()
         assert terminal.status == 130
     assert midstride("status").err.endswith("no system is running; start one with `midstride up FILE`\n")
 
@@ -309,7 +309,7 @@ def test_several_systems(talker: Midstride) -> None:
     assert talker("up", file, "--backend", "sim", "-d").status == 0
     done = talker("status")
     assert (done.status, done.out) == (2, "")
-    assert "several systems are running (obstacle, talker): say which with --system NAME" in done.err
+    assert "several systems are running (obstacle, talker); choose one with --system NAME" in done.err
     assert talker("status", "--system", "obstacle").out.startswith("obstacle on sim")
     assert talker("status", "--system", "talkr").err.endswith("did you mean `talker`?\n")
     assert talker("down", "--system", "obstacle").status == 0
@@ -323,13 +323,13 @@ def test_a_killed_manager_is_no_riddle(midstride: Midstride) -> None:
     os.kill(manager, signal.SIGSTOP)
     done = midstride("down")
     assert (done.status, done.out) == (1, "")
-    assert f"the manager of talker (process {manager}) runs, but does not answer" in done.err
+    assert f"the manager of talker (process {manager}) is running but does not answer" in done.err
     os.kill(manager, signal.SIGKILL)
     while alive(manager):
         time.sleep(0.01)
     done = midstride("status")
     assert done.status == 1
-    assert "the manager of talker has ended" in done.err
+    assert "the manager of talker has exited" in done.err
     with unwritten(midstride) as late:
         assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
         assert late.wait(20) == -signal.SIGTERM
@@ -347,7 +347,7 @@ def test_the_view_says_that_the_manager_has_gone(midstride: Midstride) -> None:
         assert watching.stdout is not None
         assert "up talker" in watching.stdout.readline()
         os.kill(midstride.manager("talker"), signal.SIGTERM)
-        assert watching.stdout.read().endswith("The manager of talker has ended; its components go on.\n")
+        assert watching.stdout.read().endswith("The manager of talker has exited; its components keep running.\n")
         assert watching.wait(20) == 1
     finally:
         watching.kill()

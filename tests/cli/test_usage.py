@@ -85,7 +85,7 @@ def test_who_falls_is_not_taken_for_a_node_whose_name_goes_on() -> None:
 
 def test_a_plan_without_steps_says_that_there_is_nothing_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "plan", TALKER, "--to", TALKER)
-    assert (status, out.splitlines()[1:]) == (0, ["There is nothing to do: what is wanted is there."])
+    assert (status, out.splitlines()[1:]) == (0, ["Nothing to do: the system already matches the target."])
 
 
 @pytest.mark.parametrize(
@@ -94,11 +94,11 @@ def test_a_plan_without_steps_says_that_there_is_nothing_to_do(capsys: pytest.Ca
         (["replce"], "midstride: there is no command `replce`; did you mean `replace`?"),
         (["replace"], "midstride replace: missing argument 'NODE'"),
         (["status", "--systm", "x"], "midstride status: no such option '--systm'. Did you mean '--system'?"),
-        (["replace", "talker", "NewTalker"], "nobody can be asked here (no terminal): say --yes to go ahead"),
-        (["plan", TALKER], "midstride plan: say what is to change: --to NEW, --replace, --add or --remove"),
+        (["replace", "talker", "NewTalker"], "not a terminal; pass --yes"),
+        (["plan", TALKER], "midstride plan: nothing to change: pass --to NEW, --replace, --add or --remove"),
         (["plan", TALKER, "--replace", "talker"], "`talker` is not of the form NODE=COMPONENT"),
         (["plan", TALKER, "--add", "second"], "`second` is not of the form 'NODE COMPONENT PORT=TOPIC…'"),
-        (["plan", TALKER, "--to", TALKER, "--remove", "talker"], "--to names a whole specification"),
+        (["plan", TALKER, "--to", TALKER, "--remove", "talker"], "--to cannot be combined with --replace"),
         (
             ["plan", TALKER, "--remove", "talker", "--strategy", "fast"],
             "'fast' is not one of 'minimal', 'paper', 'quiesce'",
@@ -146,7 +146,7 @@ def test_of_several_whose_managers_have_ended_one_must_be_named(
         (tmp_path / "midstride" / name / "state.json").write_text(state)
     status, out, err = run(capsys, command)
     assert (status, out) == (1, "")
-    assert "may still run: filter, talker. Say which is meant with --system NAME" in err
+    assert "may still be running: filter, talker. Choose one with --system NAME" in err
     assert run(capsys, "down", "--system", "talker")[:2] == (0, "talker is down.\n")
     assert run(capsys, "down")[:2] == (0, "filter is down.\n")
 
@@ -163,7 +163,7 @@ def test_what_is_well_formed(capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(file) for file in sorted(EXAMPLES.glob("*/*.json")) if file.name != "demo.json"]
     status, out, err = run(capsys, "check", *files)
     assert (status, err) == (0, "")
-    assert "nothing to complain of" in out
+    assert "no problems found" in out
     status, out, _ = run(capsys, "check", *files, "--json", "--strict")
     assert (status, json.loads(out)) == (0, {"ok": True, "diagnostics": []})
 
@@ -206,7 +206,7 @@ def test_a_warning_counts_where_asked(tmp_path: Path, capsys: pytest.CaptureFixt
     [
         ("talkr.json", "did you mean `talker.json`?"),
         ("", "is a folder; give a file in it: "),
-        ("/dev/zero", "/dev/zero has more than 64 million characters: is it what you meant?"),
+        ("/dev/zero", "/dev/zero has more than 64 million characters: wrong file?"),
     ],
 )
 def test_a_file_that_is_none(name: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -298,7 +298,7 @@ def test_a_topic_that_the_environment_satisfies_is_not_published_by_nobody(capsy
     console().print(render.status(document))
     told = capsys.readouterr().out
     assert "/odom: the environment → amcl.odom" in told
-    assert "/map: nobody → amcl.odom  (not satisfied)" in told
+    assert "/map: no publisher → amcl.odom  (not satisfied)" in told
 
 
 def test_a_node_is_added_to_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
@@ -374,7 +374,7 @@ def test_an_output_that_cannot_be_written_is_told(
             monkeypatch.setattr("sys.stdout", full)
             status = main(words)
         told = capsys.readouterr().err
-        assert (status, told) == (1, f"midstride {words[0]}: the output cannot be written: No space left on device\n")
+        assert (status, told) == (1, f"midstride {words[0]}: cannot write the output: No space left on device\n")
 
 
 def test_a_runtime_folder_that_cannot_be_made(
@@ -425,4 +425,4 @@ def test_who_is_lowered_first_and_then_gone_is_not_said_to_stand_in_its_lowest_m
     )
     status, out, _ = run(capsys, "plan", str(path), "--replace", "base=New")
     assert status == 0
-    assert "Falls: base.drive to stop, and from step 3 on to nobody serving it, for about" in out
+    assert "Falls: base.drive to stop, unserved from step 3 on, for about" in out

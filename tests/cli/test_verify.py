@@ -31,7 +31,7 @@ def test_a_plan_from_standard_input(run: Any, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("sys.stdin", StringIO(text))
     status, out, err = run("verify", TALKER, "--plan", "-")
     assert (status, err) == (0, "")
-    assert out.startswith("HOLDS: the plan of 4 steps (exact: 5 configurations, 28 atoms; Alloy 6.2.0)\nJudged in ")
+    assert out.startswith("HOLDS: the plan of 4 steps (exact: 5 configurations, 28 atoms; Alloy 6.2.0)\nVerified in ")
 
 
 @pytest.mark.alloy
@@ -51,14 +51,14 @@ def test_a_violation_is_told_kept_and_drawn(run: Any, spoilt: Path, tmp_path: Pa
 def test_a_plan_of_another_system_is_none_of_this_one(run: Any, spoilt: Path) -> None:
     status, out, _ = run("verify", ROVER, "--plan", spoilt)
     assert status == 1
-    assert "it starts from another specification than the rover given: topic /chatter: added" in out
+    assert "it starts from a specification that differs from rover: topic /chatter: added" in out
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('{"outcome": "refused", "because": "no"}', "there is no plan in PLAN, it was refused: no"),
-        ("[]", "PLAN is not a plan: `midstride plan … --json` prints one"),
+        ('{"outcome": "refused", "because": "no"}', "PLAN has no plan; it was refused: no"),
+        ("[]", "PLAN is not a plan; `midstride plan … --json` prints one"),
         ("{}", "not a plan: `start` is missing"),
         ("{", "not JSON: Expecting property name"),
     ],
@@ -74,10 +74,10 @@ def test_what_is_no_plan(text: str, words: str, run: Any, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ((), "say what is to be judged"),
-        ((TALKER, "--live"), "--live judges what is running"),
-        ((TALKER, "--system", "talker"), "it goes with --live alone"),
-        ((TALKER, "--picture", "x.txt"), "does not say what to draw"),
+        ((), "nothing to verify: pass FILE"),
+        ((TALKER, "--live"), "--live cannot be combined"),
+        ((TALKER, "--system", "talker"), "--system needs --live"),
+        ((TALKER, "--picture", "x.txt"), "unknown kind of diagram"),
         ((TALKER, "--limit", "0"), "--limit"),
     ],
 )
@@ -101,7 +101,7 @@ def test_a_running_system_is_judged_and_changed_only_as_alloy_allows(midstride: 
     assert up.status == 0, up.err
     live = midstride("verify", "--live")
     assert live.status == 0, live.out + live.err
-    assert live.out.startswith("HOLDS: talker as it runs (exact: 1 configuration, 14 atoms; Alloy 6.2.0)")
+    assert live.out.startswith("HOLDS: talker as it is running (exact: 1 configuration, 14 atoms; Alloy 6.2.0)")
     done = midstride("replace", "talker", "NewTalker", "--yes", "--verify", "--json")
     assert done.status == 0, done.out + done.err
     assert (done.json["outcome"], done.json["verdict"]["verdict"]) == ("done", "holds")

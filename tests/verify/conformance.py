@@ -1,6 +1,6 @@
 """The model's actions and the Alloy predicates, put side by side: thousands of cases in one run of the Analyzer.
 
-Worlds are drawn, walked, and share one universe. A case is an action tried in a configuration; where the model allows
+Worlds are drawn, walked, and share one atoms. A case is an action tried in a configuration; where the model allows
 it, the configuration that it leads to is one of those walked, so that a case costs hardly an atom. Alloy is told
 neither verdict nor result of the model: it says of every case whether its precondition holds, and whether the action
 takes the one configuration to the other. The two accounts are compared here.
@@ -17,8 +17,8 @@ from typing import Final
 
 from midstride.model.configuration import Configuration
 from midstride.verify.alloy_atoms import AlloyAtoms
-from midstride.verify.formulas import Formula, NotInTheDump, formula
-from midstride.verify.library import carried
+from midstride.verify.formulas import Formula, NotEncoded, formula
+from midstride.verify.library import bundled
 from midstride.verify.run import Alloy, SolverOutcome
 from midstride.verify.world_encoder import WorldEncoder
 from tests.verify.walks import Claim, World, key
@@ -40,13 +40,13 @@ class Disagreement:
 
 
 class Batch:
-    """Worlds and claims in one universe, as Alloy text, and what the Analyzer says of them."""
+    """Worlds and claims in one atoms, as Alloy text, and what the Analyzer says of them."""
 
     def __init__(self) -> None:
-        self.universe = AlloyAtoms()
+        self.atoms = AlloyAtoms()
         for name in _NAMES:
-            self.universe.names.give(name, None)
-        self.scenes: dict[int, WorldEncoder] = {}
+            self.atoms.names.assign(name, None)
+        self.encoders: dict[int, WorldEncoder] = {}
         self.systems: dict[tuple[int, Hashable], str] = {}
         self.expected: dict[str, bool] = {}
         self.cases: list[tuple[Claim, str, Formula, str]] = []
@@ -54,10 +54,10 @@ class Batch:
         self._number: dict[str, int] = defaultdict(int)
 
     def add(self, number: int, world: World) -> None:
-        scene = self.scenes[number] = WorldEncoder(self.universe, world.claims[0].before.context, f"w{number}_")
+        encoder = self.encoders[number] = WorldEncoder(self.atoms, world.claims[0].before.context, f"w{number}_")
         for instance in world.instances:
-            scene.instance(instance)
-        scene.overloads()
+            encoder.instance(instance)
+        encoder.overloads()
         for configuration in world.configurations.values():
             self.expected[self.system(number, configuration)] = True
         for configuration in world.invalid:
@@ -68,7 +68,7 @@ class Batch:
     def system(self, number: int, configuration: Configuration) -> str:
         where = (number, key(configuration))
         if where not in self.systems:
-            self.systems[where] = self.scenes[number].system(configuration, len(self.systems), "a configuration")
+            self.systems[where] = self.encoders[number].system(configuration, len(self.systems), "a configuration")
         return self.systems[where]
 
     def claim(self, claim: Claim) -> None:
@@ -76,8 +76,8 @@ class Batch:
         before = self.system(claim.world, claim.before)
         after = before if claim.after is None else self.system(claim.world, claim.after)
         try:
-            asked = formula(self.scenes[claim.world], claim.action, before, after)
-        except NotInTheDump:
+            asked = formula(self.encoders[claim.world], claim.action, before, after)
+        except NotEncoded:
             self.unspoken.append(claim)
             return
         self._number[before] += 1
@@ -92,7 +92,7 @@ class Batch:
         most = max(self._number.values())
         return "\n".join(
             [
-                self.universe.text(),
+                self.atoms.text(),
                 "abstract sig Case {}",
                 f"one sig {', '.join(f'case{number}' for number in range(1, most + 1))} extends Case {{}}",
                 "one sig Told { refused: System -> Case, wrong: System -> Case, invalid: set System }",
@@ -101,12 +101,12 @@ class Batch:
                 *facts,
                 "}",
                 f"assert Rules {{ rules }}\ncheck Rules {self.scope(most)}\nrun Said {{}} {self.scope(most)}",
-                carried(),
+                bundled(),
             ]
         )
 
     def scope(self, cases: int) -> str:
-        return self.universe.scope().replace("for 1 but", f"for {max(1, cases)} but", 1)
+        return self.atoms.scope().replace("for 1 but", f"for {max(1, cases)} but", 1)
 
     def disagreements(self, alloy: Alloy, limit: float = 600) -> list[Disagreement]:
         """The claims, and the configurations, of which the specification says otherwise."""
@@ -159,23 +159,23 @@ def explained(alloy: Alloy, worlds: dict[int, World], disagreements: list[Disagr
     lines: list[str] = []
     asked: dict[tuple[str, str], str] = {}
     for number, claim in enumerate(each.claim for each in disagreements):
-        if claim.world not in batch.scenes:
+        if claim.world not in batch.encoders:
             batch.add(claim.world, replace_claims(worlds[claim.world], claim))
         for told, held in _clauses(batch, claim):
-            pair = (f"case{number}", batch.universe.clause(told))
+            pair = (f"case{number}", batch.atoms.clause(told))
             asked[pair] = told
             lines.append(f"  {' -> '.join(pair)} in Told.broken iff not ({held})")
-    clauses = batch.universe.clauses.values()
+    clauses = batch.atoms.clauses.values()
     text = "\n".join(
         [
-            batch.universe.text(),
+            batch.atoms.text(),
             "abstract sig Case {}\nabstract sig Clause {}",
             f"one sig {', '.join(f'case{number}' for number in range(len(disagreements)))} extends Case {{}}",
             f"one sig {', '.join(clauses)} extends Clause {{}}",
             "one sig Told { broken: Case -> Clause }",
             *("fact {", *lines, "}"),
             f"run Said {{}} {batch.scope(max(len(disagreements), len(clauses)))}",
-            carried(),
+            bundled(),
         ]
     )
     broken = _pairs(_solved(alloy, text, 120)["Said"].values["Told$0"].get("broken", []))
@@ -190,14 +190,14 @@ def explained(alloy: Alloy, worlds: dict[int, World], disagreements: list[Disagr
 
 def _clauses(batch: Batch, claim: Claim) -> Iterator[tuple[str, str]]:
     """What the specification asks of a claim's action, part by part: what it says where it is broken, and the part."""
-    scene, before = batch.scenes[claim.world], batch.system(claim.world, claim.before)
-    asked = formula(scene, claim.action, before, before)
+    encoder, before = batch.encoders[claim.world], batch.system(claim.world, claim.before)
+    asked = formula(encoder, claim.action, before, before)
     yield from asked.clauses
     if asked.lacking != _NOBODY:
-        for ref, atom in scene.functionalities.items():
+        for ref, atom in encoder.functionalities.items():
             yield f"{ref} would lack what it assumes", f"no ({asked.lacking})[{atom}]"
     if asked.attached != _NOBODY:
-        for port, atom in scene.ports.items():
+        for port, atom in encoder.ports.items():
             yield f"{port} is still attached", f"no ({asked.attached}).{atom}"
 
 

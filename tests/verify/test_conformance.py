@@ -23,7 +23,7 @@ def batched(worlds: list[World]) -> tuple[Batch, dict[int, World]]:
     """As many of the worlds as one run can take."""
     batch, taken = Batch(), {}
     for number, world in enumerate(worlds):
-        if not world.claims or batch.universe.size > ATOMS:
+        if not world.claims or batch.atoms.size > ATOMS:
             continue
         batch.add(number, world)
         taken[number] = world
@@ -88,11 +88,11 @@ def test_everything_is_tried(judged: Judged) -> None:
     groups = Counter(claim.action.kind for claim in claims if claim.allowed and _size(claim) > 1)
     assert groups["degrade"] >= 3
     assert groups["upgrade"] >= 3
-    assert batch.universe.capped
-    assert batch.universe.sigs["Overload"]
-    assert batch.universe.sigs["NamedInputs"]
-    assert batch.universe.tuples["env_guars"]
-    assert batch.universe.tuples["env_pubs"]
+    assert batch.atoms.capped
+    assert batch.atoms.sigs["Overload"]
+    assert batch.atoms.sigs["NamedInputs"]
+    assert batch.atoms.tuples["env_guars"]
+    assert batch.atoms.tuples["env_pubs"]
     assert sum(not expected for expected in batch.expected.values()) >= 10, "some configurations are not valid"
 
 

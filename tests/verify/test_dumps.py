@@ -21,7 +21,7 @@ from midstride.verify.chain import chain
 from midstride.verify.checking import Asking, verify_configuration, verify_plan, verify_specification
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
 from midstride.verify.export import dump_configuration, dump_plan
-from midstride.verify.library import carried
+from midstride.verify.library import bundled
 from midstride.verify.verdict import Answer, Finding, Verdict
 from tests.verify.systems import EXAMPLES, ROVER, TALKER, plan, specification
 
@@ -68,20 +68,20 @@ def test_a_dump_carries_the_specification_along_and_opens_nothing() -> None:
 
 
 def test_no_atom_takes_a_word_of_alloy_or_of_the_specification() -> None:
-    declared = set(re.findall(r"^(?:abstract |one )?(?:sig|pred|fun) (\w+)", carried(), re.MULTILINE))
+    declared = set(re.findall(r"^(?:abstract |one )?(?:sig|pred|fun) (\w+)", bundled(), re.MULTILINE))
     fields = set(re.findall(r"^fun (\w+):", dump_configuration(initial(specification(TALKER)), "talker").text, re.M))
     names = Names()
     for word in sorted(declared | fields | {"univ", "Int", "some", "fun", "sum", "Findings", "Step", "Clause"}):
-        assert names.give(word, word) == f"{word}_2"
+        assert names.assign(word, word) == f"{word}_2"
 
 
 @pytest.mark.parametrize("text", ["", "größe", "a b", "/a/b", "2nd", "a__b", "'", "can_bus", "step1_may"])
 def test_every_name_becomes_an_identifier_of_its_own(text: str) -> None:
     names = Names()
-    given = [names.give(text, number) for number in range(3)]
+    given = [names.assign(text, number) for number in range(3)]
     assert len(set(given)) == 3
     assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) for name in given)
-    assert [names.bearers[name] for name in given] == [0, 1, 2]
+    assert [names.meanings[name] for name in given] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("name", ["talker", "filter", "obstacle"])
@@ -121,8 +121,8 @@ def broken(configuration: Configuration, how: str) -> Configuration:
             "motor.drive in mode normal: assumes in: nobody satisfies /cmd (planner.cmd in mode deg",
         ),
         ("cap", "cap", "/cmd"),
-        ("capacity", "capacity", "planner, planner_2: together they hold more of a resource than there is"),
-        ("attachment", "attachment", "left.out is attached to /nowhere, and there is no /nowhere in this system"),
+        ("capacity", "capacity", "planner, planner_2: together they exceed a resource"),
+        ("attachment", "attachment", "left.out is attached to /nowhere, but there is no /nowhere in this system"),
     ],
 )
 def test_what_is_not_valid_is_told_by_its_names(how: str, kind: str, words: str) -> None:
@@ -185,7 +185,10 @@ def holding(count: int) -> Specification:
 
 @pytest.mark.parametrize(
     ("large", "words"),
-    [(many(400), r"\d+ atoms, and Alloy takes \d+ at most"), (holding(17), "17 components hold gpu, and at most 16")],
+    [
+        (many(400), r"\d+ atoms, more than the \d+ that Alloy can handle"),
+        (holding(17), "17 components hold gpu, more than the 16"),
+    ],
     ids=["atoms", "holders"],
 )
 def test_what_is_too_large_for_alloy_is_unknown(large: Specification, words: str) -> None:

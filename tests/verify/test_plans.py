@@ -138,7 +138,7 @@ PLANTED = [
     Planted(
         "an attachment of the target is missing",
         "camera", lambda plan: plan["target"]["nodes"]["motor"].pop("attachments"),
-        None, "end", ("attached to /cmd, and should not be",), "motor.in",
+        None, "end", ("should not be attached to /cmd",), "motor.in",
     ),
     Planted(
         "a foreign name: there is no such topic",
@@ -153,12 +153,12 @@ PLANTED = [
     Planted(
         "a name that is taken",
         "camera", lambda plan: (edit(1, component="right")(plan), drop(2, 3)(plan)),
-        1, "name", ("there is a right already, a Camera",),
+        1, "name", ("right already exists, with component Camera",),
     ),
     Planted(
         "an effect other than the action's: it says that another mode is left",
         "large planner", edit(1, modes={"motor.drive": {"from": "degraded", "to": "degraded"}}),
-        1, "name", ("it says that motor.drive is in mode degraded, and there it is in mode normal",),
+        1, "name", ("it assumes that motor.drive is in mode degraded, but it is in mode normal",),
     ),
     Planted(
         "the redundant second is detached as well",
@@ -264,7 +264,7 @@ def test_a_fault_in_an_actions_effect_is_caught(
     monkeypatch.setattr(action, "effect", effect)
     verdict = judged(document, alloy)
     assert verdict.failed == step
-    assert [(f.kind, f.because) for f in verdict.findings] == [("effect", "its effect is not what the action does")]
+    assert [(f.kind, f.because) for f in verdict.findings] == [("effect", "its effect is not that of the action")]
 
 
 def test_a_fault_in_an_actions_precondition_is_caught(alloy: Alloy, monkeypatch: pytest.MonkeyPatch) -> None:

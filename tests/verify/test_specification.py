@@ -56,7 +56,7 @@ def test_the_analyzer_leaves_no_files_where_java_puts_them(tmp_path: Path, monke
     assert list(tmp_path.iterdir()) == []
 
 
-_MENDED = {"'": "_", "...": "", "env_guards": "env_guars", "mode_guards": "mode_guars"}
+_CORRECTIONS = {"'": "_", "...": "", "env_guards": "env_guars", "mode_guards": "mode_guars"}
 
 
 @pytest.mark.alloy
@@ -74,7 +74,7 @@ def test_the_papers_listings_do_not_parse_for_four_reasons(tmp_path: Path, left:
     text = library.source(PRINTED)
     assert left in text
     assert left in PAPER
-    for printed, mended in _MENDED.items():
+    for printed, mended in _CORRECTIONS.items():
         text = text if printed == left else text.replace(printed, mended)
     source = tmp_path / "printed.als"
     source.write_text(text, encoding="utf-8")
@@ -85,7 +85,7 @@ def test_the_papers_listings_do_not_parse_for_four_reasons(tmp_path: Path, left:
 @pytest.mark.alloy
 def test_the_papers_check_fails_where_the_rest_is_left_open(tmp_path: Path) -> None:
     text = library.source(PRINTED)
-    for printed, mended in _MENDED.items():
+    for printed, mended in _CORRECTIONS.items():
         text = text.replace(printed, mended)
     source = tmp_path / "printed.als"
     source.write_text(text.replace("check SafeDetach for 5", "check SafeDetach for 3"), encoding="utf-8")
@@ -140,23 +140,23 @@ def test_tasks_ask_everything_at_any_scope() -> None:
 
 @pytest.mark.alloy
 def test_a_specification_without_a_conjunct_is_violated() -> None:
-    whole = library.scoped("handover", SMALL)
+    whole = library.with_scope("handover", SMALL)
     forgotten = "    satisfy[s.cur_mode[assoc_outputs.new].mode_guars[new], conn.conn_guar]\n"
     assert whole.count(forgotten) == 1
     checked = only("handover", texts={"handover": whole.replace(forgotten, "    some univ\n")})
     assert checked.answer is Answer.VIOLATED
     assert checked.because is not None
-    assert checked.because.startswith("handover.SafeHandover has a counterexample, and should have none: s = System$")
+    assert checked.because.startswith("handover.SafeHandover should have no counterexample, but has one: s = System$")
 
 
 @pytest.mark.alloy
 def test_a_specification_of_nothing_is_violated() -> None:
     """Facts that contradict each other prove everything, and let nothing happen."""
-    whole = library.scoped("system", SMALL)
+    whole = library.with_scope("system", SMALL)
     checked = only("system", texts={"system": whole + "\nfact { some none }\n"})
     assert checked.answer is Answer.VIOLATED
     assert checked.because is not None
-    assert "system.ValidSystem should have an instance at scope 4, and has none" in checked.because
+    assert "system.ValidSystem should have an instance at scope 4, but has none" in checked.because
 
 
 @pytest.mark.alloy
@@ -207,7 +207,7 @@ def test_the_command_tells_each_check(capsys: pytest.CaptureFixture[str]) -> Non
     out = capsys.readouterr().out
     assert "1 of 1 goals proved" in out
     assert "HOLDS      1/1  system " in out
-    assert "1 of 1 came out as they should (2 commands, checks to scope 3)" in out
+    assert "1 of 1 as expected (2 commands, checks to scope 3)" in out
 
 
 @pytest.mark.alloy
@@ -233,8 +233,8 @@ def test_the_command_fails_where_a_check_comes_out_otherwise(
     assert main(["prove", "--alloy", "--scope", "3"]) == 1
     out = capsys.readouterr().out
     assert "VIOLATED   1/1  system " in out
-    assert "system.FinerModes should have an instance at scope 4, and has none" in out
-    assert "0 of 1 came out as they should" in out
+    assert "system.FinerModes should have an instance at scope 4, but has none" in out
+    assert "0 of 1 as expected" in out
 
 
 @pytest.mark.usefixtures("little")
@@ -249,7 +249,7 @@ def test_without_the_analyzer_the_command_fails_before_it_begins(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def missing() -> Alloy:
-        raise AlloyMissing("the Alloy Analyzer 6.2.0 is not here: `make alloy` fetches it")
+        raise AlloyMissing("the Alloy Analyzer 6.2.0 is not installed: `make alloy` fetches it")
 
     monkeypatch.setattr("midstride.verify.run.find", missing)
     assert main(["prove", "--alloy"]) == 1
@@ -261,7 +261,7 @@ def test_without_the_analyzer_the_command_fails_before_it_begins(
 def test_a_check_tells_what_it_asks() -> None:
     def told(kind: str, expected: bool) -> str:
         command = AlloyCommand("core", "X", "check" if kind == "check" else "run", expected, 5)
-        return Checked(Task("core", (command,)), Answer.HOLDS, 0.0).told
+        return Checked(Task("core", (command,)), Answer.HOLDS, 0.0).claim
 
     assert told("check", False) == "has no counterexample, to scope 5"
     assert told("check", True) == "has a counterexample, at scope 5"

@@ -26,7 +26,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PATH", str(empty))
     monkeypatch.delenv("JAVA_HOME", raising=False)
     monkeypatch.delenv("MIDSTRIDE_ALLOY", raising=False)
-    monkeypatch.setattr(run, "places", lambda: [tmp_path])
+    monkeypatch.setattr(run, "jar_folders", lambda: [tmp_path])
     return tmp_path
 
 
@@ -61,20 +61,20 @@ def answering(document: object) -> tuple[str, ...]:
 
 
 def test_no_java(folder: Path) -> None:
-    told = "there is no Java here, and the Alloy Analyzer needs Java 17 or later (a JRE will do)"
+    told = "Java is not installed; the Alloy Analyzer needs Java 17 or later (a JRE is enough)"
     assert verdict(jar(folder)).because == told
 
 
 def test_a_java_that_is_too_old(folder: Path) -> None:
     java(folder, version="1.8.0_402")
-    told = f"{folder / 'bin' / 'java'} is Java 8, and the Alloy Analyzer needs Java 17 or later"
+    told = f"{folder / 'bin' / 'java'} is Java 8; the Alloy Analyzer needs Java 17 or later"
     assert verdict(jar(folder)).because == told
 
 
 def test_no_alloy(folder: Path) -> None:
     java(folder)
     because = str(verdict().because)
-    assert because.startswith("the Alloy Analyzer 6.2.0 is not here: `make alloy` fetches it")
+    assert because.startswith("the Alloy Analyzer 6.2.0 is not installed: `make alloy` fetches it")
     assert str(verdict(folder / "none.jar").because).startswith(f"there is no Alloy Analyzer at {folder / 'none.jar'}")
 
 
@@ -103,14 +103,14 @@ def test_out_of_memory(folder: Path) -> None:
         pytest.param(("sys.exit('it fell over')",), "it fell over", id="it says why"),
         pytest.param(("sys.exit(3)",), "Alloy ended without an answer", id="it ends in silence"),
         pytest.param((), "Alloy ended without an answer", id="it ends well and leaves nothing"),
-        pytest.param(answering([]), "Alloy's answer cannot be read", id="its answer is something else"),
+        pytest.param(answering([]), "cannot read Alloy's answer", id="its answer is something else"),
         pytest.param(answering({"commands": {}}), "Alloy finds no instance of it", id="it leaves out the commands"),
         pytest.param(
             answering({"commands": {"Verdict": {"solution": []}}}), "the dump contradicts itself", id="no instance"
         ),
         pytest.param(
             answering({"commands": {"Verdict": {"solution": [{"instances": [{"values": {"Findings$0": {}}}]}]}}}),
-            "does not say all that was asked",
+            "Alloy's answer is incomplete: no ",
             id="it says nothing of what it was asked",
         ),
     ],
@@ -135,14 +135,14 @@ def test_nothing_found_is_a_pass_only_where_the_checks_say_so_too(folder: Path) 
         for other in (missing, nothing_found() | {check: nothing_found()["Verdict"]}):
             java(folder, *answering({"commands": other}))
             because = str(verdict(jar(folder)).because)
-            assert because == f"Alloy contradicts itself: it finds nothing, and the check {check} does not hold"
+            assert because == f"Alloy contradicts itself: it finds no violation, but the check {check} does not hold"
 
 
 def test_an_atom_that_is_not_in_the_dump(folder: Path) -> None:
     answer = nothing_found()
     answer["Verdict"]["solution"][0]["instances"][0]["values"]["Findings$0"]["invalid"] = [["S9$0"]]  # type: ignore[index]
     java(folder, *answering({"commands": answer}))
-    assert verdict(jar(folder)).because == "Alloy's answer speaks of S9$0, which is not in the dump"
+    assert verdict(jar(folder)).because == "Alloy's answer contains S9$0, which is not in the dump"
 
 
 # -- the real one --------------------------------------------------------------------------------------------
@@ -171,13 +171,11 @@ def test_alloy_itself_without_memory_or_time(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_unknown_is_no_pass(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(TALKER), "--alloy", str(jar(folder))]) == 1
-    assert capsys.readouterr().out.startswith(
-        "UNKNOWN: the configuration it starts as (nothing was judged; Alloy): there"
-    )
+    assert capsys.readouterr().out.startswith("UNKNOWN: the initial configuration (nothing was verified; Alloy): Java")
     assert main(["verify", str(TALKER), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
     assert (document["verdict"], document["findings"]) == ("unknown", [])
-    assert "there is no Java here" in document["because"] or "make alloy" in document["because"]
+    assert "Java is not installed" in document["because"] or "make alloy" in document["because"]
 
 
 def test_the_text_is_kept_without_alloy(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -185,4 +183,4 @@ def test_the_text_is_kept_without_alloy(folder: Path, capsys: pytest.CaptureFixt
     assert main(["verify", str(TALKER), "-o", str(kept)]) == 1
     assert "one sig listener extends Component" in kept.read_text(encoding="utf-8")
     assert main(["verify", str(TALKER), "-o", os.fspath(folder / "no" / "talker.als")]) == 1
-    assert "cannot be written" in capsys.readouterr().err
+    assert "cannot write" in capsys.readouterr().err

@@ -14,11 +14,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
 
-UNFOLDED = 1000
+# The width of output that is not a terminal: wide enough that nothing is folded, for programs and `grep`.
+PIPE_WIDTH = 1000
 
 
 def wants_json() -> bool:
-    """Whether ``--json`` stands on the command line."""
+    """Whether the command line has ``--json``."""
     settings = click.get_current_context().find_object(Settings)
     return settings is not None and settings.json
 
@@ -28,18 +29,17 @@ def print_json(document: Any) -> None:
 
 
 def console(stderr: bool = False) -> Console:
-    """A console on standard output or standard error. What its encoding cannot show becomes a question mark."""
+    """A console on standard output or standard error. Characters that its encoding lacks become question marks."""
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
     reconfigure = getattr(stream, "reconfigure", None)
     if reconfigure is not None:
         reconfigure(errors="replace")
-    # Piped output is not folded at 80 columns: programs and `grep` read it.
-    width = None if stream.isatty() else UNFOLDED
+    width = None if stream.isatty() else PIPE_WIDTH
     return Console(file=stream, highlight=False, emoji=False, width=width)
 
 
 def is_interactive() -> bool:
-    """Whether a person can be asked."""
+    """Whether the command can ask the user."""
     return sys.stdin.isatty() and sys.stderr.isatty()

@@ -1,4 +1,4 @@
-"""Verdicts are data: HOLDS, VIOLATED or UNKNOWN, with what was judged, by what, how far, and what does not hold."""
+"""Verdicts as data: HOLDS, VIOLATED or UNKNOWN, with the subject, the verifier, the scope, and the findings."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 
 class Answer(Enum):
-    """UNKNOWN is neither a yes nor a no: nothing could be judged, and ``Verdict.because`` says why."""
+    """UNKNOWN is neither yes nor no: ``Verdict.because`` says why there is no answer."""
 
     HOLDS = "holds"
     VIOLATED = "violated"
@@ -25,17 +25,17 @@ Kind = Literal[
 
 @dataclass(frozen=True, slots=True)
 class CauseLink:
-    """One link of the chain from an assumption to what falls short, for the picture."""
+    """One link of the chain from an assumption to its unmet cause, for diagrams."""
 
     thing: Literal["functionality", "assumption", "input", "topic", "output", "environment"]
     name: str
-    told: str
+    detail: str
     satisfied: bool
     under: tuple[CauseLink, ...] = ()
 
     def to_document(self) -> dict[str, Any]:
         document: dict[str, Any] = {
-            "thing": self.thing, "name": self.name, "told": self.told, "satisfied": self.satisfied
+            "thing": self.thing, "name": self.name, "told": self.detail, "satisfied": self.satisfied
         }  # fmt: skip
         if self.under:
             document["under"] = [link.to_document() for link in self.under]
@@ -44,7 +44,7 @@ class CauseLink:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that does not hold, in the file's own names.
+    """One violation, in the names of the file.
 
     ``step`` counts from 1; None is the configuration at the start (or the only one), the declarations, or the end.
     """
@@ -74,7 +74,7 @@ class Finding:
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The answer to one question. ``steps`` are a judged plan's, in words; ``failed`` is the first that fails."""
+    """The answer to one question. ``steps`` are a plan's; ``failed`` is the first that fails."""
 
     answer: Answer
     subject: str
@@ -91,7 +91,7 @@ class Verdict:
 
     @property
     def headline(self) -> str:
-        """What was judged, and the answer."""
+        """The answer, and its subject."""
         return f"{self.answer}: {self.subject}"
 
     @property
@@ -118,5 +118,5 @@ class Verdict:
         }
 
     def __str__(self) -> str:
-        told = f"{self.headline} ({self.scope}; {self.by})"
-        return told if self.because is None else f"{told}: {self.because}"
+        text = f"{self.headline} ({self.scope}; {self.by})"
+        return text if self.because is None else f"{text}: {self.because}"

@@ -1,4 +1,4 @@
-"""``graph``, ``impact`` and ``diff``: what a specification shows before anything runs."""
+"""``graph``, ``impact`` and ``diff``: a specification before anything runs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from midstride.cli import completion
 from midstride.cli.app import json_option
 
 _FILE = click.Path(path_type=Path)
@@ -13,12 +14,14 @@ _FILE = click.Path(path_type=Path)
 
 @click.command("graph")
 @click.argument("file", type=_FILE)
-@click.option("-o", "--output", type=_FILE, metavar="X.svg|png|dot|mmd", help="Where to; its ending says what.")
-@click.option("--annotate", is_flag=True, help="Write contracts and modes out.")
-@click.option("--collapse/--expand", default=None, help="One box for each namespace or not.  [default: where readable]")
+@click.option(
+    "-o", "--output", type=_FILE, metavar="X.svg|png|dot|mmd", help="Write a file; its suffix chooses the kind."
+)
+@click.option("--annotate", is_flag=True, help="Include contracts and modes.")
+@click.option("--collapse/--expand", default=None, help="One box per namespace, or per node.  [default: by size]")
 @json_option
 def graph_command(file: Path, output: Path | None, annotate: bool, collapse: bool | None) -> int:
-    """Draw the components of FILE and what connects them: dot on standard output, or a file of another kind.
+    """Draw the components of FILE and their connections: as dot on standard output, or to a file.
 
     SVG and PNG need Graphviz; dot and Mermaid (mmd) do not.
     """
@@ -46,10 +49,10 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 
 @click.command("impact")
 @click.argument("file", type=_FILE)
-@click.argument("nodes", nargs=-1, metavar="[NODE...]")
+@click.argument("nodes", nargs=-1, metavar="[NODE...]", shell_complete=completion.nodes)
 @json_option
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
-    """Say for each node of FILE what falls, and how far, if it is removed or crashes; the worst come first."""
+    """Show for each node of FILE what falls, and how far, if it is removed or crashes; worst first."""
     from midstride.cli.files import load
     from midstride.cli.output import print_json, wants_json
     from midstride.plan.impact import impacts
@@ -75,7 +78,7 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
 @click.argument("new", type=_FILE)
 @json_option
 def diff_command(old: Path, new: Path) -> int:
-    """Say how the specification NEW differs from OLD. Exit status 0 if they mean the same, else 1."""
+    """Show how the specification NEW differs from OLD. Exit status 0 if they are equivalent, else 1."""
     from midstride.cli.files import load
     from midstride.cli.output import print_json, wants_json
     from midstride.plan.specification_diff import differences
@@ -86,5 +89,5 @@ def diff_command(old: Path, new: Path) -> int:
     elif found:
         click.echo("\n".join(str(difference) for difference in found))
     else:
-        click.echo("They mean the same.")
+        click.echo("No differences.")
     return int(bool(found))

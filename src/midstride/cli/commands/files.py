@@ -17,7 +17,7 @@ from midstride.cli.systems import find, system_option
 @system_option
 @json_option
 def export_command(file: Path | None, schema: bool, system: str | None) -> int:
-    """Print the specification in FILE, or the one that the running system has, as JSON."""
+    """Print the specification in FILE, or that of the running system, as JSON."""
     if schema:
         from midstride.lang.schema import schema as schema_of_specifications
 
