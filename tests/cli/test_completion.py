@@ -159,7 +159,7 @@ def test_names_of_the_running_system(
 )
 def test_other_shells(talker: Midstride, shell: str, words: tuple[str, str], answer: str) -> None:
     environment = {"_MIDSTRIDE_COMPLETE": f"{shell}_complete", "COMP_WORDS": words[0], "COMP_CWORD": words[1]}
-    done = talker(**environment)
+    done = talker.process(**environment)
     assert (done.out.replace("\\n", "\n"), done.err) == (answer, "")
 
 

@@ -100,7 +100,7 @@ def test_what_is_said_is_cut_down_to_its_changes() -> None:
 
 
 def test_as_a_command(midstride: Midstride) -> None:
-    done = midstride("demo", "--backend", "sim", "--json")
+    done = midstride.process("demo", "--backend", "sim", "--json")
     assert (done.status, done.err) == (0, "")
     document = done.json
     assert (document["outcome"], document["example"], document["backend"]) == ("done", "talker", "sim")

@@ -193,7 +193,7 @@ def test_two_changes_at_once_take_turns(talker: Midstride) -> None:
     done: list[Any] = []
 
     def add(name: str) -> None:
-        done.append(talker("add", name, "Listener", "in=/chatter", "--yes", "--json").json["outcome"])
+        done.append(talker.process("add", name, "Listener", "in=/chatter", "--yes", "--json").json["outcome"])
 
     threads = [threading.Thread(target=add, args=(name,)) for name in ("left", "right")]
     for thread in threads:
@@ -240,7 +240,7 @@ def test_ctrl_c_while_coming_up_takes_it_down_again(midstride: Midstride, tmp_pa
     (tmp_path / "listener.py").write_text((EXAMPLES / "talker" / "listener.py").read_text())
     file = tmp_path / "never.json"
     file.write_text(json.dumps(document))
-    midstride.environment["MIDSTRIDE_REGISTRATION_TIMEOUT"] = "3"
+    midstride.environment["MIDSTRIDE_REGISTRATION_TIMEOUT"] = "1.5"
     with Terminal(midstride, "up", str(file), "--backend", "sim") as terminal:
         terminal.until("create talker")
         terminal.press("\x03")

@@ -387,13 +387,13 @@ def test_a_runtime_folder_that_cannot_be_made(
 
 
 def test_what_the_terminal_cannot_show_stops_nothing(midstride: Midstride) -> None:
-    done = midstride("plan", TALKER, "--replace", "talker=NewTalker", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
+    done = midstride.process("plan", TALKER, "--replace", "talker=NewTalker", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
     assert (done.status, done.err) == (0, "")
     assert "upgrade talker_2.talk: degraded ? normal" in done.out
 
 
 def test_piped_tables_are_not_folded(midstride: Midstride) -> None:
-    done = midstride("plan", TALKER, "--replace", "talker=NewTalker", "--strategy", "paper", COLUMNS="40")
+    done = midstride.process("plan", TALKER, "--replace", "talker=NewTalker", "--strategy", "paper", COLUMNS="40")
     assert "nobody satisfies /chatter (it has no publisher), after step 2" in done.out
 
 

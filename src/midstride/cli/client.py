@@ -51,10 +51,10 @@ class Client:
     def post(self, path: str, document: Document | None = None, timeout: float | None = None) -> Any:
         return self._request("POST", path, document, timeout)
 
-    def service(self) -> Document | None:
-        """The manager's description of itself; None where no manager answers."""
+    def service(self, timeout: float = 2.0) -> Document | None:
+        """The manager's description of itself; None where no manager answers in time."""
         try:
-            found: Document = self.get("", timeout=2.0)
+            found: Document = self.get("", timeout=timeout)
             return found
         except errors.ManagerError:
             return None

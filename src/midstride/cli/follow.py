@@ -34,20 +34,20 @@ class FollowedRequest:
         self._in_command = id is None
 
     def __iter__(self) -> Iterator[Event]:
-        """Each event, up to the one of kind ``until``, or until the answer has come and no more events follow."""
+        """Each event until the answer and the event of kind ``until`` have come, or no more events follow the answer."""
         for target in (self._read_events, self._send):
             threading.Thread(target=target, daemon=True).start()
-        while (event := self._queue.get()) is not None:
-            if self._belongs(event):
+        answered = complete = False
+        while not (answered and complete):
+            try:
+                event = self._queue.get(timeout=LAST_EVENTS if answered else None)
+            except queue.Empty:
+                return
+            if event is None:
+                answered = True
+            elif self._belongs(event):
                 yield event
-        try:
-            while (event := self._queue.get(timeout=LAST_EVENTS)) is not None:
-                if self._belongs(event):
-                    yield event
-                    if event["kind"] == self._until:
-                        return
-        except queue.Empty:
-            return
+                complete = complete or event["kind"] == self._until
 
     def _belongs(self, event: Event) -> bool:
         """Whether an event is about this command. The manager runs one at a time, and each starts with an event."""

@@ -59,7 +59,7 @@ def find(system: str | None) -> tuple[Client, Workspace]:
 def _answering(workspace: Workspace) -> Client:
     client = Client(workspace.socket)
     end = time.monotonic() + ANSWER_TIMEOUT
-    while client.service() is None:
+    while client.service(max(POLL, end - time.monotonic())) is None:
         if (manager := workspace.manager()) is None:
             raise NoManager(
                 f"the manager of {workspace.name} has exited; its components may still be running: "
