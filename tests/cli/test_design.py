@@ -80,7 +80,10 @@ def test_what_is_no_specification_is_answered(run: Any, tmp_path: Path, content:
         file.write_bytes(content)
         for command in (["check"], ["fmt"], ["plan", "--remove", "x"], ["graph"], ["impact"], ["export"]):
             status, out, err = run(command[0], file, *command[1:])
-            assert status in ({0, 1, 2} if command == ["fmt"] else {1}), (command, content[:5])
+            expected = 1
+            if command == ["fmt"]:  # which takes no JSON, and has nothing to say of an empty file
+                expected = 2 if name == "s.json" else int(content != b"")
+            assert status == expected, (command, content[:5])
             assert "Traceback" not in out + err
 
 

@@ -66,7 +66,7 @@ class Planted:
     step: int | None
     kind: str
     words: tuple[str, ...]
-    subject: str | None = None
+    subject: str
     assumption: str | None = None
     takes_long: bool = False
 
@@ -143,22 +143,22 @@ PLANTED = [
     Planted(
         "a foreign name: there is no such topic",
         "large planner", edit(9, connector="/cmmd"),
-        9, "name", ("attach planner_2.cmd to /cmmd", "there is no topic /cmmd"),
+        9, "name", ("attach planner_2.cmd to /cmmd", "there is no topic /cmmd"), "attach",
     ),
     Planted(
         "a foreign name: the step that creates it is missing",
         "large planner", drop(6),
-        None, "document", ("step 7: there is no planner_2.plan with a mode normal",),
+        None, "document", ("step 7: there is no planner_2.plan with a mode normal",), "its document",
     ),
     Planted(
         "a name that is taken",
         "camera", lambda plan: (edit(1, component="right")(plan), drop(2, 3)(plan)),
-        1, "name", ("right already exists, with component Camera",),
+        1, "name", ("right already exists, with component Camera",), "create",
     ),
     Planted(
         "an effect other than the action's: it says that another mode is left",
         "large planner", edit(1, modes={"motor.drive": {"from": "degraded", "to": "degraded"}}),
-        1, "name", ("it assumes that motor.drive is in mode degraded, but it is in mode normal",),
+        1, "name", ("it assumes that motor.drive is in mode degraded, but it is in mode normal",), "degrade",
     ),
     Planted(
         "the redundant second is detached as well",
@@ -179,7 +179,7 @@ PLANTED = [
     Planted(
         "an input in a hand-over",
         "camera", lambda plan: plan["steps"][2]["swaps"][0].update(new="planner.in"),
-        3, "name", ("hand over /image: left.out -> planner.in", "planner.in is an input, not an output"),
+        3, "name", ("hand over /image: left.out -> planner.in", "planner.in is an input, not an output"), "handover",
     ),
     Planted(
         "the last step is missing: not everything is raised again",
@@ -190,6 +190,7 @@ PLANTED = [
         "the start is not valid",
         "large planner", lambda plan: plan.update(standing={"planner.plan": "degraded"}),
         None, "document", ("motor.drive in mode normal", "planner.cmd in mode degraded: nothing is guaranteed"),
+        "its document",
     ),
 ]  # fmt: skip
 
@@ -207,7 +208,7 @@ def test_a_fault_in_a_plan_is_caught_and_told_by_its_names(planted: Planted, all
     assert {finding.kind for finding in verdict.findings} == {planted.kind}
     assert [word for word in planted.words if word not in told] == [], told
     finding = verdict.findings[0]
-    assert finding.subject == (planted.subject or finding.subject)
+    assert finding.subject == planted.subject
     assert finding.assumption == planted.assumption
     assert "please report" not in told
     if planted.assumption is not None:
