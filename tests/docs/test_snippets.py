@@ -1,10 +1,10 @@
-"""Every snippet of the README, the documentation and the examples is run, in the order it stands in.
+"""Runs every snippet of the README, the documentation and the examples, in the order of the page.
 
-A page is a session: its ``sh`` and ``python`` blocks run one after another in a copy of the examples. After
-the language may stand ``file=PATH`` (the block is written to that file instead) and ``exit=N`` (its exit
-status, else 0). Each line of a ``text`` block must have been printed since the one before, whatever its
-numbers. Lines that call ``make`` are not run, since that is what runs this test; their targets must exist.
-Blocks of other languages are not run: ``json`` ones must be JSON.
+A page is a session: its ``sh`` and ``python`` blocks run one after another in a copy of the examples. The language
+may be followed by ``file=PATH`` (the block is written to that file instead) and ``exit=N`` (the expected exit
+status; 0 by default). Each line of a ``text`` block must have been printed since the previous ``text`` block;
+numbers may differ. Lines that call ``make`` are not run, since ``make`` runs this test, but their targets must exist.
+Blocks of other languages are not run; ``json`` blocks must be valid JSON.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def snippets(page: Path) -> Iterator[Snippet]:
 
 
 def without_make(snippet: Snippet) -> str:
-    """The commands to run; a target of ``make`` must exist."""
+    """The commands to run. Asserts that the targets of the omitted ``make`` commands exist."""
     kept = []
     for line in snippet.text.splitlines():
         words = line.split("#")[0].split()
@@ -71,7 +71,7 @@ def without_make(snippet: Snippet) -> str:
 
 
 def without_numbers(text: str) -> list[str]:
-    """Lines to be compared: numbers and the width of columns may differ."""
+    """The lines without numbers and column widths, for comparison."""
     return [" ".join(re.sub(r"\d+(\.\d+)?( m?s)?", "#", line).split()) for line in text.splitlines()]
 
 
@@ -122,7 +122,7 @@ class Session:
         self.printed += done.stdout
 
     def close(self) -> list[str]:
-        """End what still runs; its names."""
+        """End the systems that still run, and return their names."""
         left = [state.parent.name for state in self.folder.glob("midstride/*/state.json")]
         for system in left:
             command = [sys.executable, "-m", "midstride", "down", "--system", system]
@@ -195,20 +195,39 @@ def test_what_is_linked_and_named_is_there(page: Path) -> None:
         assert (SOURCE / path).exists() or (ROOT / path).exists(), f"{name_of(page)} names {path}"
 
 
-def test_every_class_of_the_glossary_exists() -> None:
-    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    rooms = [entry.name for entry in SOURCE.iterdir() if entry.is_dir()]
-    names = [name for name in re.findall(r"`([a-z_]+(?:\.[A-Za-z_]+)+)`", text) if name.split(".")[0] in rooms]
-    assert len(names) > 30
-    for name in names:
-        module = f"midstride.{name}"
-        attributes: list[str] = []
-        while True:
-            try:
-                found: object = importlib.import_module(module)
-                break
-            except ModuleNotFoundError:
-                module, _, attribute = module.rpartition(".")
-                attributes.insert(0, attribute)
-        for attribute in attributes:
+def test_every_name_in_the_glossary_exists() -> None:
+    """The last column of each row holds nothing but names below ``midstride``."""
+    rows = [
+        line for line in (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8").splitlines() if line[:4] == "| **"
+    ]
+    assert len(rows) > 40
+    for row in rows:
+        cell = row.rstrip("|").rpartition("|")[2]
+        names = re.findall(r"`([^`]+)`", cell)
+        assert names and cell.strip() == ", ".join(f"`{name}`" for name in names), row
+        for name in names:
+            assert _resolves(f"midstride.{name}"), name
+
+
+def _resolves(name: str) -> bool:
+    """Whether ``name`` is a module, or an attribute of one."""
+    module, attributes = name, list[str]()
+    while True:
+        try:
+            found: object = importlib.import_module(module)
+            break
+        except ModuleNotFoundError:
+            module, _, attribute = module.rpartition(".")
+            attributes.insert(0, attribute)
+    for index, attribute in enumerate(attributes):
+        if hasattr(found, attribute):
             found = getattr(found, attribute)
+        else:  # a field of a dataclass, which is the last part of a name
+            return index == len(attributes) - 1 and attribute in getattr(found, "__annotations__", {})
+    return True
+
+
+def test_a_wrong_name_in_the_glossary_fails() -> None:
+    assert _resolves("midstride.plan.plan.Plan.disruption")
+    assert not _resolves("midstride.plan.plan.Plan.disruptoin")
+    assert not _resolves("midstride.plan.plann.Plan")

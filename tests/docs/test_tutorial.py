@@ -1,8 +1,8 @@
-"""The tutorial is done as it is written: its files, its edits, its commands, and what they answer.
+"""Follows the tutorial: its files, its edits, its commands, and their output.
 
-Blocks are told apart by the word behind the fence: ``stride file=…`` is written to that file; ``edit file=…`` replaces
-its first lines, as far as they are found in the file, by the rest (``place=last``: where they stand last);
-``console`` lines that begin with ``$`` are run, and what follows must be answered, ``…`` standing for anything.
+The word after the fence decides what happens to a block: ``stride file=…`` is written to that file; ``edit file=…``
+replaces its longest first part that the file contains by the rest of the block (``place=last``: the last occurrence);
+``console`` lines that begin with ``$`` are run, and must print the lines that follow, where ``…`` matches anything.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def blocks() -> Iterator[Block]:
 
 
 def edited(text: str, block: Block) -> str:
-    """``text`` with the longest first part of the block that it holds replaced by the rest of the block."""
+    """``text``, in which the longest first part of the block that occurs is replaced by the rest of the block."""
     lines = block.text.rstrip("\n").split("\n")
     for cut in range(len(lines) - 1, 0, -1):
         old, new = "\n".join(lines[:cut]), "\n".join(lines[cut:])
@@ -49,7 +49,7 @@ def edited(text: str, block: Block) -> str:
 
 
 def answers(expected: list[str], out: str) -> bool:
-    """Whether the answer is as expected; ``…`` alone stands for any lines, within a line for any words."""
+    """Whether the output is as expected. A line ``…`` matches any lines, ``…`` within a line any words."""
     pattern = ""
     for line in expected:
         if line.strip() == "…":
@@ -61,8 +61,7 @@ def answers(expected: list[str], out: str) -> bool:
 
 
 def play(folder: Path, backend: str) -> None:
-    """Do the tutorial in ``folder``, on a back end that it leaves to the reader, and hold the commands to their
-    answers."""
+    """Follow the tutorial in ``folder`` on ``backend``, and compare the output of each command."""
     runtime = tempfile.mkdtemp(prefix="ms")  # sockets have short paths
     environment = {**os.environ, "XDG_RUNTIME_DIR": runtime, "PYTHONIOENCODING": "utf-8", "COLUMNS": "200"}
 
@@ -124,7 +123,7 @@ def test_the_files_of_the_tutorial_are_canonical() -> None:
 
 
 def test_the_tutorial_takes_a_quarter_of_an_hour() -> None:
-    """At 200 words a minute to read, and 120 characters a minute to type (the rest is copied)."""
+    """Assuming 200 words a minute to read and 120 characters a minute to type; the rest is copied."""
     text = TUTORIAL.read_text(encoding="utf-8")
     typed = sum(
         len(line) for block in blocks() if block.kind == "console" for line in block.text.split("\n") if line[:1] == "$"
