@@ -98,7 +98,7 @@ def test_a_replacement_is_shown_and_measured(talker: Midstride) -> None:
     assert done.status == 0, done.err
     lines = done.out.splitlines()
     assert lines[0] == "replace talker with NewTalker"
-    assert "Nothing falls: every functionality keeps its level throughout." in lines
+    assert "Nothing degrades: every functionality keeps its level throughout." in lines
     assert [line.split()[1] for line in lines if "✓" in line] == ["1/4", "2/4", "3/4", "4/4"]
     assert re.match(r"/chatter +listener.in +\d+ ms +1\.\d\d", lines[-1])
     back = talker("--json", "replace", "talker", "Talker", "--yes").json
@@ -164,7 +164,7 @@ def test_a_person_is_asked(talker: Midstride) -> None:
     with Terminal(talker, "add", "second", "Listener", "in=/chatter") as terminal:
         shown = terminal.until("Proceed? [y/N]: ")
         assert "create second (Listener)" in shown
-        assert "Nothing falls" in shown
+        assert "Nothing degrades" in shown
         terminal.press("n\n")
         assert "Nothing was changed." in terminal.rest()
         assert terminal.status == 1

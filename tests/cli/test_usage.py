@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ import pytest
 import midstride as package
 from midstride.backends import NAMES
 from midstride.cli import main, render
-from midstride.cli.app import COMMANDS
+from midstride.cli.app import COMMANDS, GROUPS
 from midstride.cli.output import console
 from tests.cli.conftest import EXAMPLES, Midstride
 
@@ -49,6 +50,22 @@ def test_help_imports_nothing_slow() -> None:
         name for name in imported if name.startswith(("midstride.model", "midstride.node", "midstride.runtime"))
     ]
     assert all(f"\n  {name} " in done.stdout for name in COMMANDS)
+
+
+def test_help_and_the_reference_have_the_same_headings(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "--help")
+    assert status == 0
+    shown: dict[str, list[str]] = {}
+    for line in out.partition("Options:")[2].splitlines()[1:]:
+        if line.endswith(":"):
+            shown[line.rstrip(":")] = commands = []
+        elif shown and line:
+            commands.append(line.split()[0])
+    assert shown == {heading: list(commands) for heading, commands in GROUPS.items()}
+    page = (EXAMPLES.parent / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    sections = dict(part.split("\n", 1) for part in page.split("\n## ")[1:])
+    for heading, names in shown.items():
+        assert set(names) <= set(re.findall(r"\w+", sections[heading])), heading
 
 
 def test_the_public_names_are_there() -> None:
@@ -253,13 +270,13 @@ def test_the_paper_s_seven_steps(capsys: pytest.CaptureFixture[str]) -> None:
         "upgrade listener.listen: degraded → normal",
     ]
     assert out.startswith("talker.json: replace talker by NewTalker\n")
-    assert "Falls: listener.listen to degraded for about" in out
+    assert "Degrades: listener.listen to degraded for about" in out
 
 
 def test_a_plan_in_which_nothing_falls(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker")
     assert status == 0
-    assert "Nothing falls" in out
+    assert "Nothing degrades" in out
     assert "proved minimal" in out
     status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker", "--json")
     document = json.loads(out)
@@ -272,7 +289,7 @@ def test_what_stays_lower_is_said(capsys: pytest.CaptureFixture[str]) -> None:
     file = str(EXAMPLES / "obstacle" / "obstacle.json")
     _, out, _ = run(capsys, "plan", file, "--remove", "detector")
     assert "Stays lower: controller.control, from normal to degraded" in out
-    assert "Nothing falls" not in out
+    assert "Nothing degrades" not in out
 
 
 def test_what_stays_lower_is_said_of_a_role_that_is_replaced(
@@ -286,7 +303,7 @@ def test_what_stays_lower_is_said_of_a_role_that_is_replaced(
     file.write_text(json.dumps(document))
     _, out, _ = run(capsys, "plan", str(file), "--replace", "talker=NewTalker")
     assert "Stays lower: talker.talk, from normal to degraded" in out
-    assert "Nothing falls" not in out
+    assert "Nothing degrades" not in out
 
 
 def test_a_topic_that_the_environment_satisfies_is_not_published_by_nobody(capsys: pytest.CaptureFixture[str]) -> None:
@@ -425,4 +442,4 @@ def test_who_is_lowered_first_and_then_gone_is_not_said_to_stand_in_its_lowest_m
     )
     status, out, _ = run(capsys, "plan", str(path), "--replace", "base=New")
     assert status == 0
-    assert "Falls: base.drive to stop, unserved from step 3 on, for about" in out
+    assert "Degrades: base.drive to stop, unserved from step 3 on, for about" in out

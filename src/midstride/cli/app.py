@@ -20,7 +20,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "fmt": ("check", "format specifications"),
         "explain": ("check", "explain a diagnostic code"),
         "graph": ("design", "draw components and their connections"),
-        "impact": ("design", "show what falls if a node is removed or crashes"),
+        "impact": ("design", "show what degrades if a node is removed or crashes"),
         "diff": ("design", "compare two specifications"),
         "plan": ("plan", "plan a change: its steps, what it disrupts and why"),
         "verify": ("verify", "verify a specification, a plan or the running system with Alloy"),

@@ -123,7 +123,7 @@ def _degraded(status: Document) -> Iterator[Text]:
 
 def _comparison(example: Demo, outcomes: list[Document]) -> Table:
     table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("", "fell for"):
+    for name in ("", "degraded for"):
         table.add_column(name)
     for name in ("longest gap", "in periods", "missed", "lost", "duplicates"):
         table.add_column(name, justify="right")

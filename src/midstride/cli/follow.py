@@ -34,7 +34,7 @@ class FollowedRequest:
         self._in_command = id is None
 
     def __iter__(self) -> Iterator[Event]:
-        """Each event until the answer and the event of kind ``until`` have come, or no more events follow the answer."""
+        """Each event, until the answer and the event of kind ``until`` have come or no more events follow."""
         for target in (self._read_events, self._send):
             threading.Thread(target=target, daemon=True).start()
         answered = complete = False

@@ -52,7 +52,7 @@ def step_text(step: Document) -> str:
 
 
 def plan(document: Document, title: str) -> RenderableType:
-    """The steps, the functionalities that fall, how far and for how long, and the cost."""
+    """The steps, the functionalities that degrade, how far and for how long, and the cost."""
     if not document["steps"]:
         return Group(Text(title, style="bold"), Text("Nothing to do: the system already matches the target."))
     table = Table(box=None, pad_edge=False, header_style="dim")
@@ -65,13 +65,13 @@ def plan(document: Document, title: str) -> RenderableType:
 
 
 def falls(document: Document) -> str:
-    """What falls on the way, how far, for how long and why; and what is lower or higher afterwards."""
-    lines = [f"[yellow]Falls:[/yellow] {escape(_fall(document, fall))}" for fall in document["falls"]]
+    """What degrades on the way, how far, for how long and why; and what is lower or higher afterwards."""
+    lines = [f"[yellow]Degrades:[/yellow] {escape(_fall(document, fall))}" for fall in document["falls"]]
     lower, higher = _afterwards(document)
     if not lines and not lower:
-        lines = ["[green]Nothing falls:[/green] every functionality keeps its level throughout."]
+        lines = ["[green]Nothing degrades:[/green] every functionality keeps its level throughout."]
     lines += [f"[yellow]Stays lower:[/yellow] {escape(shift)}" for shift in lower]
-    lines += [f"[green]Rises:[/green] {escape(shift)}" for shift in higher]
+    lines += [f"[green]Improves:[/green] {escape(shift)}" for shift in higher]
     return "\n".join(lines)
 
 
@@ -169,7 +169,7 @@ def outcome(document: Document) -> RenderableType:
 
 
 def fallen_lines(document: Document) -> list[str]:
-    """What fell and for how long, as measured, and what stays lower as planned."""
+    """What was degraded and for how long, as measured, and what stays lower as planned."""
     lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in _fallen(document)]
     lines += [f"Stays lower: {_shift(shift)}." for shift in _lowered(document)]
     if ended := document.get("ended"):

@@ -72,7 +72,7 @@ def add_command(
 @click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=completion.nodes)
 @_change_options
 def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, verify: bool, yes: bool) -> int:
-    """Remove nodes. The functionalities that rely on them fall only as far as they must."""
+    """Remove nodes. The functionalities that rely on them degrade only as far as they must."""
     request = {"remove": list(nodes), "strategy": strategy}
     return change(system, request, f"remove {', '.join(nodes)}", yes, verify)
 

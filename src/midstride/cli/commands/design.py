@@ -52,7 +52,7 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 @click.argument("nodes", nargs=-1, metavar="[NODE...]", shell_complete=completion.nodes)
 @json_option
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
-    """Show for each node of FILE what falls, and how far, if it is removed or crashes; worst first."""
+    """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first."""
     from midstride.cli.files import load
     from midstride.cli.output import print_json, wants_json
     from midstride.plan.impact import impacts
@@ -64,7 +64,7 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     for impact in found:
         mark = "single point of failure: " if impact.single_point_of_failure else ""
         heading = f"{mark}{impact.role} ({impact.component})"
-        click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.falls else 'nothing else falls'}")
+        click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.falls else 'nothing else degrades'}")
         for fall in impact.falls:
             levels = f"{fall.levels} mode{'' if fall.levels == 1 else 's'}"
             click.echo(f"  {fall.functionality}: {fall.before} -> {fall.after} ({levels}, weight {fall.weight:g})")

@@ -37,7 +37,7 @@ def plan_command(
     removed: tuple[str, ...],
     strategy: str,
 ) -> int:
-    """Show the plan for a change of the system of FILE: its steps, what falls and for how long.
+    """Show the plan for a change of the system of FILE: its steps, what degrades and for how long.
 
     \b
     midstride plan talker.json --replace talker=NewTalker
