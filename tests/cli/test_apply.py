@@ -218,14 +218,14 @@ def structural(steps: list[dict[str, str]]) -> list[str]:
 
 @pytest.mark.parametrize("chain", ["sim"], indirect=True)
 @pytest.mark.parametrize("name", CHANGES)
-def test_the_difference_of_two_files_is_carried_out(chain: Running, name: str) -> None:
+def test_the_difference_of_two_files_is_applied(chain: Running, name: str) -> None:
     carry_out(chain, CHANGES[name])
 
 
 @pytest.mark.ros2
 @pytest.mark.parametrize("chain", ["ros2"], indirect=True)
 @pytest.mark.parametrize("name", ON_ROS_2)
-def test_the_difference_of_two_files_is_carried_out_on_ros_2(chain: Running, name: str) -> None:
+def test_the_difference_of_two_files_is_applied_on_ros_2(chain: Running, name: str) -> None:
     carry_out(chain, CHANGES[name])
 
 
@@ -257,7 +257,7 @@ def carry_out(chain: Running, change: Change) -> None:
 
 
 @pytest.mark.parametrize("chain", BACKENDS, indirect=True)
-def test_a_node_less_takes_with_it_what_relies_on_it(chain: Running) -> None:
+def test_removing_a_node_degrades_its_dependants(chain: Running) -> None:
     old = chain.file(SYSTEM, "chain.stride")
     new = chain.file(SYSTEM.replace("node pass   : Pass   { in <- /raw   out -> /neat }\n", ""), "new.stride")
     done = chain.midstride("apply", new, "--yes", "--json")
@@ -269,7 +269,7 @@ def test_a_node_less_takes_with_it_what_relies_on_it(chain: Running) -> None:
 
 
 @pytest.mark.parametrize("chain", ["sim"], indirect=True)
-def test_a_file_in_error_changes_nothing(chain: Running) -> None:
+def test_an_invalid_file_changes_nothing(chain: Running) -> None:
     before = chain.midstride("status", "--json").json["components"]
     new = chain.file(SYSTEM.replace("<- /neat", "<- /neet"), "new.stride")
     done = chain.midstride("apply", new, "--yes")

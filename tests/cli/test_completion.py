@@ -154,12 +154,14 @@ def test_names_of_the_running_system(
     ("shell", "words", "answer"),
     [
         ("zsh", ("midstride why t", "2"), "plain\ntalker.talk\n_\n"),
+        ("zsh", ("midstride status --system=t", "2"), "plain\n--system=talker\n_\n"),
+        ("fish", ("midstride status --system=t", "--system=t"), "plain,--system=talker\n"),
         ("fish", ("midstride why t", "t"), "plain,talker.talk\n"),
     ],
 )
 def test_other_shells(talker: Midstride, shell: str, words: tuple[str, str], answer: str) -> None:
     environment = {"_MIDSTRIDE_COMPLETE": f"{shell}_complete", "COMP_WORDS": words[0], "COMP_CWORD": words[1]}
-    done = talker.process(**environment)
+    done = talker.process(timeout=60, **environment)
     assert (done.out.replace("\\n", "\n"), done.err) == (answer, "")
 
 
@@ -186,7 +188,7 @@ def test_bash_itself(talker: Midstride, tmp_path: Path) -> None:
     assert done.stderr == ""
 
 
-def test_a_manager_that_does_not_answer_is_not_waited_for(complete: Complete, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_completion_does_not_wait_for_a_silent_manager(complete: Complete, monkeypatch: pytest.MonkeyPatch) -> None:
     """Its socket accepts, and nothing comes."""
     from midstride.runtime.workspace import Workspace
 
@@ -205,7 +207,7 @@ def test_a_manager_that_does_not_answer_is_not_waited_for(complete: Complete, mo
             accepted.close()
 
 
-def test_an_unforeseen_error_shows_nothing(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_unexpected_error_prints_nothing(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) -> None:
     """Words that no shell would send."""
     monkeypatch.setenv("_MIDSTRIDE_COMPLETE", "bash_complete")
     monkeypatch.setenv("COMP_WORDS", "midstride")

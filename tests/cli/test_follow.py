@@ -69,7 +69,7 @@ def test_without_an_id_every_event_is_shown() -> None:
     assert len(shown(None)) == len(TWO_AT_ONCE)
 
 
-def test_the_answer_is_not_waited_for_longer_than_the_outcome() -> None:
+def test_a_command_ends_with_its_answer_and_outcome() -> None:
     """Both are there: the command ends at once, not after the time in which late events may still come."""
     begun = time.monotonic()
     assert shown("second")[-1] == "done, of the second"

@@ -24,7 +24,7 @@ def until(condition: Callable[[], bool], what: str) -> None:
 
 
 def heard(midstride: Midstride) -> str:
-    """What the listener has said last."""
+    """The last line in the listener's log."""
     log = midstride.runtime / "midstride" / "talker" / "logs" / "listener.log"
     return log.read_text().splitlines()[-1].rpartition("]: ")[2]
 
@@ -44,13 +44,13 @@ def test_a_system_from_up_to_down(midstride: Midstride) -> None:
     until(lambda: not any(map(alive, {*before, *after})), "components are left")
 
 
-def test_components_outlive_their_manager_and_are_found_again(midstride: Midstride) -> None:
+def test_components_outlive_their_manager_and_are_reattached(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
     assert midstride("replace", "talker", "NewTalker", "--yes").status == 0
     components = midstride.components("talker")
     os.kill(midstride.manager("talker"), signal.SIGKILL)
-    said = heard(midstride)
-    until(lambda: heard(midstride) != said, "the listener hears nothing any more")
+    last = heard(midstride)
+    until(lambda: heard(midstride) != last, "the listener hears nothing any more")
     done = midstride("status")
     assert done.status == 1
     assert "its components may still be running: `midstride up FILE` reattaches to them" in done.err
@@ -68,7 +68,7 @@ def test_components_outlive_their_manager_and_are_found_again(midstride: Midstri
     assert nothing_lost(back["swaps"]), back["swaps"]
 
 
-def test_down_ends_what_a_killed_manager_left(midstride: Midstride) -> None:
+def test_down_stops_the_components_of_a_killed_manager(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
     components = midstride.components("talker")
     os.kill(midstride.manager("talker"), signal.SIGKILL)
@@ -77,7 +77,7 @@ def test_down_ends_what_a_killed_manager_left(midstride: Midstride) -> None:
     assert not any(map(alive, components))
 
 
-def test_a_manager_that_is_told_to_end_leaves_the_components(midstride: Midstride) -> None:
+def test_a_terminated_manager_leaves_the_components_running(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
     manager, components = midstride.manager("talker"), midstride.components("talker")
     os.kill(manager, signal.SIGTERM)

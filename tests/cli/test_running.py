@@ -37,7 +37,7 @@ def playing(midstride: Midstride, role: str = "talker") -> tuple[str, str]:
     return next((entry["name"], entry["component"]) for entry in components if entry["role"] == role)
 
 
-def test_up_shows_what_it_does(midstride: Midstride) -> None:
+def test_up_shows_its_progress(midstride: Midstride) -> None:
     done = midstride("up", TALKER, "--backend", "sim", "-d")
     assert (done.status, done.err) == (0, "")
     assert re.search(r"✓ 1/6 create listener \(Listener\) \d+", done.out)
@@ -55,7 +55,7 @@ def test_up_shows_what_it_does(midstride: Midstride) -> None:
     assert midstride("down", "--json").json == {"outcome": "done", "system": "talker"}
 
 
-def test_status_says_what_is_live(talker: Midstride) -> None:
+def test_status_shows_the_live_components(talker: Midstride) -> None:
     document = talker("status", "--json").json
     assert (document["system"], document["backend"], document["valid"]) == ("talker", "sim", True)
     modes = {row["name"]: row["mode"] for entry in document["components"] for row in entry["functionalities"]}
@@ -82,14 +82,14 @@ def test_why_and_log(talker: Midstride) -> None:
 @pytest.mark.parametrize(
     "words", [("replace", "talkr", "NewTalker"), ("replace", "talker", "NewTalkr"), ("remove", "x")]
 )
-def test_what_is_refused_changes_nothing(talker: Midstride, words: tuple[str, ...]) -> None:
+def test_a_refused_change_changes_nothing(talker: Midstride, words: tuple[str, ...]) -> None:
     before = talker("status", "--json").json["revision"]
     done = talker(*words, "--yes")
     assert done.status == 1
     assert "Refused, nothing was changed: there is no " in done.out
-    told = talker(*words, "--yes", "--json")
-    assert (told.status, told.json["outcome"]) == (1, "refused")
-    assert "there is no " in told.json["because"]
+    refused = talker(*words, "--yes", "--json")
+    assert (refused.status, refused.json["outcome"]) == (1, "refused")
+    assert "there is no " in refused.json["because"]
     assert talker("status", "--json").json["revision"] == before
 
 
@@ -151,7 +151,7 @@ def test_apply_takes_the_system_to_a_file(talker: Midstride, tmp_path: Path) -> 
     assert len(talker("status", "--json").json["components"]) == 2
 
 
-def test_nobody_to_ask(talker: Midstride) -> None:
+def test_without_a_terminal_a_change_needs_yes(talker: Midstride) -> None:
     before = len(talker("log", "--json").json)
     done = talker("remove", "listener")
     assert (done.status, done.out) == (2, "")
@@ -159,7 +159,7 @@ def test_nobody_to_ask(talker: Midstride) -> None:
     assert len(talker("log", "--json").json) == before
 
 
-def test_a_person_is_asked(talker: Midstride) -> None:
+def test_a_change_asks_for_confirmation(talker: Midstride) -> None:
     events = len(talker("log", "--json").json)
     with Terminal(talker, "add", "second", "Listener", "in=/chatter") as terminal:
         shown = terminal.until("Proceed? [y/N]: ")
@@ -177,7 +177,7 @@ def test_a_person_is_asked(talker: Midstride) -> None:
     assert talker("remove", "second", "--yes").status == 0
 
 
-def test_what_was_shown_is_what_is_done(talker: Midstride) -> None:
+def test_only_the_plan_that_was_shown_is_carried_out(talker: Midstride) -> None:
     """A change between the preview and the yes: the plan that was shown is not the one that would be carried out."""
     with Terminal(talker, "remove", "listener") as terminal:
         terminal.until("Proceed? [y/N]: ")
@@ -204,7 +204,7 @@ def test_two_changes_at_once_take_turns(talker: Midstride) -> None:
     assert talker("remove", "left", "right", "--yes").status == 0
 
 
-def test_watch_tells_events_as_one_document(talker: Midstride) -> None:
+def test_watch_prints_events_as_one_document(talker: Midstride) -> None:
     watching = talker.start("watch", "--json")
     try:
         assert watching.stdout is not None
@@ -219,7 +219,7 @@ def test_watch_tells_events_as_one_document(talker: Midstride) -> None:
         watching.communicate()
 
 
-def test_the_live_view_is_left_and_the_system_goes_on(midstride: Midstride) -> None:
+def test_the_system_keeps_running_when_the_live_view_is_left(midstride: Midstride) -> None:
     with Terminal(midstride, "up", TALKER, "--backend", "sim") as terminal:
         terminal.until("Ctrl-C leaves the view")
         terminal.press("\x03")
@@ -233,7 +233,7 @@ def test_the_live_view_is_left_and_the_system_goes_on(midstride: Midstride) -> N
         assert terminal.status == 0
 
 
-def test_ctrl_c_while_coming_up_takes_it_down_again(midstride: Midstride, tmp_path: Path) -> None:
+def test_ctrl_c_during_start_up_stops_the_system(midstride: Midstride, tmp_path: Path) -> None:
     document = json.loads(Path(TALKER).read_text())
     document["components"]["Talker"]["run"] = "python3 never.py"
     (tmp_path / "never.py").write_text("import time\nwhile True:\n    time.sleep(1)\n")
@@ -249,8 +249,8 @@ def test_ctrl_c_while_coming_up_takes_it_down_again(midstride: Midstride, tmp_pa
     assert midstride("status").status == 1
 
 
-def test_ctrl_c_before_the_manager_answers_takes_it_down_again(midstride: Midstride) -> None:
-    """The manager is on its way by then, in a session of its own, and would bring the system up all the same."""
+def test_ctrl_c_before_the_manager_answers_stops_the_system(midstride: Midstride) -> None:
+    """The manager has been started by then, in its own session, and would still start the system."""
     with Terminal(midstride, "up", TALKER, "--backend", "sim") as terminal:
         log = midstride.runtime / "midstride" / "talker" / "logs" / "manager.log"
         while not log.exists():
@@ -262,7 +262,7 @@ def test_ctrl_c_before_the_manager_answers_takes_it_down_again(midstride: Midstr
 
 
 @pytest.mark.parametrize(
-    ("program", "told"),
+    ("program", "message"),
     [
         ("import nothing_of_the_kind\n", "No module named 'nothing_of_the_kind'"),
         ("raise SystemExit(3)\n", "talker exited with status 3 before it registered"),
@@ -274,7 +274,7 @@ def test_ctrl_c_before_the_manager_answers_takes_it_down_again(midstride: Midstr
     ],
 )
 def test_a_component_that_does_not_come_up(
-    midstride: Midstride, tmp_path: Path, program: str | None, told: str
+    midstride: Midstride, tmp_path: Path, program: str | None, message: str
 ) -> None:
     for file in (EXAMPLES / "talker").iterdir():
         (tmp_path / file.name).write_text(file.read_text())
@@ -284,14 +284,14 @@ def test_a_component_that_does_not_come_up(
     done = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "-d")
     assert done.status == 1
     assert done.err.startswith("midstride up: ")
-    assert told in done.err
+    assert message in done.err
     assert "midstride/cli" not in done.err
-    told_json = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "--json")
-    assert (told_json.status, told_json.json["error"]["kind"]) == (1, "StepFailed")
+    failed = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "--json")
+    assert (failed.status, failed.json["error"]["kind"]) == (1, "StepFailed")
     assert not (midstride.runtime / "midstride" / "talker" / "state.json").exists()
 
 
-def test_the_api_over_tcp_where_it_is_asked_for(midstride: Midstride) -> None:
+def test_the_api_over_tcp(midstride: Midstride) -> None:
     with socket.create_server(("127.0.0.1", 0)) as door:
         port = door.getsockname()[1]
     up = midstride("up", TALKER, "--backend", "sim", "-d", "--http", str(port))
@@ -316,7 +316,7 @@ def test_several_systems(talker: Midstride) -> None:
     assert talker("status").status == 0
 
 
-def test_a_killed_manager_is_no_riddle(midstride: Midstride) -> None:
+def test_the_state_of_a_killed_manager_is_recovered_from(midstride: Midstride) -> None:
     """In the simulator components die with their manager; what is left written must not be in anybody's way."""
     assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
     manager = midstride.manager("talker")
@@ -340,7 +340,7 @@ def test_a_killed_manager_is_no_riddle(midstride: Midstride) -> None:
     assert midstride("down").status == 1
 
 
-def test_the_view_says_that_the_manager_has_gone(midstride: Midstride) -> None:
+def test_the_view_reports_that_the_manager_has_exited(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
     watching = midstride.start("watch")
     try:

@@ -46,7 +46,7 @@ def test_the_text_of_a_plan_is_readable_and_stays_as_it_is(name: str) -> None:
 
 
 @pytest.mark.parametrize(("amount", "too_much"), [(0.5, False), (0.5000000005, True)])
-def test_what_is_too_much_together_is_what_the_model_says(amount: float, too_much: bool) -> None:
+def test_exceeded_resources_are_those_of_the_model(amount: float, too_much: bool) -> None:
     """Amounts are compared as they are written: half a part in a thousand million counts."""
     holders = [ComponentSpec.of(name, holds={"gpu": held}) for name, held in (("A", 0.5), ("B", amount))]
     configuration = structure(
@@ -61,13 +61,13 @@ def test_what_is_too_much_together_is_what_the_model_says(amount: float, too_muc
     assert (capacity_violation(configuration, "gpu") is not None) == too_much
 
 
-def test_a_dump_carries_the_specification_along_and_opens_nothing() -> None:
+def test_a_dump_includes_the_specification_and_opens_no_module() -> None:
     text = dump_configuration(initial(specification(TALKER)), "talker").text
     assert "pred valid_sys[s: System]" in text
     assert not re.search(r"^(module|open) ", text, re.MULTILINE)
 
 
-def test_no_atom_takes_a_word_of_alloy_or_of_the_specification() -> None:
+def test_no_atom_has_a_name_of_alloy_or_of_the_specification() -> None:
     declared = set(re.findall(r"^(?:abstract |one )?(?:sig|pred|fun) (\w+)", bundled(), re.MULTILINE))
     fields = set(re.findall(r"^fun (\w+):", dump_configuration(initial(specification(TALKER)), "talker").text, re.M))
     names = Names()
@@ -125,7 +125,7 @@ def broken(configuration: Configuration, how: str) -> Configuration:
         ("attachment", "attachment", "left.out is attached to /nowhere, but there is no /nowhere in this system"),
     ],
 )
-def test_what_is_not_valid_is_told_by_its_names(how: str, kind: str, words: str) -> None:
+def test_violations_are_named(how: str, kind: str, words: str) -> None:
     verdict = verify_configuration(broken(initial(specification(ROVER)), how))
     assert verdict.answer is Answer.VIOLATED
     assert [finding.kind for finding in verdict.findings] == [kind]
@@ -153,7 +153,7 @@ node t        : one { in <- /univ }
 
 
 @pytest.mark.alloy
-def test_names_that_mean_something_to_alloy_are_names_like_others() -> None:
+def test_names_that_alloy_reserves_can_be_used() -> None:
     hostile = load_text(HOSTILE, "hostile.stride").require()
     found = plan(hostile, S0=None, t=None)
     assert found.steps
@@ -191,7 +191,7 @@ def holding(count: int) -> Specification:
     ],
     ids=["atoms", "holders"],
 )
-def test_what_is_too_large_for_alloy_is_unknown(large: Specification, words: str) -> None:
+def test_a_system_too_large_for_alloy_is_unknown(large: Specification, words: str) -> None:
     verdict = verify_specification(large, asking=Asking(Path("nowhere.jar")))
     assert verdict.answer is Answer.UNKNOWN
     assert re.search(words, str(verdict))
@@ -200,12 +200,12 @@ def test_what_is_too_large_for_alloy_is_unknown(large: Specification, words: str
 # -- the picture ---------------------------------------------------------------------------------------------
 
 
-def test_the_chain_is_told_and_drawn() -> None:
+def test_the_chain_is_shown_and_drawn() -> None:
     configuration = broken(initial(specification(ROVER)), "mode")
-    told = chain(configuration, FunctionalityRef("motor", "drive"), InputAlternatives(("in",)))
-    finding = Finding("assumption", None, "the configuration", "motor.drive", "it assumes in", "in", told)
+    causes = chain(configuration, FunctionalityRef("motor", "drive"), InputAlternatives(("in",)))
+    finding = Finding("assumption", None, "the configuration", "motor.drive", "it assumes in", "in", causes)
     verdict = Verdict(Answer.VIOLATED, "the configuration", "exact", "Alloy", (finding,))
-    assert list(chain_lines(told)) == [
+    assert list(chain_lines(causes)) == [
         "motor.drive (in mode normal): not satisfied",
         "  assumes in: not satisfied",
         "    motor.in (geometry_msgs/msg/Twist @ 10 Hz): not satisfied",
@@ -219,5 +219,5 @@ def test_the_chain_is_told_and_drawn() -> None:
     assert (dot.count(" -> "), mermaid.count(" --> ")) == (5, 5)
 
 
-def test_nothing_found_is_drawn_as_nothing() -> None:
+def test_no_findings_are_drawn_as_nothing() -> None:
     assert "->" not in to_dot(Verdict(Answer.HOLDS, 'a "plan"', "exact", "Alloy"))

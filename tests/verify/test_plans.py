@@ -1,4 +1,4 @@
-"""Plans as Alloy judges them: what is right holds, and every fault planted in one is caught and told by its names."""
+"""Plans as Alloy judges them: right plans hold, and every planted fault is caught and named."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_hand_over_within_a_cap_and_a_capacity_holds(alloy: Alloy) -> None:
 
 @dataclass(frozen=True)
 class Planted:
-    """A fault in a plan: where, and what must be told of it."""
+    """A fault in a plan: where it is, and the expected finding."""
 
     fault: str
     of: str
@@ -199,18 +199,18 @@ PLANTED = [
     "planted",
     [pytest.param(each, id=each.fault, marks=pytest.mark.long if each.takes_long else ()) for each in PLANTED],
 )
-def test_a_fault_in_a_plan_is_caught_and_told_by_its_names(planted: Planted, alloy: Alloy) -> None:
+def test_a_fault_in_a_plan_is_caught_and_named(planted: Planted, alloy: Alloy) -> None:
     document = copy.deepcopy(plans()[planted.of])
     planted.spoil(document)
     verdict = judged(document, alloy)
-    told = "\n".join(map(str, verdict.findings))
+    text = "\n".join(map(str, verdict.findings))
     assert (verdict.answer, verdict.failed) == (Answer.VIOLATED, planted.step), verdict
     assert {finding.kind for finding in verdict.findings} == {planted.kind}
-    assert [word for word in planted.words if word not in told] == [], told
+    assert [word for word in planted.words if word not in text] == [], text
     finding = verdict.findings[0]
     assert finding.subject == planted.subject
     assert finding.assumption == planted.assumption
-    assert "please report" not in told
+    assert "please report" not in text
     if planted.assumption is not None:
         leads_to_what_is_short(finding)
 

@@ -50,12 +50,12 @@ def expected(plan: Plan) -> tuple[bool, int | None]:
     """Whether the plan holds, and the first step that does not; what it says it costs is not Alloy's affair."""
     configuration = plan.change.start
     for number, step in enumerate(plan.steps, start=1):
-        told = all(
+        modes_agree = all(
             configuration.mode(change.functionality).name == change.before
             for change in step.modes
             if change.functionality in configuration.modes
         )
-        if step.action.check(configuration) or not told:
+        if step.action.check(configuration) or not modes_agree:
             return False, number
         configuration = step.action.effect(configuration)
     whole = Plan.of(plan.strategy, plan.change, plan.steps)

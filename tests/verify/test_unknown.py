@@ -61,14 +61,14 @@ def answering(document: object) -> tuple[str, ...]:
 
 
 def test_no_java(folder: Path) -> None:
-    told = "Java is not installed; the Alloy Analyzer needs Java 17 or later (a JRE is enough)"
-    assert verdict(jar(folder)).because == told
+    because = "Java is not installed; the Alloy Analyzer needs Java 17 or later (a JRE is enough)"
+    assert verdict(jar(folder)).because == because
 
 
 def test_a_java_that_is_too_old(folder: Path) -> None:
     java(folder, version="1.8.0_402")
-    told = f"{folder / 'bin' / 'java'} is Java 8; the Alloy Analyzer needs Java 17 or later"
-    assert verdict(jar(folder)).because == told
+    because = f"{folder / 'bin' / 'java'} is Java 8; the Alloy Analyzer needs Java 17 or later"
+    assert verdict(jar(folder)).because == because
 
 
 def test_no_alloy(folder: Path) -> None:
@@ -78,7 +78,7 @@ def test_no_alloy(folder: Path) -> None:
     assert str(verdict(folder / "none.jar").because).startswith(f"there is no Alloy Analyzer at {folder / 'none.jar'}")
 
 
-def test_what_is_fetched_must_be_alloy(folder: Path) -> None:
+def test_the_fetched_file_must_be_alloy(folder: Path) -> None:
     java(folder)
     (folder / run.JAR).write_bytes(b"something else")
     assert "is not Alloy 6.2.0 (its SHA-256 differs)" in str(verdict().because)
@@ -115,7 +115,7 @@ def test_out_of_memory(folder: Path) -> None:
         ),
     ],
 )
-def test_an_answer_that_is_none(lines: tuple[str, ...], words: str, folder: Path) -> None:
+def test_an_invalid_answer(lines: tuple[str, ...], words: str, folder: Path) -> None:
     java(folder, *lines)
     assert words in str(verdict(jar(folder)).because)
 
@@ -126,7 +126,7 @@ def nothing_found() -> dict[str, object]:
     return {"Verdict": {"solution": [{"instances": [{"values": values}]}]}, "Verified": {}, "Rules": {}}
 
 
-def test_nothing_found_is_a_pass_only_where_the_checks_say_so_too(folder: Path) -> None:
+def test_no_findings_are_a_pass_only_if_the_checks_agree(folder: Path) -> None:
     java(folder, *answering({"commands": nothing_found()}))
     assert verify_specification(specification(TALKER), asking=Asking(jar(folder))).holds
     for check in ("Verified", "Rules"):
@@ -178,7 +178,7 @@ def test_unknown_is_no_pass(folder: Path, capsys: pytest.CaptureFixture[str]) ->
     assert document["because"].startswith("the Alloy Analyzer 6.2.0 is not installed: `make alloy` fetches it")
 
 
-def test_the_text_is_kept_without_alloy(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_text_is_saved_without_alloy(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept = folder / "talker.als"
     assert main(["verify", str(TALKER), "-o", str(kept)]) == 1
     assert "one sig listener extends Component" in kept.read_text(encoding="utf-8")

@@ -15,6 +15,9 @@ import click
 from click.shell_completion import (
     BashComplete,
     CompletionItem,
+    FishComplete,
+    ShellComplete,
+    ZshComplete,
     add_completion_class,
     get_completion_class,
     split_arg_string,
@@ -65,6 +68,28 @@ class _Bash(BashComplete):
 
     def format_completion(self, item: CompletionItem[str]) -> str:
         return f"{item.type},{item.value.removeprefix(self._prefix)}"
+
+
+class _WholeWord(ShellComplete):
+    """For ``--option=value``, Click offers the value alone; Zsh and Fish replace the whole word."""
+
+    def get_completions(self, args: list[str], incomplete: str) -> list[CompletionItem[str]]:
+        items = super().get_completions(args, incomplete)
+        option, equals, _ = incomplete.partition("=")
+        if equals and option.startswith("-"):
+            for item in items:
+                item.value = f"{option}={item.value}"
+        return items
+
+
+@add_completion_class
+class _Zsh(_WholeWord, ZshComplete):
+    pass
+
+
+@add_completion_class
+class _Fish(_WholeWord, FishComplete):
+    pass
 
 
 # -- candidates -------------------------------------------------------------------------------------------

@@ -64,12 +64,12 @@ def verify_plan(
 def verify_configuration(
     configuration: Configuration,
     name: str = "configuration",
-    subject: str = "the configuration",
+    told: str = "the configuration",
     *,
     asking: Asking | None = None,
 ) -> Verdict:
     """Whether a configuration is valid. UNKNOWN as for :func:`verify_plan`."""
-    return _verified(subject, lambda _: dump_configuration(configuration, name, subject), asking or Asking())
+    return _verified(told, lambda _: dump_configuration(configuration, name, told), asking or Asking())
 
 
 def verify_specification(specification: Specification, *, asking: Asking | None = None) -> Verdict:
