@@ -11,8 +11,6 @@ import os
 import sys
 from collections.abc import Sequence
 
-INTERRUPTED = 130
-
 # A command keeps nearly every object until it exits. Collecting garbage after every 700 new objects, Python's default,
 # takes a fifth of the time of checking a large file and finds nothing.
 _GC_THRESHOLD = 50_000
@@ -23,6 +21,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import click
 
     from midstride.cli.app import cli
+    from midstride.cli.output import INTERRUPTED
     from midstride.errors import MidstrideError
 
     gc.set_threshold(_GC_THRESHOLD, *gc.get_threshold()[1:])

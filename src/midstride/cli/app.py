@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import importlib
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Final
 
 import click
 
 from midstride import __version__
+from midstride.cli.output import json_option
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -51,13 +51,6 @@ COMMANDS: Final = {name: entry for commands in GROUPS.values() for name, entry i
 HIDDEN: Final = {"_manager": "manage"}
 
 
-@dataclass(slots=True)
-class Settings:
-    """Options that apply to the whole command line."""
-
-    json: bool = False
-
-
 class Commands(click.Group):
     """A group that lists its commands by name and imports only the one that is called."""
 
@@ -95,17 +88,6 @@ class Commands(click.Group):
 
             raise click.UsageError(f"there is no command `{name}`; {suggestion(name, COMMANDS)}", ctx)
         return super().resolve_command(ctx, args)
-
-
-def _set_json(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-    settings = ctx.ensure_object(Settings)
-    settings.json = settings.json or value
-
-
-def json_option(function: Any) -> Any:
-    """``--json``, accepted before and after the command's name."""
-    summary = "Print one JSON document, and nothing else."
-    return click.option("--json", is_flag=True, expose_value=False, callback=_set_json, help=summary)(function)
 
 
 def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:

@@ -8,10 +8,8 @@ from collections.abc import Sequence
 import click
 
 from midstride.cli.app import COMMANDS
+from midstride.cli.output import NO, USAGE, print_json
 from midstride.errors import MidstrideError, SpecificationError
-
-NO = 1
-USAGE = 2
 
 # Commands whose JSON document is an outcome, which has `refused` beside `error` (interfaces.md).
 _CHANGES = ("plan", "replace", "add", "remove", "apply", "demo")
@@ -50,8 +48,6 @@ def report_os_error(error: OSError, words: Sequence[str]) -> int:
 def _report(text: str, kind: str, message: str, words: Sequence[str]) -> None:
     print(text, file=sys.stderr)
     if "--json" in words:
-        from midstride.cli.output import print_json
-
         command = next((word for word in words if word in COMMANDS), "")
         document: dict[str, object] = {"error": {"kind": kind, "message": message}}
         if command in _CHANGES and kind != "UsageError":

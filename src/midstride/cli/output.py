@@ -1,21 +1,41 @@
-"""Where output goes: a console for people, one JSON document for programs."""
+"""The results of a command: a console for people, one JSON document for programs, the exit status."""
 
 from __future__ import annotations
 
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import click
-
-from midstride.cli.app import Settings
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
+NO: Final = 1
+USAGE: Final = 2
+INTERRUPTED: Final = 130
 # The width of output that is not a terminal: wide enough that nothing is folded, for programs and `grep`.
-PIPE_WIDTH = 1000
+PIPE_WIDTH: Final = 1000
+
+
+@dataclass(slots=True)
+class Settings:
+    """Options that apply to the whole command line."""
+
+    json: bool = False
+
+
+def json_option(function: Any) -> Any:
+    """``--json``, accepted before and after the command's name."""
+    summary = "Print one JSON document, and nothing else."
+    return click.option("--json", is_flag=True, expose_value=False, callback=_set_json, help=summary)(function)
+
+
+def _set_json(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+    settings = ctx.ensure_object(Settings)
+    settings.json = settings.json or value
 
 
 def wants_json() -> bool:

@@ -9,8 +9,8 @@ from typing import Any
 import click
 
 from midstride.cli import change_options, completion
-from midstride.cli.app import json_option
 from midstride.cli.client import Client, Document
+from midstride.cli.output import console, is_interactive, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 
 
@@ -101,7 +101,6 @@ def _components(file: Path | None) -> list[Document]:
 
 def change(system: str | None, request: Document, title: str, yes: bool, verify: bool) -> int:
     """Show the plan, ask for confirmation, make the change and report it. The exit status."""
-    from midstride.cli.output import is_interactive, print_json, wants_json
 
     if not yes and not is_interactive():
         raise click.UsageError("not a terminal; pass --yes")
@@ -124,7 +123,6 @@ def change(system: str | None, request: Document, title: str, yes: bool, verify:
 def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool) -> Document:
     """Ask the manager for the change and show its progress. The outcome."""
     from midstride.cli.follow import FollowedRequest, last_event_number
-    from midstride.cli.output import console, wants_json
 
     if wants_json():
         return dict(client.post("/change", change))
@@ -156,6 +154,5 @@ def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool)
 
 def _show_plan(preview: Document, title: str, *, to_stderr: bool) -> None:
     from midstride.cli import render
-    from midstride.cli.output import console
 
     console(stderr=to_stderr).print(render.plan(preview, title))

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from midstride.cli import completion
-from midstride.cli.app import json_option
-from midstride.cli.output import print_json, wants_json
+from midstride.cli.output import json_option, print_json, wants_json
 
 if TYPE_CHECKING:
     from midstride.lang.diagnostics import Diagnostic

@@ -8,7 +8,7 @@ import click
 
 from midstride.backends import NAMES
 from midstride.cli import completion
-from midstride.cli.app import json_option
+from midstride.cli.output import INTERRUPTED, console, json_option, print_json, wants_json
 
 
 @click.command("demo")
@@ -29,10 +29,8 @@ def demo_command(name: str, backend: str | None) -> int:
     from rich.console import Console
 
     from midstride import backends
-    from midstride.cli import INTERRUPTED
     from midstride.cli.demo_runner import run_demo
     from midstride.cli.example import find
-    from midstride.cli.output import console, print_json, wants_json
 
     example = find(name)
     if backend is None:

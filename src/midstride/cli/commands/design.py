@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from midstride.cli import completion
-from midstride.cli.app import json_option
+from midstride.cli.output import json_option, print_json, wants_json
 
 _FILE = click.Path(path_type=Path)
 
@@ -27,7 +27,6 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
     """
     from midstride.cli import graphviz
     from midstride.cli.files import load
-    from midstride.cli.output import print_json, wants_json
     from midstride.generate.drawing import to_dot, to_mermaid
     from midstride.generate.view import view
 
@@ -54,7 +53,6 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first."""
     from midstride.cli.files import load
-    from midstride.cli.output import print_json, wants_json
     from midstride.plan.impact import impacts
 
     found = impacts(load(file), nodes)
@@ -80,7 +78,6 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
 def diff_command(old: Path, new: Path) -> int:
     """Show how the specification NEW differs from OLD. Exit status 0 if they are equivalent, else 1."""
     from midstride.cli.files import load
-    from midstride.cli.output import print_json, wants_json
     from midstride.plan.specification_diff import differences
 
     found = differences(load(old), load(new))

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from midstride.cli.app import json_option
-from midstride.cli.output import print_json
+from midstride.cli.output import json_option, print_json
 from midstride.cli.systems import find, system_option
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from midstride.cli.app import json_option
+from midstride.cli.output import json_option, print_json, wants_json
 from midstride.errors import MidstrideError, SpecificationError
 
 if TYPE_CHECKING:
@@ -33,7 +33,6 @@ def generate_command(file: Path, output: Path, ros: str) -> int:
     the marked block in each file.
     """
     from midstride.cli.files import require_file
-    from midstride.cli.output import print_json, wants_json
     from midstride.generate.merge import digest
     from midstride.generate.project import project
     from midstride.lang import load

@@ -7,7 +7,7 @@ import sys
 
 import click
 
-from midstride.cli.app import json_option
+from midstride.cli.output import json_option
 from midstride.errors import MidstrideError
 
 

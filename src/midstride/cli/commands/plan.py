@@ -8,8 +8,8 @@ from pathlib import Path
 import click
 
 from midstride.cli import completion
-from midstride.cli.app import json_option
 from midstride.cli.change_options import parse_new_node, parse_pair, strategy_option
+from midstride.cli.output import console, json_option, print_json, wants_json
 
 
 @click.command("plan")
@@ -44,7 +44,6 @@ def plan_command(
     midstride plan talker.json --add 'second Listener in=/chatter'
     """
     from midstride.cli.files import load
-    from midstride.cli.output import console, print_json, wants_json
     from midstride.model.specification import initial
     from midstride.plan.change import Change
     from midstride.plan.registry import planner

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from midstride.cli.app import json_option
+from midstride.cli.output import console, json_option, print_json, wants_json
 
 if TYPE_CHECKING:
     from midstride.verify.prove import Proof
@@ -57,7 +57,6 @@ def prove_command(
     With --alloy, the Alloy specification is then checked as well, for all systems up to a scope. Needs Java and the
     Alloy Analyzer (`make alloy`). Scope 5 takes 20 to 40 minutes on two cores.
     """
-    from midstride.cli.output import print_json, wants_json
     from midstride.verify.run import find
 
     alloy = find() if with_alloy else None  # report a missing Analyzer before the proofs start
@@ -74,7 +73,6 @@ def prove_command(
 
 
 def _proofs(solver: str, timeout: float, verbose: bool) -> tuple[bool, dict[str, Any]]:
-    from midstride.cli.output import console, wants_json
     from midstride.verify.prove import NAMES, prove, version_of
 
     names = NAMES if solver == "both" else tuple(name for name in NAMES if name == solver)
@@ -98,7 +96,6 @@ def _proofs(solver: str, timeout: float, verbose: bool) -> tuple[bool, dict[str,
 
 def _show(proof: Proof, verbose: bool) -> None:
     """One row of the table, followed by problems and weakened goals."""
-    from midstride.cli.output import console
 
     out = console()
     seconds = "  ".join(f"{name} {took:5.2f} s" for name, took in proof.seconds.items())
@@ -131,7 +128,6 @@ def _shortened(counterexample: str) -> str:
 
 
 def _checks(alloy: Alloy, scope: int, jobs: int | None, limit: float) -> tuple[bool, dict[str, Any]]:
-    from midstride.cli.output import console, wants_json
     from midstride.verify.specification import check_specification, parallel_jobs, tasks
 
     total, parallel = len(tasks(scope)), jobs or parallel_jobs()
@@ -154,7 +150,6 @@ def _checks(alloy: Alloy, scope: int, jobs: int | None, limit: float) -> tuple[b
 
 
 def _show_check(checked: Checked, number: int, total: int) -> None:
-    from midstride.cli.output import console
 
     out, style = console(), _STYLES[checked.answer.value]
     row = f"{checked.answer!s:8}  {number:2}/{total}  {checked.task!s:32}  {checked.seconds:6.1f} s  {checked.claim}"

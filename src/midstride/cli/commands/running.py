@@ -7,9 +7,8 @@ from collections.abc import Iterable
 import click
 
 from midstride.cli import completion
-from midstride.cli.app import json_option
 from midstride.cli.client import Event
-from midstride.cli.output import console, print_json, wants_json
+from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 
 

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import click
 
 from midstride.backends import NAMES
-from midstride.cli.app import json_option
 from midstride.cli.client import Client, Document
+from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.errors import ManagerBusy, ManagerError
 
 if TYPE_CHECKING:
@@ -49,7 +49,6 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     its components. `midstride down` stops everything.
     """
     from midstride.cli.files import load
-    from midstride.cli.output import print_json, wants_json
     from midstride.model.document import specification_to_document
     from midstride.runtime.workspace import Workspace
 
@@ -142,7 +141,6 @@ def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Pat
 def _wait_until_up(client: Client) -> Document:
     """Show progress until the system is up. Raises the manager's error where it does not come up."""
     from midstride.cli.follow import FollowedRequest
-    from midstride.cli.output import console, wants_json
     from midstride.cli.progress import Progress
 
     followed = FollowedRequest(client, lambda: dict(client.get("/up", timeout=None)), since=0, until="up")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from midstride.cli.app import json_option
+from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import system_option
 
 if TYPE_CHECKING:
@@ -53,7 +53,6 @@ def verify_command(
     midstride plan talker.stride --replace talker=NewTalker --json | midstride verify talker.stride --plan -
     """
     from midstride.cli import graphviz
-    from midstride.cli.output import console, print_json, wants_json
     from midstride.verify.checking import Asking
     from midstride.verify.diagram import to_dot, to_mermaid
 
