@@ -48,7 +48,8 @@ _STYLES = {"holds": "green", "violated": "red", "unknown": "yellow"}
 def prove_command(
     solver: str, timeout: float, with_alloy: bool, scope: int, jobs: int | None, check_timeout: float, verbose: bool
 ) -> int:
-    """Prove that every action keeps a valid system valid, and that `best` is best, for systems of any size.
+    """Prove that every action keeps a valid system valid, and that `best` finds the best modes, for systems
+    of any size.
 
     A goal is proved if no system satisfies its negation. To show that the proof is not vacuous, the action must be
     possible, and dropping a conjunct of its precondition must yield a counterexample. Needs the solvers:
