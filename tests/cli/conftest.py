@@ -19,8 +19,9 @@ from unittest import mock
 import pytest
 
 from midstride.cli import main
-from midstride.runtime.reaper import look
-from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
+from midstride.runtime.reaper import process_info
+from midstride.runtime.state_store import SavedState, StateStore
+from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -102,12 +103,19 @@ class Midstride:
 
     def components(self, system: str) -> list[int]:
         """The processes of a running system's components, from the manager's state file."""
-        state = json.loads((self.runtime / "midstride" / system / "state.json").read_text())
-        return [entry["handle"]["pid"] for entry in state["instances"]]
+        pids = [entry.handle and entry.handle.pid for entry in self.saved(system).instances]
+        assert all(pids)
+        return [pid for pid in pids if pid]
+
+    def saved(self, system: str) -> SavedState:
+        """The state that the manager of a system has saved."""
+        state = StateStore(self.runtime / "midstride" / system / "state.db").load()
+        assert state is not None
+        return state
 
     def down(self) -> None:
         """Stop all systems of this folder."""
-        for state in self.runtime.glob("midstride/*/state.json"):
+        for state in self.runtime.glob("midstride/*/state.db"):
             done = self("down", "--system", state.parent.name)
             assert done.status == 0, done.err
 
@@ -115,7 +123,7 @@ class Midstride:
 @contextmanager
 def unwritten(midstride: Midstride) -> Iterator[subprocess.Popen[bytes]]:
     """A component that a manager started right before it was killed, and did not record."""
-    token = json.loads((midstride.runtime / "midstride" / "talker" / "state.json").read_text())["token"]
+    token = midstride.saved("talker").token
     environment = {**os.environ, ENV_TOKEN: token, ENV_INSTANCE: "late"}
     with subprocess.Popen(["sleep", "600"], env=environment, start_new_session=True) as process:
         try:
@@ -159,5 +167,5 @@ def nothing_lost(swaps: list[dict[str, Any]]) -> bool:
 
 
 def alive(pid: int) -> bool:
-    seen = look(pid)
-    return seen is not None and seen.alive
+    info = process_info(pid)
+    return info is not None and info.alive

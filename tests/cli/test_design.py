@@ -142,7 +142,7 @@ def test_graph_reports_a_missing_graphviz(run: Any, patrol: Path, monkeypatch: p
     assert (status, "need Graphviz" in err) == (1, True)
 
 
-@pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not installed")
+@pytest.mark.graphviz
 @pytest.mark.parametrize(("kind", "magic"), [("svg", b"<?xml"), ("png", b"\x89PNG")])
 def test_graph_draws(run: Any, patrol: Path, kind: str, magic: bytes) -> None:
     target = patrol.parent / f"x.{kind}"

@@ -17,6 +17,8 @@ from midstride.backends import NAMES
 from midstride.cli import main, render
 from midstride.cli.app import COMMANDS, GROUPS
 from midstride.cli.output import console
+from midstride.model.specification import Specification
+from midstride.runtime.state_store import StateStore
 from tests.cli.conftest import EXAMPLES, Midstride
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
@@ -159,10 +161,11 @@ def test_the_error_without_a_manager_says_how_to_start_one(
 def test_one_of_several_systems_without_managers_must_be_named(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    state = '{"version": 1, "backend": "sim", "token": "unused", "instances": []}'
     for name in ("talker", "filter"):
         (tmp_path / "midstride" / name).mkdir(parents=True)
-        (tmp_path / "midstride" / name / "state.json").write_text(state)
+        store = StateStore(tmp_path / "midstride" / name / "state.db")
+        store.begin("sim", "no process bears it", Specification(name))
+        store.close()
     status, out, err = run(capsys, command)
     assert (status, out) == (1, "")
     assert "may still be running: filter, talker. Choose one with --system NAME" in err
@@ -400,7 +403,7 @@ def test_a_runtime_folder_that_cannot_be_made(
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/dev/null")
     status, out, err = run(capsys, "up", TALKER)
     assert (status, out, err.count("\n")) == (1, "", 1)
-    assert "cannot make the folder /dev/null/midstride" in err
+    assert "cannot create the folder /dev/null/midstride" in err
 
 
 def test_characters_outside_the_encoding_are_replaced(midstride: Midstride) -> None:

@@ -192,9 +192,9 @@ def _components(context: click.Context) -> dict[str, Document]:
 
 def _file(path: Path) -> Document:
     from midstride.cli.files import read
-    from midstride.model.document import specification_to_document
+    from midstride.codec.specification import encode_specification
 
-    return specification_to_document(read(path))
+    return encode_specification(read(path))
 
 
 def _running(context: click.Context) -> Document:

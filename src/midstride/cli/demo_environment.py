@@ -16,9 +16,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+
 from midstride import backends
 from midstride.backends.simulator import Simulator
-from midstride.cli.example import Demo, examples_folder
+from midstride.cli.example import Demo, repository
 from midstride.runtime.backend import Backend
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import Reaper
@@ -47,9 +49,7 @@ def demo_environment(example: Demo, backend: str) -> Iterator[DemoEnvironment]:
         os.environ[_MARK] = token
         reaper = stack.enter_context(Reaper(_MARK, token)) if backend != "sim" else None
         platform: Backend = (
-            Simulator(starting=COLD_START)
-            if backend == "sim"
-            else backends.make(backend, logs=workspace.logs, guardian=reaper)
+            Simulator(starting=COLD_START) if backend == "sim" else backends.make(backend, workspace, guardian=reaper)
         )
         yield DemoEnvironment(Manager(example.specification, platform, workspace, example.folder), platform, workspace)
 
@@ -57,8 +57,8 @@ def demo_environment(example: Demo, backend: str) -> Iterator[DemoEnvironment]:
 @contextmanager
 def _folder() -> Iterator[Path]:
     """A folder for the demo's files. Removes the folders of demos that were killed."""
-    examples = examples_folder()
-    root = None if examples is None else examples.parent / ".midstride"
+    checkout = repository()
+    root = None if checkout is None else checkout / ".midstride"
     try:
         if root is None:
             raise OSError
@@ -82,7 +82,7 @@ def _folder() -> Iterator[Path]:
 def _remove_stale(root: Path) -> None:
     for folder in root.glob("demo-*"):
         pid = folder.name.removeprefix("demo-")
-        if not Path(f"/proc/{pid}").exists():
+        if not (pid.isdigit() and psutil.pid_exists(int(pid))):
             shutil.rmtree(folder, ignore_errors=True)
 
 

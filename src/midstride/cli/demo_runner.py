@@ -6,7 +6,7 @@ import asyncio
 import signal
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 from rich.markup import escape
@@ -19,10 +19,16 @@ from midstride.cli.demo_environment import DemoEnvironment, demo_environment
 from midstride.cli.example import Demo, DemoStep
 from midstride.cli.log_excerpt import LogFile, LogFollower, LogLine, excerpt
 from midstride.cli.progress import Progress
+from midstride.codec.form import encode
+from midstride.plan.forms import encode_plan
 
 Document = dict[str, Any]
 # How often the latest log line of the subscriber is shown (s).
 LOG_INTERVAL = 0.1
+
+
+# How long the system runs before the first act (s): what is replaced then has been heard before.
+RUN_IN: Final = 1.0
 
 
 async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
@@ -36,6 +42,7 @@ async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
             out.print(f"[bold]{escape(example.title)}[/bold]  [dim](examples/{example.name}, on {backend})[/dim]")
             async with _progress(environment, example, out):
                 await environment.manager.up()
+                await environment.backend.clock.sleep(RUN_IN)
             outcomes: list[Document] = []
             for step in example.steps:
                 outcomes.append(await _run_step(environment, example, step, out))
@@ -51,12 +58,12 @@ async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
 async def _run_step(environment: DemoEnvironment, example: Demo, step: DemoStep, out: Console) -> Document:
     out.print(f"\n[bold]{escape(step.name)}[/bold]  {escape(step.summary)}")
     plan = await environment.manager.plan(step.request)
-    out.print(render.plan(plan.to_document(), "Plan"))
+    out.print(render.plan(encode_plan(plan), "Plan"))
     async with _progress(environment, example, out) as log:
-        outcome = await environment.manager.change(step.request)
+        outcome = encode(await environment.manager.change(step.request))
     out.print(render.outcome(outcome))
     _print_excerpt(example.subscriber, excerpt(log.new_lines()), out)
-    for line in _degraded(await environment.manager.status()):
+    for line in _degraded(encode(await environment.manager.status())):
         out.print(line)
     return outcome
 
@@ -67,12 +74,12 @@ async def _progress(environment: DemoEnvironment, example: Demo, out: Console) -
     log, latest = (LogFollower(_log_of(environment, example)) for _ in range(2))
     log.new_lines()
     past = environment.manager.log()
-    stream = environment.manager.subscribe(past[-1]["n"] if past else 0)
+    stream = environment.manager.subscribe(past[-1].n if past else 0)
     with Progress(out) as progress:
 
         async def show_events() -> None:
             async for event in stream:
-                progress.show(event)
+                progress.show(encode(event))
 
         async def show_log() -> None:
             while True:

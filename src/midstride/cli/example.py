@@ -10,11 +10,14 @@ import click
 
 import midstride
 from midstride.cli.files import load
+from midstride.codec.reading import parse_json
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
-from midstride.model.reading import parse_json
 from midstride.model.specification import Specification
 from midstride.plan.request import Request
+from midstride.plan.request_form import decode_request
+
+_PACKAGE = Path(midstride.__file__).resolve().parent
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,9 +42,8 @@ class Demo:
 
 
 def known_examples() -> dict[str, Path]:
-    """The examples in the repository: name -> folder."""
-    root = examples_folder()
-    return {file.parent.name: file.parent for file in sorted(root.glob("*/demo.json"))} if root else {}
+    """The examples of this Midstride: name -> folder."""
+    return {file.parent.name: file.parent for file in sorted(examples_folder().glob("*/demo.json"))}
 
 
 def find(name: str) -> Demo:
@@ -49,15 +51,20 @@ def find(name: str) -> Demo:
     known = known_examples()
     folder = known.get(name) or Path(name)
     if not (folder / "demo.json").is_file():
-        where = "" if known else " (the examples are in the repository, not in the installed package: give a folder)"
-        raise click.UsageError(f"there is no example `{name}`; {suggestion(name, known)}{where}")
+        raise click.UsageError(f"there is no example `{name}`; {suggestion(name, known)}")
     return read(folder)
 
 
-def examples_folder() -> Path | None:
-    """The folder of examples, where Midstride runs from its repository."""
-    folder = Path(midstride.__file__).resolve().parents[2] / "examples"
-    return folder if folder.is_dir() else None
+def examples_folder() -> Path:
+    """The examples of this Midstride: those of its repository if it runs from one, else those that were installed."""
+    root = repository()
+    return _PACKAGE / "examples" if root is None else root / "examples"
+
+
+def repository() -> Path | None:
+    """The repository that this Midstride runs from; None for an installed package."""
+    root = _PACKAGE.parents[1]
+    return root if (root / "examples").is_dir() and (root / "pyproject.toml").is_file() else None
 
 
 def read(folder: Path) -> Demo:
@@ -72,8 +79,7 @@ def read(folder: Path) -> Demo:
             specification=load(folder / document["specification"]),
             subscriber=str(document["listen_to"]),
             steps=tuple(
-                DemoStep(str(act["name"]), str(act["says"]), Request.from_document(act["request"]))
-                for act in document["acts"]
+                DemoStep(str(act["name"]), str(act["says"]), decode_request(act["request"])) for act in document["acts"]
             ),
         )
     except (KeyError, TypeError) as error:

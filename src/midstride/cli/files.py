@@ -7,9 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
+from midstride.codec.reading import parse_json
+from midstride.codec.specification import decode_specification
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
-from midstride.model.document import parse_json, specification_from_document
 from midstride.model.specification import Specification
 
 # Longer than any specification or plan. A device that never ends, such as /dev/zero, would fill the memory.
@@ -22,7 +23,7 @@ def read(path: Path) -> Specification:
     if _is_stride(path):
         return _stride(path)
     try:
-        return specification_from_document(parse_json(text))
+        return decode_specification(parse_json(text))
     except SpecificationError as error:
         raise _in_file(path, error.problems) from None
 

@@ -13,7 +13,8 @@ from midstride.cli.systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
 from midstride.runtime.backend import Backend, Handle
 from midstride.runtime.launcher import STOP_GRACE
-from midstride.runtime.orphans import end_strays
+from midstride.runtime.orphans import end_orphans
+from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to exit once its system is down (s).
@@ -52,14 +53,15 @@ def wait_for_manager_exit(workspace: Workspace) -> None:
 
 
 def _stop_left_components(workspace: Workspace) -> None:
-    state = workspace.load()
-    if state is None:
+    store = StateStore(workspace.state)
+    saved = store.load()
+    if saved is None:
         return
-    handles = [Handle(**entry["handle"]) for entry in state["instances"] if entry["handle"]]
-    backend = backends.make(str(state["backend"]))
-    if failures := asyncio.run(_stop(backend, handles, str(state["token"]))):
+    handles = [entry.handle for entry in saved.instances if entry.handle is not None]
+    backend = backends.make(saved.backend, workspace)
+    if failures := asyncio.run(_stop(backend, handles, saved.token)):
         raise ManagerError("; ".join(failures))
-    workspace.forget()
+    store.forget()
 
 
 async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str]:
@@ -75,7 +77,7 @@ async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str
             except MidstrideError as error:
                 failures.append(f"{handle.instance}: {error}")
         try:
-            await end_strays(token, {handle.instance for handle in handles}, STOP_GRACE)
+            await end_orphans(token, {handle.instance for handle in handles}, STOP_GRACE)
         except BackendError as error:
             failures.append(str(error))
     finally:

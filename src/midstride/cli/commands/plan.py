@@ -46,17 +46,18 @@ def plan_command(
     from midstride.cli.files import load
     from midstride.model.specification import initial
     from midstride.plan.change import Change
+    from midstride.plan.forms import encode_plan
     from midstride.plan.registry import planner
-    from midstride.plan.request import Request
+    from midstride.plan.request_form import decode_request
 
     if not (to or replaced or added or removed):
         raise click.UsageError("nothing to change: pass --to NEW, --replace, --add or --remove")
     specification = load(file)
-    request = Request.from_document(
+    request = decode_request(
         {
             "replace": [parse_pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
             "add": [parse_new_node(shlex.split(text)) for text in added],
-            "remove": removed,
+            "remove": list(removed),
             "strategy": strategy,
         }
     )
@@ -66,7 +67,7 @@ def plan_command(
         target = load(to)
     else:
         target = request.target(specification)
-    document = planner(strategy)(Change.between(initial(specification), specification, target)).to_document()
+    document = encode_plan(planner(strategy)(Change.between(initial(specification), specification, target)))
     if wants_json():
         print_json(document)
     else:

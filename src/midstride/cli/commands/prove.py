@@ -53,7 +53,7 @@ def prove_command(
 
     A goal is proved if no system satisfies its negation. To show that the proof is not vacuous, the action must be
     possible, and dropping a conjunct of its precondition must yield a counterexample. Needs the solvers:
-    pip install 'midstride[proof]'.
+    pip install z3-solver cvc5.
 
     With --alloy, the Alloy specification is then checked as well, for all systems up to a scope. Needs Java and the
     Alloy Analyzer (`make alloy`). Scope 5 takes 20 to 40 minutes on two cores.

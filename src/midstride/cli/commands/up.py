@@ -49,7 +49,7 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     its components. `midstride down` stops everything.
     """
     from midstride.cli.files import load
-    from midstride.model.document import specification_to_document
+    from midstride.codec.specification import encode_specification
     from midstride.runtime.workspace import Workspace
 
     if http_host is not None and http is None:
@@ -76,7 +76,7 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
         click.echo(f"\nStopping everything started for {workspace.name} …", err=True)
         _undo(client, workspace, manager, log)
         raise
-    if client.get("/specification") != specification_to_document(specification):
+    if client.get("/specification") != encode_specification(specification):
         click.echo(
             f"{workspace.name} was already running and differs from {file}; it was reattached unchanged. "
             f"Run `midstride apply {file}` to change it.",

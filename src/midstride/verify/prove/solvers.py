@@ -63,7 +63,7 @@ def _imported(name: Name) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise SolverMissing(f"the solver {name} is not installed: pip install 'midstride[proof]'") from None
+        raise SolverMissing(f"the solver {name} is not installed: pip install {_PACKAGE[name]}") from None
 
 
 def open_session(name: Name, seconds: float, strategy: str | None = None) -> Session:
