@@ -18,7 +18,7 @@ from midstride.model.rules import capacity_violation
 from midstride.model.specification import Node, Specification, initial, structure
 from midstride.verify.alloy_names import Names
 from midstride.verify.chain import chain
-from midstride.verify.checking import Asking, verify_configuration, verify_plan, verify_specification
+from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
 from midstride.verify.export import dump_configuration, dump_plan
 from midstride.verify.library import bundled
@@ -192,7 +192,7 @@ def holding(count: int) -> Specification:
     ids=["atoms", "holders"],
 )
 def test_a_system_too_large_for_alloy_is_unknown(large: Specification, words: str) -> None:
-    verdict = verify_specification(large, asking=Asking(Path("nowhere.jar")))
+    verdict = verify_specification(large, options=AlloyOptions(Path("nowhere.jar")))
     assert verdict.answer is Answer.UNKNOWN
     assert re.search(words, str(verdict))
 

@@ -11,7 +11,7 @@ import pytest
 from midstride.model.action import Action, Create, Degrade, Detach, Handover
 from midstride.model.configuration import Configuration
 from midstride.plan.forms import encode_plan
-from midstride.verify.checking import Asking, verify_plan
+from midstride.verify.checking import AlloyOptions, verify_plan
 from midstride.verify.run import Alloy, find
 from midstride.verify.verdict import Answer, Finding, Verdict
 from tests.verify.systems import ROVER, TALKER, Document, loop, plan, specification
@@ -27,7 +27,7 @@ def alloy() -> Alloy:
 
 
 def judged(document: Document, alloy: Alloy) -> Verdict:
-    return verify_plan(document, asking=Asking(alloy))
+    return verify_plan(document, options=AlloyOptions(alloy))
 
 
 # -- what is right -------------------------------------------------------------------------------------------
@@ -44,7 +44,7 @@ def test_the_seven_step_plan_of_the_talker_holds(alloy: Alloy) -> None:
 def test_a_long_plan_of_a_real_system_holds(alloy: Alloy) -> None:
     found = loop(("controller", "vehicle_cmd_gate"))
     assert len(found.steps) >= 30
-    verdict = verify_plan(found, asking=Asking(alloy))
+    verdict = verify_plan(found, options=AlloyOptions(alloy))
     assert verdict.holds, verdict
 
 

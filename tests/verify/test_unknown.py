@@ -13,7 +13,7 @@ import pytest
 
 from midstride.cli import main
 from midstride.verify import run
-from midstride.verify.checking import Asking, verify_specification
+from midstride.verify.checking import AlloyOptions, verify_specification
 from midstride.verify.verdict import Answer, Verdict
 from tests.verify.systems import TALKER, specification
 
@@ -47,7 +47,7 @@ def jar(folder: Path) -> Path:
 
 
 def verdict(alloy: Path | None = None, limit: float = 30.0) -> Verdict:
-    found = verify_specification(specification(TALKER), asking=Asking(alloy, limit))
+    found = verify_specification(specification(TALKER), options=AlloyOptions(alloy, limit))
     assert found.answer is Answer.UNKNOWN
     assert not found.holds
     return found
@@ -128,7 +128,7 @@ def nothing_found() -> dict[str, object]:
 
 def test_no_findings_are_a_pass_only_if_the_checks_agree(folder: Path) -> None:
     java(folder, *answering({"commands": nothing_found()}))
-    assert verify_specification(specification(TALKER), asking=Asking(jar(folder))).holds
+    assert verify_specification(specification(TALKER), options=AlloyOptions(jar(folder))).holds
     for check in ("Verified", "Rules"):
         missing = nothing_found()
         del missing[check]

@@ -27,7 +27,7 @@ Detail = Callable[[int | None], Dump]
 
 
 @dataclass(frozen=True, slots=True)
-class Asking:
+class AlloyOptions:
     """How Alloy is run: which Analyzer (None: the one that is found), its time limit (s), what receives the Alloy text,
     and an event that stops it early."""
 
@@ -42,7 +42,7 @@ def verify_plan(
     name: str = "plan",
     *,
     start: Specification | None = None,
-    asking: Asking | None = None,
+    options: AlloyOptions | None = None,
 ) -> Verdict:
     """Whether every step of a plan (or of its document) is allowed, has its stated effect and keeps the system valid.
 
@@ -58,34 +58,36 @@ def verify_plan(
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         return _invalid_plan(f"it starts from a specification that differs from {start.name}: {first}{more}")
     subject = f"the plan of {len(known.steps)} steps"
-    return _verified(subject, lambda number: dump_plan(known, name, number), asking or Asking())
+    return _verified(subject, lambda number: dump_plan(known, name, number), options or AlloyOptions())
 
 
 def verify_configuration(
     configuration: Configuration,
     name: str = "configuration",
-    told: str = "the configuration",
+    subject: str = "the configuration",
     *,
-    asking: Asking | None = None,
+    options: AlloyOptions | None = None,
 ) -> Verdict:
     """Whether a configuration is valid. UNKNOWN as for :func:`verify_plan`."""
-    return _verified(told, lambda _: dump_configuration(configuration, name, told), asking or Asking())
+    return _verified(subject, lambda _: dump_configuration(configuration, name, subject), options or AlloyOptions())
 
 
-def verify_specification(specification: Specification, *, asking: Asking | None = None) -> Verdict:
+def verify_specification(specification: Specification, *, options: AlloyOptions | None = None) -> Verdict:
     """Whether the initial configuration of a specification is valid. UNKNOWN as for :func:`verify_plan`."""
-    return verify_configuration(initial(specification), specification.name, "the initial configuration", asking=asking)
+    return verify_configuration(
+        initial(specification), specification.name, "the initial configuration", options=options
+    )
 
 
-def _verdict(dump: Dump, alloy: Alloy, asking: Asking, detail: Detail) -> Verdict:
+def _verdict(dump: Dump, alloy: Alloy, options: AlloyOptions, detail: Detail) -> Verdict:
     """The verdict on a dump; ``detail`` encodes one step with the reasons for its failure. Raises AlloyFailed."""
     begun, scope = time.monotonic(), dump.scope
-    outcomes = _solve(dump, alloy, "*", asking.limit, asking.stop)
+    outcomes = _solve(dump, alloy, "*", options.limit, options.stop)
     answer = instance(dump, outcomes)
     failed = first_failure(dump, answer) is not None
     if (number := step_to_explain(dump, answer)) is not None:
         dump = detail(number)
-        outcomes = _solve(dump, alloy, VERDICT, max(1.0, begun + asking.limit - time.monotonic()), asking.stop)
+        outcomes = _solve(dump, alloy, VERDICT, max(1.0, begun + options.limit - time.monotonic()), options.stop)
     found = tuple(findings(dump, outcomes))
     if failed and not found:
         raise AlloyFailed(f"Alloy contradicts itself: it refuses step {number} in the plan, but not on its own")
@@ -114,11 +116,11 @@ def _invalid_plan(because: str) -> Verdict:
     return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", (finding,))
 
 
-def _verified(subject: str, dump: Detail, asking: Asking) -> Verdict:
+def _verified(subject: str, dump: Detail, options: AlloyOptions) -> Verdict:
     try:
         whole = dump(None)
-        asking.keep(whole.text)
-        alloy = asking.alloy if isinstance(asking.alloy, Alloy) else find(asking.alloy)
-        return _verdict(whole, alloy, asking, dump)
+        options.keep(whole.text)
+        alloy = options.alloy if isinstance(options.alloy, Alloy) else find(options.alloy)
+        return _verdict(whole, alloy, options, dump)
     except (TooLarge, VerificationError) as error:
         return Verdict(Answer.UNKNOWN, subject, "nothing was verified", "Alloy", because=str(error))

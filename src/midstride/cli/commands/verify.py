@@ -12,7 +12,7 @@ from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import system_option
 
 if TYPE_CHECKING:
-    from midstride.verify.checking import Asking
+    from midstride.verify.checking import AlloyOptions
     from midstride.verify.verdict import Verdict
 
 _FILE: Final = click.Path(path_type=Path)
@@ -53,7 +53,7 @@ def verify_command(
     midstride plan talker.stride --replace talker=NewTalker --json | midstride verify talker.stride --plan -
     """
     from midstride.cli import graphviz
-    from midstride.verify.checking import Asking
+    from midstride.verify.checking import AlloyOptions
     from midstride.verify.diagram import to_dot, to_mermaid
 
     if live and (file or plan_file):
@@ -64,8 +64,8 @@ def verify_command(
         raise click.UsageError("--system needs --live")
     if picture is not None:
         graphviz.kind_of(picture)
-    asking = Asking(alloy, limit, _writer(output))
-    verdict = _verify_live(system, asking) if live else _verify_files(file, plan_file, asking)
+    options = AlloyOptions(alloy, limit, _writer(output))
+    verdict = _verify_live(system, options) if live else _verify_files(file, plan_file, options)
     if picture is not None:
         if verdict.findings:
             graphviz.write(picture, lambda: to_dot(verdict), lambda: to_mermaid(verdict))
@@ -81,15 +81,15 @@ def verify_command(
     return 0 if verdict.holds else 1
 
 
-def _verify_files(file: Path | None, plan_file: Path | None, asking: Asking) -> Verdict:
+def _verify_files(file: Path | None, plan_file: Path | None, options: AlloyOptions) -> Verdict:
     from midstride.cli.files import load
     from midstride.verify.checking import verify_plan, verify_specification
 
     specification = load(file) if file is not None else None
     if plan_file is not None:
-        return verify_plan(_plan(plan_file), plan_file.name, start=specification, asking=asking)
+        return verify_plan(_plan(plan_file), plan_file.name, start=specification, options=options)
     assert specification is not None
-    return verify_specification(specification, asking=asking)
+    return verify_specification(specification, options=options)
 
 
 def _plan(path: Path) -> dict[str, Any]:
@@ -105,7 +105,7 @@ def _plan(path: Path) -> dict[str, Any]:
     return document
 
 
-def _verify_live(system: str | None, asking: Asking) -> Verdict:
+def _verify_live(system: str | None, options: AlloyOptions) -> Verdict:
     from dataclasses import replace
 
     from midstride.cli.systems import find
@@ -116,7 +116,7 @@ def _verify_live(system: str | None, asking: Asking) -> Verdict:
     client, workspace = find(system)
     document = client.get("/configuration")
     configuration = decode_configuration(document["configuration"])
-    verdict = verify_configuration(configuration, workspace.name, f"{workspace.name} as it is running", asking=asking)
+    verdict = verify_configuration(configuration, workspace.name, f"{workspace.name} as it is running", options=options)
     if (silent := ", ".join(document["silent"])) and verdict.answer is Answer.HOLDS:
         because = f"no answer from {silent}; it holds only if the last known state is still correct"
         return replace(verdict, answer=Answer.UNKNOWN, because=because)
