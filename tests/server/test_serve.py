@@ -213,7 +213,7 @@ def test_a_change_under_way_when_the_manager_is_told_to_end_is_taken_back_first(
         manager = Changing(0.05)
         response = await told_to_end_in_a_change(manager, workspace)
         assert response.status_code == 409
-        assert "told to end" in response.json()["error"]["message"]
+        assert "interrupted and rolled back" in response.json()["error"]["message"]
         assert [operation for operation, _ in manager.asked] == ["up", "change", "taken back", "close"]
 
     run(test)
@@ -229,7 +229,7 @@ def test_a_change_that_takes_long_to_take_back_still_has_an_answer(
         manager = Changing(1.5)
         response = await told_to_end_in_a_change(manager, workspace)
         assert response.status_code == 409, response.text
-        assert "still taking back" in response.json()["error"]["message"]
+        assert "still rolling back" in response.json()["error"]["message"]
         assert ("taken back", None) in manager.asked
 
     run(test)

@@ -19,8 +19,9 @@ from midstride.errors import ManagerError, NodeError, ProtocolError, Unreachable
 from midstride.wire import sockets
 from midstride.wire.channel import Channel
 from midstride.wire.commands import PingCommand
+from midstride.wire.folders import COMPONENTS, workspace_folder
 from midstride.wire.frames import StateChanged, decode_from_component
-from midstride.wire.sockets import COMPONENTS, SocketFolder, workspace_folder
+from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Connection
 
 from .support import GREETING, HELLO, eventually, server, state

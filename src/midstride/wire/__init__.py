@@ -4,5 +4,6 @@ Each component listens on an address of its own; the manager connects to it, and
 peer of a hand-over. :mod:`.commands` are the typed commands, each with its reply; :mod:`.state` is what a
 component says of itself; :mod:`.frames` is the envelope and its one codec; :mod:`.transport` says what a
 transport is, :mod:`.sockets` is the one of real systems (Unix sockets), :mod:`.pipe` an in-memory one.
-:mod:`.channel` and :mod:`.command_server` are the two ends of a connection. Nothing here uses ROS.
+:mod:`.folders` has the folders of running systems. :mod:`.channel` and :mod:`.command_server` are the two
+ends of a connection. Nothing here uses ROS.
 """
