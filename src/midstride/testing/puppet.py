@@ -176,7 +176,7 @@ class Puppet:
 
         return on_change
 
-    # -- hooks -------------------------------------------------------------------------------------
+    # -- callbacks -------------------------------------------------------------------------------------
 
     def _hooks(self) -> None:
         self.component.on_export_state(self._export)

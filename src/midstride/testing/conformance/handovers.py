@@ -97,7 +97,7 @@ async def _hand_over_on_the_grid(backend: Backend, workspace: Path) -> str | Non
         return _fault_of_slots(rows, at, period) if all(row[1] is not None for row in rows) else None
 
 
-async def hands_over_to_another_output_of_its_own(backend: Backend, workspace: Path) -> None:
+async def hands_over_to_another_of_its_outputs(backend: Backend, workspace: Path) -> None:
     """One component as both sides, for a topic that has room for one publisher."""
     description = puppets.talker(rate=50)
     description["component"]["outputs"].append("other")
@@ -167,7 +167,7 @@ async def hands_over_what_messages_drive(backend: Backend, workspace: Path) -> N
         await lab.sleep(0.3)
         await lab.mode("source", "talk", "degraded")
         await lab.sleep(0.3)
-        asked = (await lab.told("source"))["calls"]["talk.normal"]
+        asked = (await lab.exported("source"))["calls"]["talk.normal"]
         # Each exactly once. At the cut the new side may be the quicker one: two publishers have no common order.
         answered = sorted(int(word.rsplit(" ", 1)[1]) for word in await lab.received("sink"))
         lost = sorted(set(range(1, asked + 1)) - set(answered))
@@ -199,7 +199,7 @@ async def hands_over_a_latched_topic(backend: Backend, workspace: Path) -> None:
         assert await lab.received("late") == ["new normal 1"]
 
 
-async def takes_up_again_unless_relieved(backend: Backend, workspace: Path) -> None:
+async def resumes_unless_relieved(backend: Backend, workspace: Path) -> None:
     """The new side is never told: the old one takes up again by itself, after the time stated and not before."""
     async with Lab(backend, workspace) as lab:
         await _two_talkers(lab, rate=50)
@@ -223,7 +223,7 @@ async def takes_up_again_unless_relieved(backend: Backend, workspace: Path) -> N
         assert (await lab.port("new", "out", "/chatter"))["gate"] == "closed"
 
 
-async def waits_for_a_question_before_it_takes_up_again(backend: Backend, workspace: Path) -> None:
+async def waits_for_a_question_before_it_resumes(backend: Backend, workspace: Path) -> None:
     """A message-driven old side that nobody asks anything has nothing to take up again for."""
     async with Lab(backend, workspace) as lab:
         await lab.start("source", puppets.talker(rate=50))
@@ -273,7 +273,7 @@ async def cancels_a_cut(backend: Backend, workspace: Path) -> None:
         await lab.change("new", "cancel_cut", cut="never agreed")
 
 
-async def refuses_cuts_that_cannot_be(backend: Backend, workspace: Path) -> None:
+async def refuses_impossible_cuts(backend: Backend, workspace: Path) -> None:
     """In the past, on the wrong side of a gate, on what is not attached, twice: refused, and nothing has changed."""
     async with Lab(backend, workspace) as lab:
         await _two_talkers(lab, rate=50)
@@ -322,18 +322,18 @@ async def keeps_to_the_grid_across_a_busy_spell(backend: Backend, workspace: Pat
 
 
 async def _called(lab: Lab, least: int) -> bool:
-    calls: int = (await lab.told("new"))["calls"].get("talk.normal", 0)
+    calls: int = (await lab.exported("new"))["calls"].get("talk.normal", 0)
     return calls >= least
 
 
 CHECKS: Final = (
     hands_over_on_the_grid,
-    hands_over_to_another_output_of_its_own,
+    hands_over_to_another_of_its_outputs,
     hands_over_what_messages_drive,
     hands_over_a_latched_topic,
-    takes_up_again_unless_relieved,
-    waits_for_a_question_before_it_takes_up_again,
+    resumes_unless_relieved,
+    waits_for_a_question_before_it_resumes,
     cancels_a_cut,
-    refuses_cuts_that_cannot_be,
+    refuses_impossible_cuts,
     keeps_to_the_grid_across_a_busy_spell,
 )

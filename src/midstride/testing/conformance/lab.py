@@ -181,14 +181,14 @@ class Lab:
     async def mode(self, instance: str, functionality: str, mode: str, timeout: float = 5.0) -> dict[str, Any]:
         return await self.change(instance, "modes", modes={functionality: mode}, timeout=timeout, because="a check")
 
-    async def told(self, instance: str) -> dict[str, Any]:
+    async def exported(self, instance: str) -> dict[str, Any]:
         """What a puppet tells of itself."""
         state = (await self.read(instance, "export_state"))["state"]
         told: dict[str, Any] = json.loads(base64.b64decode(state))
         return told
 
     async def received(self, instance: str, port: str = "in") -> list[str]:
-        words: list[str] = (await self.told(instance))["received"].get(port, [])
+        words: list[str] = (await self.exported(instance))["received"].get(port, [])
         return words
 
     async def rows(self, instance: str, port: str = "in") -> list[list[Any]]:

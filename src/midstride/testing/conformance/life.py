@@ -13,7 +13,7 @@ from midstride.testing.conformance.lab import TOKEN, Lab
 from midstride.wire.frames import Reply
 
 
-async def starts_announces_and_waits(backend: Backend, workspace: Path) -> None:
+async def starts_registers_and_waits(backend: Backend, workspace: Path) -> None:
     """A component registers with every client that connects, and waits for its welcome, degraded and unattached."""
     async with Lab(backend, workspace) as lab:
         description = puppets.relay()
@@ -85,7 +85,7 @@ async def ends_what_does_not_end(backend: Backend, workspace: Path) -> None:
         assert await lab.unreachable("stubborn")
 
 
-async def tells_of_what_never_comes_up(backend: Backend, workspace: Path) -> None:
+async def reports_processes_that_never_register(backend: Backend, workspace: Path) -> None:
     """Code that raises on import, or exits at once, is an exit with its status and its words; none announces itself."""
     async with Lab(backend, workspace) as lab:
         await lab.launch("raising", puppets.talker(at_import={"raise": "no such calibration file"}))
@@ -114,7 +114,7 @@ async def refuses_a_name_in_use(backend: Backend, workspace: Path) -> None:
         assert (await lab.read("talker", "observe"))["uuid"] == before["uuid"]
 
 
-async def finds_again_what_was_started(backend: Backend, workspace: Path) -> None:
+async def finds_what_an_earlier_manager_started(backend: Backend, workspace: Path) -> None:
     """Leaving the platform ends nothing; a handle finds the component again, until it is gone."""
     lab = Lab(backend, workspace)
     async with lab:
@@ -129,7 +129,7 @@ async def finds_again_what_was_started(backend: Backend, workspace: Path) -> Non
         assert not await backend.adopt(handle)
 
 
-async def obeys_its_manager_alone(backend: Backend, workspace: Path) -> None:
+async def obeys_its_manager_only(backend: Backend, workspace: Path) -> None:
     """Without the token, or with another revision than its own, a command is refused with its reason."""
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker())
@@ -180,7 +180,7 @@ async def answers_a_repeat_as_before(backend: Backend, workspace: Path) -> None:
         assert state["revision"] == revision + 2 and state["ports"] == {"out": {}}
 
 
-async def calls_to_nobody_fail(backend: Backend, workspace: Path) -> None:
+async def calls_to_missing_components_fail(backend: Backend, workspace: Path) -> None:
     """A call to a component that is not there ends in an error of the back end, in time."""
     async with Lab(backend, workspace) as lab:
         begun = lab.clock.steady()
@@ -189,14 +189,14 @@ async def calls_to_nobody_fail(backend: Backend, workspace: Path) -> None:
 
 
 CHECKS: Final = (
-    starts_announces_and_waits,
+    starts_registers_and_waits,
     stops_in_order,
     ends_in_order_from_outside,
     ends_what_does_not_end,
-    tells_of_what_never_comes_up,
+    reports_processes_that_never_register,
     refuses_a_name_in_use,
-    finds_again_what_was_started,
-    obeys_its_manager_alone,
+    finds_what_an_earlier_manager_started,
+    obeys_its_manager_only,
     answers_a_repeat_as_before,
-    calls_to_nobody_fail,
+    calls_to_missing_components_fail,
 )
