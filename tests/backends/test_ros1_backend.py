@@ -19,7 +19,7 @@ from midstride.backends.ros1.master import Master
 from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle
 from midstride.runtime.process import Process, spawn
-from midstride.runtime.reaper import carries
+from midstride.runtime.reaper import environment_value
 from midstride.wire.messages import Command
 from tests.backends.ros1_support import free_port, own_master_uri, program, rig, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, alive, run, until, until_async
@@ -183,6 +183,7 @@ def test_a_component_that_does_not_answer_is_given_up_and_the_others_go_on(tmp_p
 # -- the master -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_a_component_on_another_master_is_not_found_and_it_is_said_why(tmp_path: Path) -> None:
     from midstride.backends.ros1 import create_backend
 
@@ -241,7 +242,7 @@ def test_a_master_that_was_started_goes_with_the_last_who_needs_it(tmp_path: Pat
         await second.open(lambda event: None)
         assert (first.started_master, second.started_master) == (True, False)
         pid = await first._master.process()
-        assert pid is not None and carries(pid, master_process.ENV_STARTED, uri.rpartition(":")[2])
+        assert pid is not None and environment_value(pid, master_process.ENV_STARTED) == uri.rpartition(":")[2]
         await first.close()
         assert alive(pid), "the second manager needs it"
         with program("guest", "/chatter", str(tmp_path / "heard")):

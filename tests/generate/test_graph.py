@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 from pathlib import Path
 from xml.etree import ElementTree
@@ -19,7 +18,6 @@ from midstride.model.specification import Specification
 from midstride.testing.strategies import specifications
 
 SAMPLE = load(Path(__file__).parents[1] / "lang" / "seeds" / "patrol.stride").require()
-needs_graphviz = pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not installed")
 
 
 def fleet(groups: int, each: int) -> Specification:
@@ -142,7 +140,7 @@ def test_names_of_any_kind_are_quoted() -> None:
     assert text.startswith('digraph "graph" {\n')
 
 
-@needs_graphviz
+@pytest.mark.graphviz
 @pytest.mark.parametrize("annotate", [False, True])
 def test_graphviz_draws_it(annotate: bool) -> None:
     for specification in (SAMPLE, loop(3), loop(9), fleet(3, 4), fleet(10, 15)):

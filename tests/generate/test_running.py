@@ -44,7 +44,12 @@ def modes(midstride: Midstride) -> dict[str, str]:
 
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize(
-    "backend", ["sim", pytest.param("ros2", marks=pytest.mark.ros2), pytest.param("ros1", marks=pytest.mark.ros1)]
+    "backend",
+    [
+        "sim",
+        pytest.param("ros2", marks=(pytest.mark.ros2, pytest.mark.full)),
+        pytest.param("ros1", marks=(pytest.mark.ros1, pytest.mark.full)),
+    ],
 )
 def test_the_sample_is_generated_runs_and_is_changed(
     backend: str, midstride: Midstride, patrol: Path, tmp_path: Path

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import ast
+import importlib.util
+import subprocess
 import sys
 import types
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -270,40 +273,68 @@ def test_other_files_are_the_users_once_edited() -> None:
     assert merge_copy("a", "b", None).text is None
 
 
-def test_the_launch_file_is_a_launch_file() -> None:
-    """Where there is no ROS, the modules it asks for are stood in for; what it starts is what is looked at."""
-    (text,) = [file.text for file in project(OLD, "s.stride", {}).files if file.path.name == "s.launch.py"]
+class _Recorded:
+    """Stands in for a class of the ROS package ``launch``, which cannot be installed with pip: keeps its arguments."""
 
-    class Thing:
-        def __init__(self, *given: Any, **named: Any) -> None:
-            self.given, self.named = given, named
-
-    stand_ins = {
-        "launch": {"LaunchDescription": Thing},
-        "launch.actions": {"ExecuteProcess": Thing, "OpaqueFunction": Thing, "RegisterEventHandler": Thing},
-        "launch.event_handlers": {"OnShutdown": Thing},
-    }
-    before = {name: sys.modules.get(name) for name in stand_ins}
-    try:
-        for name, members in stand_ins.items():
-            sys.modules[name] = types.ModuleType(name)
-            vars(sys.modules[name]).update(members)
-        namespace: dict[str, Any] = {"__file__": "/ws/share/s/launch/s.launch.py"}
-        exec(compile(text, "s.launch.py", "exec"), namespace)
-        described = namespace["generate_launch_description"]()
-    finally:
-        for name, module in before.items():
-            if module is None:
-                del sys.modules[name]
-            else:
-                sys.modules[name] = module
-    assert described.given[0][0].named["cmd"] == ["midstride", "up", "/ws/share/s/s.stride"]
+    def __init__(self, **arguments: Any) -> None:
+        self.__dict__.update(arguments)
 
 
-@pytest.mark.ros2
-def test_the_launch_file_can_be_imported_where_ros_launch_is() -> None:
-    launch = pytest.importorskip("launch", reason="ROS's launch is not installed here")
+class LaunchDescription(_Recorded):
+    def __init__(self, initial_entities: list[Any]) -> None:
+        super().__init__(entities=initial_entities)
+
+
+class ExecuteProcess(_Recorded):
+    def __init__(self, *, cmd: list[str], output: str = "log", emulate_tty: bool = False) -> None:
+        super().__init__(cmd=cmd, output=output, emulate_tty=emulate_tty)
+
+
+class OpaqueFunction(_Recorded):
+    def __init__(self, *, function: Callable[[object], Any]) -> None:
+        super().__init__(function=function)
+
+
+class OnShutdown(_Recorded):
+    def __init__(self, *, on_shutdown: list[Any]) -> None:
+        super().__init__(on_shutdown=on_shutdown)
+
+
+class RegisterEventHandler(_Recorded):
+    def __init__(self, event_handler: OnShutdown) -> None:
+        super().__init__(event_handler=event_handler)
+
+
+def launch_description() -> Any:
     (text,) = [file.text for file in project(OLD, "s.stride", {}).files if file.path.name == "s.launch.py"]
     namespace: dict[str, Any] = {"__file__": "/ws/share/s/launch/s.launch.py"}
     exec(compile(text, "s.launch.py", "exec"), namespace)
-    assert isinstance(namespace["generate_launch_description"](), launch.LaunchDescription)
+    return namespace["generate_launch_description"]()
+
+
+def test_the_launch_file_starts_the_system_and_ends_it_with_the_launch(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, classes in {
+        "launch": (LaunchDescription,),
+        "launch.actions": (ExecuteProcess, OpaqueFunction, RegisterEventHandler),
+        "launch.event_handlers": (OnShutdown,),
+    }.items():
+        module = types.ModuleType(name)
+        vars(module).update({one.__name__: one for one in classes})
+        monkeypatch.setitem(sys.modules, name, module)
+    described = launch_description()
+    assert type(described) is LaunchDescription
+    up, registered = vars(described)["entities"]
+    assert type(up) is ExecuteProcess
+    assert vars(up) == {"cmd": ["midstride", "up", "/ws/share/s/s.stride"], "output": "screen", "emulate_tty": True}
+    (down,) = registered.event_handler.on_shutdown
+    commands: list[list[str]] = []
+    monkeypatch.setattr(subprocess, "run", lambda command, check: commands.append(command))
+    assert down.function(object()) is None
+    assert commands == [["midstride", "down", "--system", "s"]]
+
+
+if importlib.util.find_spec("launch") is not None:  # only a distribution's ROS 2 has it
+
+    def test_the_launch_file_is_accepted_by_ros_launch() -> None:
+        launch = importlib.import_module("launch")
+        assert isinstance(launch_description(), launch.LaunchDescription)

@@ -234,7 +234,10 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
         "one message of each input: (scan, odom)",
     ),
     (lambda p: p.normal(fn=one, inputs=[p.scan], sync=approximate(0.1)), "several inputs"),
-    (lambda p: p.normal(fn=one, inputs=[any_of(p.scan, p.odom)], sync=approximate(0.1)), "any_of() cannot be used with it"),
+    (
+        lambda p: p.normal(fn=one, inputs=[any_of(p.scan, p.odom)], sync=approximate(0.1)),
+        "any_of() cannot be used with it",
+    ),
     (lambda p: p.normal(rate=1, sync=approximate(0.1)), "without rate="),
     (lambda p: p.normal(fn=two, inputs=[p.scan, p.odom], sync=0.1), "sync=approximate(0.05)"),
     (lambda p: p.normal(fn={p.odom: one}, inputs=[p.scan]), "which inputs= does not name"),

@@ -66,7 +66,7 @@ def host_factory(context: ProcessContext) -> HostFactory:
         if name is None:
             raise NodeError(
                 "no ROS can be imported (neither rclpy nor rospy): source your ROS's setup file, "
-                "or `pip install 'midstride[ros2]'`, or run it in the simulator"
+                "or `pip install '.[ros2]'` in a clone of Midstride, or run it in the simulator"
             )
     if name not in BACKENDS:
         raise NodeError(f"{ENV_BACKEND}={name!r} is not a back end: write one of {', '.join(BACKENDS)}")

@@ -16,7 +16,7 @@ from midstride.backends.ros1.master import PROBE, Master
 from midstride.errors import BackendError, StartFailed
 from midstride.runtime.logs import tail
 from midstride.runtime.process import find, spawn
-from midstride.runtime.reaper import Reaper, look
+from midstride.runtime.reaper import Reaper, process_info
 
 ENV_STARTED: Final = "MIDSTRIDE_ROS1_MASTER"
 # How long a master may take to answer after its start (s).
@@ -70,7 +70,7 @@ async def ensure(master: Master, logs: Path, guardian: Reaper | None) -> bool:
 async def release(master: Master, guardian: Reaper | None) -> bool:
     """End the master if Midstride started it and no node is left; whether it has been ended."""
     number = await master.process()
-    seen = None if number is None else look(number)
+    seen = None if number is None else process_info(number)
     if number is None or seen is None:
         return False
     process = find(number, seen.started, ENV_STARTED, str(rpc.address(master.uri)[1]))
