@@ -50,7 +50,7 @@ class _Client:
         self._flushed.set()
 
     def put(self, frame: Frame) -> None:
-        """Send ``frame`` after what was put before, save that a state not yet sent is replaced."""
+        """Send ``frame`` after earlier ones; a state replaces an earlier one that is not yet sent."""
         if isinstance(frame, StateChanged):
             waiting, self._state = self._state, frame
             if waiting is not None:

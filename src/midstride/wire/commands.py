@@ -231,7 +231,7 @@ class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
 
 
 class ModesCommand(Command[ModesBefore], frozen=True, kw_only=True, tag="modes"):
-    """Change modes between two calls of user code; refused, and taken back, if a call does not return in time."""
+    """Change modes between two calls of user code; refused, and withdrawn, if a call does not return in time."""
 
     reply = ModesBefore
     modes: dict[str, str]

@@ -78,7 +78,7 @@ async def counts_behind_a_closed_gate(backend: Backend, workspace: Path) -> None
 
 
 async def reports_a_wrong_type(backend: Backend, workspace: Path) -> None:
-    """A write of another type never reaches the middleware; it is told, and the functionality degrades."""
+    """A write of another type never reaches the middleware; it is reported, and the functionality degrades."""
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker(rate=50, wrong_type="out"))
         await lab.attach("talker", "out", "/chatter", gate="closed")
@@ -126,15 +126,15 @@ async def records_what_comes(backend: Backend, workspace: Path) -> None:
         begun = await lab.change("sink", "record", inputs=["in"], on=True)
         await lab.mode("talker", "talk", "normal")
         await lab.sleep(1.5)
-        told = await lab.read("sink", "records", input="in")
-        rows = told["rows"]
+        records = await lab.read("sink", "records", input="in")
+        rows = records["rows"]
         assert len(rows) > 100, f"{len(rows)} of 150 receipts were recorded"
         received = [row[0] for row in rows]
-        assert received == sorted(received) and begun["now"] < received[0] and received[-1] <= told["now"]
+        assert received == sorted(received) and begun["now"] < received[0] and received[-1] <= records["now"]
         for column in (1, 2):  # source time and number
             values = [row[column] for row in rows if row[column] is not None]
             assert values == sorted(set(values)) and len(values) in (0, len(rows)), (column, values)
-        assert told["publisher_identity"] is (rows[0][3] is not None)
+        assert records["publisher_identity"] is (rows[0][3] is not None)
         await lab.change("sink", "record", inputs=["in"], on=False)
         assert 1 <= len(await lab.rows("sink")) <= 64
         assert "nothing" in await lab.refusal("sink", "record", inputs=["nothing"], on=True)
