@@ -44,7 +44,7 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
     async def bring_up(name: str, guardian: Reaper) -> Manager:
         folder = tmp_path / name
         folder.mkdir()
-        platform = backends.make(name, logs=folder, guardian=guardian)
+        platform = backends.make(name, Workspace(folder), guardian=guardian)
         manager = Manager(load(EXAMPLE / "talker.json"), platform, Workspace(folder), EXAMPLE)
         await manager.up()
         return manager

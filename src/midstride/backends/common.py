@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final, TypeVar
 
-from midstride.errors import ManagerError, NodeError, StartFailed
+from midstride.errors import ManagerError, NodeError, StartFailed, Unreachable
 from midstride.runtime.backend import Launch
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
@@ -28,6 +28,7 @@ from midstride.wire.environment import (
     ENV_TOKEN,
 )
 from midstride.wire.sockets import COMPONENTS, SocketFolder, workspace_folder
+from midstride.wire.transport import Transport
 
 T = TypeVar("T")
 
@@ -105,6 +106,16 @@ def _named_system(arguments: Sequence[str]) -> str | None:
                 raise NodeError(f"{SYSTEM_FLAG} needs the name of a system: `{SYSTEM_FLAG} NAME`")
             return name
     return None
+
+
+async def listens(transport: Transport, instance: str) -> bool:
+    """Whether a component of that name accepts control connections: one started by hand, whose process is not known."""
+    try:
+        connection = await transport.connect(transport.address(instance))
+    except Unreachable:
+        return False
+    connection.close()
+    return True
 
 
 class Children:
