@@ -101,12 +101,14 @@ class Channel:
             await self._connection.send(encode(request))
             return await waiting
         finally:
-            self._waiting.pop(request.id, None)
+            if self._waiting.get(request.id) is waiting:  # not that of a repetition
+                del self._waiting[request.id]
             if waiting.done() and not waiting.cancelled():
                 waiting.exception()  # retrieved: the connection may have ended while the request was being sent
 
     def close(self) -> None:
-        """Close the connection; ``ended`` is not called."""
+        """Close the connection; neither ``report`` nor ``ended`` is called any more."""
+        self._report = lambda _: None
         self._ended = lambda: None
         self._reading.cancel()
         self._end("the connection was closed at this end")
