@@ -227,12 +227,10 @@ def test_closing_it_fails_requests_and_reports_no_end() -> None:
 
 
 def test_closing_it_within_a_report_ends_the_reports() -> None:
-    async def component(connection: Connection) -> None:
-        await greet(connection)
-        for revision in range(3):
-            await connection.send(encode(state(revision)))
+    """Frames that have been received by then are in the connection's buffer, and can be read after it is closed."""
 
-    async def client(network: PipeNetwork) -> None:
+    async def main() -> None:
+        connection = BlockedConnection(*(encode(state(revision)) for revision in range(3)))
         reports: list[Report] = []
         ends: list[bool] = []
 
@@ -240,11 +238,12 @@ def test_closing_it_within_a_report_ends_the_reports() -> None:
             reports.append(frame)
             channel.close()
 
-        channel = await opened(network, report=report, ended=lambda: ends.append(True))
+        channel = Channel(connection, GREETING, report, lambda: ends.append(True))
+        await connection.closed.wait()
         await asyncio.sleep(1)
         assert reports == [state(0)] and ends == []
 
-    talk(component, client)
+    run(main())
 
 
 def test_a_request_that_is_given_up_leaves_the_others() -> None:
