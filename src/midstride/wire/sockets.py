@@ -165,7 +165,7 @@ class SocketFolder:
 
 
 def _answers(path: Path) -> bool:
-    """Whether something listens at ``path``: a socket file alone may be what a killed process left."""
+    """Whether something listens at ``path``: the socket file may be left over from a killed process."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
             _connect(probe, path)
