@@ -140,7 +140,7 @@ def test_the_authors_endpoints_are_listed_and_parameters_are_shown(tmp_path: Pat
             master = r.backend._master
 
             async def shown() -> Any:
-                return await master.ask("getParam", "/test", "/talker/speed")
+                return await master.call("getParam", "/test", "/talker/speed")
 
             async def shows(value: int) -> bool:
                 return bool(await shown() == value)
@@ -212,7 +212,7 @@ def test_nothing_in_the_graph_is_secret_or_takes_commands(tmp_path: Path) -> Non
                 await r.client.change("talker", SetParametersCommand(parameters={"speed": 8}))
                 await until(lambda: all(word in heard.read_bytes() for word in (b'"speed":8', b"is managed by")))
             state = await master.state()
-            parameters = json.dumps(await master.ask("getParam", "/test", "/"), default=str)
+            parameters = json.dumps(await master.call("getParam", "/test", "/"), default=str)
             assert '"speed": 8' in parameters
             for secret in (r.token, r.token.removeprefix("test-")):
                 assert secret.encode() not in heard.read_bytes()
@@ -293,7 +293,7 @@ for line in sys.stdin:
 
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            await r.backend._master.ask("setParam", "/test", "/use_sim_time", True)
+            await r.backend._master.call("setParam", "/test", "/use_sim_time", True)
             await r.start("talker", TALKER)
             await r.attach("talker", "out", "/chatter", gate="closed")
             await r.modes("talker", talk="normal")

@@ -92,7 +92,7 @@ class Ros1Host:
                 "(the master would end the first of two of one name)"
             )
 
-    # -- data side -----------------------------------------------------------------------------------
+    # -- data thread ---------------------------------------------------------------------------------
 
     @property
     def logger(self) -> Any:
@@ -123,7 +123,7 @@ class Ros1Host:
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros1GridTimer:
         return Ros1GridTimer(self._clock, period, epoch, callback)
 
-    # -- control side --------------------------------------------------------------------------------
+    # -- control thread ------------------------------------------------------------------------------
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
@@ -144,11 +144,11 @@ class Ros1Host:
         self._parameters.set(values)
 
     def _show_parameter(self, name: str, value: Any) -> None:
-        """On the data side: the parameter server may take its time."""
+        """On the data thread, which does not wait for the parameter server."""
 
         async def show() -> None:
             with contextlib.suppress(BackendError):
-                await self._master.ask("setParam", self._node, f"{self._node}/{name}", value)
+                await self._master.call("setParam", self._node, f"{self._node}/{name}", value)
 
         asyncio.run_coroutine_threadsafe(show(), self._loop)
 
@@ -209,7 +209,7 @@ class Ros1Host:
         """They are this instance's; the next one of its name must not find them."""
         with contextlib.suppress(BackendError):
             for name in self._parameters.names():
-                await self._master.ask("deleteParam", self._node, f"{self._node}/{name}", timeout=0.5)
+                await self._master.call("deleteParam", self._node, f"{self._node}/{name}", timeout=0.5)
 
     def _shut_down_by_others(self, loop: asyncio.AbstractEventLoop, main: asyncio.Future[None]) -> None:
         """rospy shuts down (`rosnode kill`, or another node of the name came up): end in order first."""
