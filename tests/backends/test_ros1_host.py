@@ -255,13 +255,13 @@ rospy.init_node = slow
 
 @pytest.mark.parametrize("when", ["joining", "running"])
 def test_a_signal_ends_it_in_order_at_any_time(tmp_path: Path, when: str) -> None:
-    """While rospy joins, too: then no code of the author runs any more."""
+    """While rospy joins, too, which may take for ever: then no code of the author runs any more."""
     source = """
-import rospy, time
+import rospy, sys, time
 join = rospy.init_node
 def slow(*arguments, **options):
     print("joining", flush=True)
-    time.sleep(1.0)
+    time.sleep(0.1 if sys.argv[1] == "running" else 60.0)
     join(*arguments, **options)
 rospy.init_node = slow
 """
@@ -269,7 +269,7 @@ rospy.init_node = slow
 
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            await r.launch("talker", source + talker)
+            await r.launch("talker", source + talker, when)
             await until(lambda: when in r.log("talker"))
             r.kill("talker", signal.SIGTERM)
             await until(lambda: r.exits)

@@ -165,26 +165,27 @@ class Ros1Host:
     async def _run(self, main: Callable[[], Awaitable[None]]) -> None:
         self._loop = asyncio.get_running_loop()
         task = asyncio.ensure_future(main())  # it answers its manager, and waits for the data thread
+        joining = asyncio.ensure_future(common.on_thread(self._join, _start_thread))
+        opened = False
         with common.ending_on_signals(task) as signals:
             try:
-                await asyncio.to_thread(self._join)
-            except BaseException:
-                task.cancel()
-                await asyncio.gather(task, return_exceptions=True)
-                raise
-            self._open(task)
-            if not signals:
-                self._data.start()
-            try:
+                await asyncio.wait({task, joining}, return_when=asyncio.FIRST_COMPLETED)
+                if joining.done() and not signals:
+                    joining.result()
+                    self._open(task)
+                    opened = True
                 await task
             except asyncio.CancelledError:
                 if not signals and not self._shut_down_because:
                     raise
             finally:
-                await self._close()
+                task.cancel()
+                await asyncio.gather(task, return_exceptions=True)
+                if opened:
+                    await self._close()
 
     def _join(self) -> None:
-        """Join ROS, in a thread: rospy waits for the master."""
+        """Join ROS. In a thread: rospy waits for the master, without a deadline."""
         rospy.init_node(self._node_name, argv=[sys.argv[0], *self._arguments], disable_signals=True)
         publishing.prepare()
         self._node = rospy.get_name()
@@ -193,12 +194,13 @@ class Ros1Host:
         common.with_short_pauses()
 
     def _open(self, main: asyncio.Future[None]) -> None:
-        """What the data thread needs, before it begins."""
+        """The node has joined: create its topics, and start the data thread."""
         loop, uri = self._loop, rospy.core.get_node_uri()
         self._publishers: Registrar[NumberedTopic] = Registrar("Publisher", self._master, self._node, uri, loop)
         self._subscribers: Registrar[FramedTopic] = Registrar("Subscriber", self._master, self._node, uri, loop)
         self._states = PortPublisher(names.STATE, String, _LATCHED, self.now, self._publishers)
         rospy.core.add_client_shutdown_hook(lambda: self._shut_down_by_others(loop, main))
+        self._data.start()
 
     async def _close(self) -> None:
         self._states.destroy()
@@ -233,6 +235,10 @@ class Ros1Host:
                 with manager.cond:
                     manager.cond.notify_all()
             leaving.join(0.01)
+
+
+def _start_thread(function: Callable[[], None]) -> None:
+    threading.Thread(target=function, daemon=True).start()
 
 
 def _renamed(given: list[str], name: str) -> str:
