@@ -1,6 +1,6 @@
 # Each target sets up what it needs by itself, from python3 (3.10 or later) and pip: tools/setup says how.
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-long bench lint alloy verify
+.PHONY: help demo test test-all test-long wheel bench lint alloy verify
 
 # ROS 2 writes a log file for every process: beside the Makefile rather than in the home folder.
 export ROS_LOG_DIR ?= $(CURDIR)/.ros/log
@@ -12,11 +12,18 @@ demo: ## replace a talker while a listener listens (on ROS 2 where there is one,
 	@tools/setup run
 	@tools/in-venv midstride demo $$(tools/setup backend) $(ARGS)
 
-test: ## the tests, and those of ROS 2 once more against a second ROS 2 (ARGS='-k name' for some of them)
-	@tools/test 'not long' $(ARGS)
+test: ## the tests of every day, in at most 6 minutes on two cores (ARGS='-k name' for some of them)
+	@tools/test 'not full and not long' $(ARGS)
 
-test-long: ## the tests that take minutes
+test-all: ## all tests but the long ones, and the wheel
+	@tools/test 'not long' $(ARGS)
+	@tools/wheel
+
+test-long: ## the tests that take minutes each
 	@HYPOTHESIS_PROFILE=long tools/test long --timeout=1800 -o faulthandler_timeout=1830 $(ARGS)
+
+wheel: ## build the wheel, install it into an empty environment, and use it from there
+	@tools/wheel
 
 bench: ## every benchmark, one after another: a table each, and JSON
 	@tools/setup test

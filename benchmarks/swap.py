@@ -138,7 +138,12 @@ async def midstride(way: Way, platform: Platform, strategy: str, swaps: int) -> 
     from midstride.runtime.workspace import Workspace
 
     with tempfile.TemporaryDirectory() as folder:
-        manager = Manager(specification(platform), backends.make(platform.backend, Workspace(Path(folder))), Workspace(Path(folder)), HERE)
+        manager = Manager(
+            specification(platform),
+            backends.make(platform.backend, Workspace(Path(folder))),
+            Workspace(Path(folder)),
+            HERE,
+        )
         try:
             await manager.up()
             component, other = "OtherSource", "Source"

@@ -1,17 +1,19 @@
 """What all tests share: ROS's environment, the markers that depend on the machine, hypothesis's profiles.
 
 A test that needs ROS is marked ``ros2`` or ``ros1`` and imports it inside the test (or a fixture), so that it can be
-collected where there is none. There it is skipped, with the reason; not so where ``MIDSTRIDE_NEEDS_ROS2`` says that
-ROS 2 is part of the environment: then it runs, and fails. So it is with tests marked ``alloy``, which need the Alloy
-Analyzer and Java (``MIDSTRIDE_NEEDS_ALLOY``).
+collected without ROS. There it is skipped, with the reason. If ``MIDSTRIDE_NEEDS_ROS2`` is set, ROS 2 is part of the
+environment: the test runs, and fails without it. The same holds for the markers ``alloy`` (the Alloy Analyzer and
+Java) and ``graphviz``. tools/test sets these variables for everything that it was able to install.
 """
 
 from __future__ import annotations
 
 import importlib.util
 import os
+import shutil
 import socket
 import tempfile
+from functools import cache
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -52,45 +54,39 @@ settings.register_profile(
 )
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
-_NEEDS = {"ros2": "rclpy", "ros1": "rospy"}
+_MODULES = {"ros2": "rclpy", "ros1": "rospy"}
+_MARKERS = (*_MODULES, "alloy", "graphviz")
 
-# What ROS's own Python warns of when it is imported is not ours to mend.
-_NOT_OURS = ("ignore:module 'sre_:DeprecationWarning", "ignore:.*pkg_resources.*:UserWarning")
-
-
-def _demanded(marker: str) -> bool:
-    return bool(os.environ.get(f"MIDSTRIDE_NEEDS_{marker.upper()}"))
+# ROS's own Python modules cause these warnings when they are imported.
+_ROS_WARNINGS = ("ignore:module 'sre_:DeprecationWarning", "ignore:.*pkg_resources.*:UserWarning")
 
 
-def _missing(marker: str) -> bool:
-    """Whether tests of this marker cannot run here, and need not."""
-    return not _demanded(marker) and importlib.util.find_spec(_NEEDS[marker]) is None
-
-
-def _no_alloy() -> str | None:
-    """Why tests that need Alloy cannot run here, and need not."""
+@cache
+def _unavailable(marker: str) -> str | None:
+    """Why tests with this marker are skipped here; None if they run."""
+    if os.environ.get(f"MIDSTRIDE_NEEDS_{marker.upper()}"):
+        return None
+    if marker in _MODULES:
+        module = _MODULES[marker]
+        return None if importlib.util.find_spec(module) else f"no {module} can be imported here"
+    if marker == "graphviz":
+        return None if shutil.which("dot") else "Graphviz is not installed"
     from midstride.errors import AlloyMissing
     from midstride.verify.run import find
 
-    if not _demanded("alloy"):
-        try:
-            find()
-        except AlloyMissing as error:
-            return str(error)
+    try:
+        find()
+    except AlloyMissing as error:
+        return str(error)
     return None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    missing = {marker: _missing(marker) for marker in _NEEDS}
-    needing_alloy = [item for item in items if item.get_closest_marker("alloy")]
-    if needing_alloy and (because := _no_alloy()) is not None:
-        for item in needing_alloy:
-            item.add_marker(pytest.mark.skip(reason=because))
     for item in items:
-        for marker, module in _NEEDS.items():
-            if not item.get_closest_marker(marker):
-                continue
-            for warning in _NOT_OURS:
-                item.add_marker(pytest.mark.filterwarnings(warning))
-            if missing[marker]:
-                item.add_marker(pytest.mark.skip(reason=f"no {module} can be imported here"))
+        for marker in _MARKERS:
+            if item.get_closest_marker(marker):
+                if marker in _MODULES:
+                    for warning in _ROS_WARNINGS:
+                        item.add_marker(pytest.mark.filterwarnings(warning))
+                if reason := _unavailable(marker):
+                    item.add_marker(pytest.mark.skip(reason=reason))

@@ -1,8 +1,12 @@
-"""total.py REPORT…: adds up pytest's JUnit reports into one line; exit status 1 where none passed or any failed."""
+"""total.py BEGUN REPORT…: adds up pytest's JUnit reports into one line; exit status 1 if none passed or any failed.
+
+BEGUN: when the tests began (s since the epoch).
+"""
 
 from __future__ import annotations
 
 import sys
+import time
 import xml.etree.ElementTree as ET
 
 
@@ -19,11 +23,12 @@ def total(paths: list[str]) -> tuple[int, int, int]:
     return passed, failed, skipped
 
 
-def main(paths: list[str]) -> int:
+def main(begun: float, paths: list[str]) -> int:
     passed, failed, skipped = total(paths)
-    print(f"{passed} passed, {failed} failed, {skipped} skipped")
+    minutes, seconds = divmod(int(time.time() - begun), 60)
+    print(f"{passed} passed, {failed} failed, {skipped} skipped in {minutes} min {seconds} s")
     return 1 if failed or not passed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main(float(sys.argv[1]), sys.argv[2:]))

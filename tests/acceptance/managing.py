@@ -1,9 +1,9 @@
 """A manager in a process of its own that is killed at an agreed point of a change.
 
-managing.py WORKSPACE COMPONENT POINT: brings the system up (or finds it again), replaces ``source``
-by COMPONENT, and is killed with -9 at the call number POINT of the change, before the call is made
-(``7``) or after it was answered (``7+``). ``-``: it is not killed.
-Each call is printed. ``down`` as COMPONENT ends the system.
+managing.py WORKSPACE down: finds the system and ends it.
+managing.py WORKSPACE swap [OP NUMBER before|after]: brings the system up (or finds it again), fails if it is not valid,
+and replaces the component of ``source`` by the other one. The manager is killed with -9 just before it makes the
+NUMBER-th call OP of that change, or just after that call was answered. Each call is printed.
 """
 
 from __future__ import annotations
@@ -12,41 +12,42 @@ import asyncio
 import os
 import signal
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from midstride import backends
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
-from midstride.runtime.recovery import specification_of
+from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
-from midstride.wire.messages import Command, Reply
+from midstride.wire.commands import Command
 from tests.acceptance.support import BENCHMARKS, swap_specification
 
 
-def killed_at(backend: Any, point: str) -> None:
-    """Have the backend's ``point``th call from now on be the last thing this process does."""
-    at, after = (-1, False) if point == "-" else (int(point.rstrip("+")), point.endswith("+"))
-    call, count = backend.call, 0
+def killed_at(manager: Manager, op: str, number: int, when: str) -> None:
+    """Let this process die at the ``number``-th request ``op`` from now on."""
+    client = manager._client
+    send, counts = client._send, Counter[str]()
 
-    async def counted(instance: str, command: Command, timeout: float) -> Reply:
-        nonlocal count
-        mine, count = count, count + 1
-        print("call", command.op, flush=True)
-        if mine == at and not after:
+    async def counted(instance: str, command: Command[Any], revision: int | None) -> Any:
+        counts[command.name] += 1
+        last = (command.name, counts[command.name]) == (op, number)
+        print("call", command.name, flush=True)
+        if last and when == "before":
             os.kill(os.getpid(), signal.SIGKILL)
-        reply: Reply = await call(instance, command, timeout)
-        if mine == at:
+        result = await send(instance, command, revision)
+        if last:
             os.kill(os.getpid(), signal.SIGKILL)
-        return reply
+        return result
 
-    backend.call = counted
+    client._send = counted  # type: ignore[method-assign]
 
 
-async def main(folder: Path, component: str, point: str) -> int:
+async def main(folder: Path, task: str, op: str = "", number: str = "0", when: str = "") -> int:
     workspace = Workspace(folder)
-    state = workspace.load()
-    specification = swap_specification() if state is None else specification_of(state)
+    saved = StateStore(workspace.state).load()
+    specification = swap_specification() if saved is None else saved.specification
     backend = backends.make("ros2", workspace)
     manager = Manager(specification, backend, workspace, BENCHMARKS)
     await manager.up()
@@ -55,11 +56,13 @@ async def main(folder: Path, component: str, point: str) -> int:
         if not status.valid:
             print(f"not valid: {status.violations} {status.components}")
             return 1
-        if component == "down":
+        if task == "down":
             await manager.down()
-        elif component != "nothing":
-            killed_at(backend, point)
-            outcome = await manager.change(Request(replace=(("source", component),)))
+        else:
+            (now,) = (each.component.name for each in manager.configuration.instances.values() if each.role == "source")
+            killed_at(manager, op, int(number), when)
+            other = "Source" if now == "OtherSource" else "OtherSource"
+            outcome = await manager.change(Request(replace=(("source", other),)))
             print(outcome.outcome, outcome.because)
     finally:
         await manager.close()
@@ -67,4 +70,4 @@ async def main(folder: Path, component: str, point: str) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(asyncio.run(main(Path(sys.argv[1]), sys.argv[2], sys.argv[3])))
+    sys.exit(asyncio.run(main(Path(sys.argv[1]), *sys.argv[2:])))

@@ -19,9 +19,9 @@ from typing import Any
 from midstride.model.specification import Specification
 from midstride.runtime import reaper
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Row
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
+from midstride.wire.commands import Receipt
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "benchmarks"
@@ -61,7 +61,7 @@ def ended() -> Iterator[str]:
                 del os.environ[RUN]
             else:
                 os.environ[RUN] = before
-    assert reaper.left({}, RUN, token) == set()
+    assert reaper.remaining_groups({}, RUN, token) == set()
 
 
 class Recorder:
@@ -81,10 +81,10 @@ class Recorder:
             assert time.monotonic() < deadline, "the recorder hears nothing"
             time.sleep(0.02)
 
-    def stop(self) -> list[Row]:
+    def stop(self) -> list[Receipt]:
         self._process.send_signal(signal.SIGTERM)
         assert self._process.wait(timeout=20) == 0
-        return [Row(*row) for row in json.loads(self._path.read_text())]
+        return [Receipt(*row) for row in json.loads(self._path.read_text())]
 
 
 @contextlib.asynccontextmanager

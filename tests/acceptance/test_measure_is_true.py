@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-import math
 import os
 import signal
 import time
 from pathlib import Path
+from statistics import median
 
 import pytest
 
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Observation, Row, SwapReport, report
+from midstride.runtime.measure import Observation, SwapReport, report
+from midstride.wire.commands import GateCommand, Receipt, RecordCommand, RecordsCommand
 from tests.acceptance.support import NODES, PERIOD, Recorder, ended, managed, swap_specification
 from tests.backends.ros2_support import Rig, rig, run, until_async
 
@@ -28,7 +29,7 @@ def other(manager: Manager, strategy: str = "minimal") -> Request:
     return Request(replace=(("source", "Source" if now == "OtherSource" else "OtherSource"),), strategy=strategy)
 
 
-def longest_gap(rows: list[Row], begun: int, over: int) -> float:
+def longest_gap(rows: list[Receipt], begun: int, over: int) -> float:
     times = [row.received for row in rows if begun <= row.received <= over]
     return max(later - earlier for earlier, later in itertools.pairwise(times)) / 1e9
 
@@ -37,18 +38,19 @@ def longest_gap(rows: list[Row], begun: int, over: int) -> float:
     ("strategy", "within"),
     [
         # One gap stands out, and both saw it between the same two messages.
-        ("paper", 0.002),
+        pytest.param("paper", 0.002, marks=pytest.mark.full),
         # No gap stands out: the longest is the machine's own jitter, of which each process has its own.
-        ("minimal", PERIOD / 2),
+        ("minimal", PERIOD / 4),
     ],
 )
 def test_a_bare_recorder_agrees_with_the_report(strategy: str, within: float, tmp_path: Path) -> None:
-    # The two processes are told of a message at moments of their own, and on a busy machine those lie apart by more
-    # than either's error. An error of the measure would show in every swap, the least disturbed one too.
-    apart: list[float] = []
+    # The two processes receive a message at different moments. On an idle machine they differ by less than 2 ms in nine
+    # swaps of ten; a busy machine delays one of them in some swaps, but not in most. So the median decides: an error
+    # of the measure in more than half of the swaps fails. A machine that is busy throughout gets two more attempts.
+    apart: list[list[float]] = []
     for attempt in range(ATTEMPTS):
-        apart += apart_in_swaps(strategy, tmp_path / str(attempt))
-        if min(apart, default=math.inf) <= within:
+        apart.append(apart_in_swaps(strategy, tmp_path / str(attempt)))
+        if median(apart[-1]) <= within:
             return
     raise AssertionError(apart)
 
@@ -59,7 +61,7 @@ def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
     windows: list[tuple[int, int]] = []
     swaps: list[SwapReport] = []
 
-    async def main() -> list[Row]:
+    async def main() -> list[Receipt]:
         async with managed(folder / "system", swap_specification()) as (manager, _):
             recorder = Recorder(folder)
             # The recorder is to be there before the first window, not only from its midst on.
@@ -91,6 +93,7 @@ def apart_in_swaps(strategy: str, folder: Path) -> list[float]:
     return apart
 
 
+@pytest.mark.full
 def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Path) -> None:
     async def main() -> SwapReport:
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
@@ -98,7 +101,7 @@ def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Pa
             async for event in manager.subscribe():
                 if event.kind == "step_done" and event.step and event.step.action == "handover":
                     break
-            pid = (await manager.peek("source_2"))["pid"]
+            pid = (await manager.peek("source_2")).pid
             os.kill(pid, signal.SIGSTOP)
             await asyncio.sleep(0.3)
             os.kill(pid, signal.SIGCONT)
@@ -125,24 +128,24 @@ async def planted(folder: Path, order: tuple[str, ...]) -> SwapReport:
         for name in ("first", "second"):
             await r.modes(name, talk="normal")
         await r.modes("sink", listen="normal")
-        begun = (await r.link.change("sink", "record", inputs=["in"], on=True))["now"]
+        begun = (await r.client.change("sink", RecordCommand(inputs=["in"], on=True))).now
         await until_async(lambda: heard(r, 25))
         for gate in order:
             name = "first" if gate == "close" else "second"
-            await r.link.change(name, "gate", port="out", topic="/swap", gate="open" if gate == "open" else "closed")
+            moved = GateCommand(port="out", topic="/swap", gate="open" if gate == "open" else "closed")
+            await r.client.change(name, moved)
             await r.backend.clock.sleep(3 * PERIOD)
-        count = len((await r.link.read("sink", "records", input="in"))["rows"])
+        count = len((await r.client.read("sink", RecordsCommand(input="in"))).rows)
         await until_async(lambda: heard(r, count + 25))
-        seen = await r.link.read("sink", "records", input="in")
-        rows = [Row(*row) for row in seen["rows"]]
+        seen = await r.client.read("sink", RecordsCommand(input="in"))
         begun += int(20 * PERIOD * 1e9)
         # Where the middleware names no publishers, the first one's last number tells the two numberings apart.
-        last = (await r.link.peek("first"))["ports"]["out"]["/swap"]["count"]
-        return report(Observation("/swap", "sink.in", rows, begun, seen["now"], PERIOD, PERIOD, last))
+        last = (await r.client.peek("first")).ports["out"]["/swap"].count
+        return report(Observation("/swap", "sink.in", seen.rows, begun, seen.now, PERIOD, PERIOD, last))
 
 
 async def heard(r: Rig, count: int) -> bool:
-    return len((await r.link.read("sink", "records", input="in"))["rows"]) >= count
+    return len((await r.client.read("sink", RecordsCommand(input="in"))).rows) >= count
 
 
 def test_a_planted_open_then_close_shows_duplicates(tmp_path: Path) -> None:
@@ -150,6 +153,7 @@ def test_a_planted_open_then_close_shows_duplicates(tmp_path: Path) -> None:
     assert seen.duplicates is not None and seen.duplicates >= 2
 
 
+@pytest.mark.full
 def test_a_planted_close_then_open_shows_missed(tmp_path: Path) -> None:
     seen = run(planted(tmp_path, ("close", "open")))
     assert seen.missed is not None and seen.missed >= 2

@@ -75,7 +75,7 @@ async def rig(folder: Path) -> AsyncIterator[Rig]:
                 await backend.end(instance, 2.0)
             await backend.close()
             assert await backend._master.process() is None, "the master was left running"
-    assert reaper.left({}, ENV_TOKEN, token) == set()
+    assert reaper.remaining_groups({}, ENV_TOKEN, token) == set()
 
 
 @contextlib.contextmanager

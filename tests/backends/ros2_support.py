@@ -19,7 +19,7 @@ from typing import Any, TypeVar
 from midstride.runtime import reaper
 from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.reaper import Reaper, look
+from midstride.runtime.reaper import Reaper, process_info
 from midstride.wire.channel import Channel
 from midstride.wire.commands import AttachCommand, DetachCommand, Detached, ModesCommand, WelcomeCommand
 from midstride.wire.environment import ENV_TOKEN
@@ -77,7 +77,7 @@ def without_midstride() -> dict[str, str]:
 
 
 def alive(pid: int) -> bool:
-    seen = look(pid)
+    seen = process_info(pid)
     return seen is not None and seen.alive
 
 
@@ -193,7 +193,7 @@ async def rig(folder: Path) -> AsyncIterator[Rig]:
         finally:
             rig.client.close()
             await backend.close()
-    assert reaper.left({}, ENV_TOKEN, token) == set()
+    assert reaper.remaining_groups({}, ENV_TOKEN, token) == set()
 
 
 def shared_memory_of(pid: int) -> list[str]:

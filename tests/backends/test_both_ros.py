@@ -12,7 +12,7 @@ from midstride.backends import ros1
 from midstride.cli.files import load
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
-from midstride.runtime.reaper import Reaper, left
+from midstride.runtime.reaper import Reaper, remaining_groups
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.backends.ros1_support import own_master_uri
@@ -23,6 +23,7 @@ OURS = "MIDSTRIDE_TEST_RUN"
 
 pytestmark = [
     pytest.mark.ros2,
+    pytest.mark.full,
     pytest.mark.timeout(150),
     pytest.mark.skipif(not ros1.available(), reason="no ROS 1 can be had here beside ROS 2"),
 ]
@@ -84,4 +85,4 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
 
     with own_master_uri(), Reaper(OURS, this) as guardian:
         run(scenario(guardian), 140)
-        assert left({}, OURS, this) - {guardian.pid} == set()
+        assert remaining_groups({}, OURS, this) - {guardian.pid} == set()

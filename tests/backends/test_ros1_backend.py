@@ -20,7 +20,7 @@ from midstride.backends.ros1.master import Master
 from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle
 from midstride.runtime.process import Process, spawn
-from midstride.runtime.reaper import carries
+from midstride.runtime.reaper import environment_value
 from midstride.wire.channel import Channel
 from midstride.wire.commands import AwaitWriteCommand, PingCommand
 from midstride.wire.environment import ENV_SYSTEM
@@ -238,6 +238,7 @@ def test_a_component_of_no_system_says_how_to_name_one(tmp_path: Path) -> None:
 # -- the master -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.full
 def test_a_component_on_another_master_is_not_found_and_it_is_said_why(tmp_path: Path) -> None:
     from midstride.backends.ros1 import create_backend
 
@@ -296,7 +297,7 @@ def test_a_master_that_was_started_ends_with_the_last_that_needs_it(tmp_path: Pa
         await second.open(lambda exited: None)
         assert (first.started_master, second.started_master) == (True, False)
         pid = await first._master.process()
-        assert pid is not None and carries(pid, master_process.ENV_STARTED, uri.rpartition(":")[2])
+        assert pid is not None and environment_value(pid, master_process.ENV_STARTED) == uri.rpartition(":")[2]
         await first.close()
         assert alive(pid), "the second manager needs it"
         with program("guest", "/chatter", str(tmp_path / "heard")):

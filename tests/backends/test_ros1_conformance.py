@@ -9,7 +9,8 @@ import pytest
 
 from midstride.runtime import reaper
 from midstride.runtime.reaper import Reaper
-from midstride.testing.conformance import CHECKS, Check
+from midstride.testing.conformance import Check
+from tests.backends.conformance import CHECKS_ON_ROS
 from tests.backends.ros1_support import own_master_uri
 from tests.backends.ros2_support import run
 
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.ros1
 OURS = "MIDSTRIDE_TEST_RUN"
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))
+@pytest.mark.parametrize("check", CHECKS_ON_ROS)
 def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from midstride.backends.ros1 import create_backend
 
@@ -28,7 +29,7 @@ def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     with own_master_uri(), Reaper(OURS, this) as guarding:
         backend = create_backend(tmp_path / "components", logs=tmp_path / "logs", guardian=guarding)
         run(check(backend, tmp_path), 100)
-        assert reaper.left({}, OURS, this) - {guarding.pid} == set()
+        assert reaper.remaining_groups({}, OURS, this) - {guarding.pid} == set()
 
 
 @pytest.mark.long

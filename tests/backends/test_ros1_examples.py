@@ -25,7 +25,9 @@ ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "how-to" / "ros1.md"
 
 
-@pytest.mark.parametrize("name", ["talker", "obstacle", "filter"])
+@pytest.mark.parametrize(
+    "name", ["talker", *(pytest.param(name, marks=pytest.mark.full) for name in ("obstacle", "filter"))]
+)
 def test_an_example_runs_and_leaves_nothing_behind(name: str, tmp_path: Path) -> None:
     environment = {**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)}
     environment.pop("ROS_MASTER_URI", None)
@@ -52,6 +54,7 @@ def _mentions(environ: Path, text: str) -> bool:
 
 
 @pytest.mark.timeout(180)
+@pytest.mark.full
 def test_the_readme_runs_on_ros_1() -> None:
     from tests.docs.test_snippets import play
 
@@ -68,6 +71,7 @@ def _connect(uri: str) -> None:
 
 
 @pytest.mark.timeout(180)
+@pytest.mark.full
 def test_the_tutorial_can_be_done_on_ros_1(tmp_path: Path) -> None:
     from tests.docs.test_tutorial import play
 

@@ -158,6 +158,7 @@ def test_the_authors_endpoints_are_listed_and_parameters_are_shown(tmp_path: Pat
     run(scenario())
 
 
+@pytest.mark.full
 def test_the_tools_of_ros_show_what_a_user_expects(tmp_path: Path) -> None:
     async def tool(*command: str) -> list[str]:
         found = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=20, check=True)
@@ -281,6 +282,7 @@ rospy.init_node = slow
     run(scenario())
 
 
+@pytest.mark.full
 def test_the_clock_of_a_simulation_drives_the_modes(tmp_path: Path) -> None:
     clock = """
 import sys, rospy
@@ -356,6 +358,7 @@ def test_standalone_under_the_name_of_a_launch_file(tmp_path: Path) -> None:
     run(scenario())
 
 
+@pytest.mark.full
 def test_peers_call_each_other_and_namespaces_are_kept(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:

@@ -143,6 +143,7 @@ def test_a_bare_subscriber_that_is_slow_reads_to_the_end_what_was_written_before
     run(scenario())
 
 
+@pytest.mark.full
 def test_a_port_that_comes_back_is_heard_again_by_a_subscriber_inside_a_callback(tmp_path: Path) -> None:
     """rospy's subscriber believes it is still connected, and overlooks the publisher that has come back."""
     heard = tmp_path / "heard"
@@ -251,6 +252,7 @@ comp.start()
 """
 
 
+@pytest.mark.full
 def test_a_frozen_subscriber_does_not_delay_the_publisher(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:

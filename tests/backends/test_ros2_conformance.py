@@ -9,8 +9,9 @@ import pytest
 
 from midstride.runtime import reaper
 from midstride.runtime.reaper import Reaper
-from midstride.testing.conformance import CHECKS, Check
+from midstride.testing.conformance import Check
 from midstride.testing.conformance.walks import walk
+from tests.backends.conformance import CHECKS_ON_ROS
 from tests.backends.ros2_support import run
 
 pytestmark = pytest.mark.ros2
@@ -25,12 +26,12 @@ def held(check: Check, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)
     with Reaper(OURS, this) as guarding:
-        backend = create_backend(logs=folder / "logs", guardian=guarding)
+        backend = create_backend(folder / "components", logs=folder / "logs", guardian=guarding)
         run(check(backend, folder), 100)
-        assert reaper.left({}, OURS, this) - {guarding.pid} == set()
+        assert reaper.remaining_groups({}, OURS, this) - {guarding.pid} == set()
 
 
-@pytest.mark.parametrize("check", CHECKS, ids=lambda check: str(check.__name__))
+@pytest.mark.parametrize("check", CHECKS_ON_ROS)
 def test_ros2(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     held(check, tmp_path, monkeypatch)
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -13,7 +15,7 @@ from tests.cli.conftest import Midstride, nothing_lost, running
 
 SYSTEM = """system chain
 
-contract Text = std_msgs/msg/String @ 20 Hz
+contract Text = std_msgs/msg/String @ 50 Hz
 
 topic /raw  : Text
 topic /neat : Text
@@ -68,7 +70,7 @@ out = comp.create_output("out", String)
 word = comp.parameter("word", "", on_change=lambda value: None)
 unit = comp.parameter("unit", "")
 make = comp.create_functionality("make", outputs=[out])
-make.set_normal_mode(lambda: out.write(String(data=f"{word.value} {unit.value}")), rate=20, outputs=[out])
+make.set_normal_mode(lambda: out.write(String(data=f"{word.value} {unit.value}")), rate=50, outputs=[out])
 make.set_degraded_mode(lambda: None)
 comp.start()
 """,
@@ -78,11 +80,11 @@ from midstride import Component
 from std_msgs.msg import String
 
 comp = Component("pass")
-inp, out = comp.create_input("in", String, rate=20), comp.create_output("out", String)
+inp, out = comp.create_input("in", String, rate=50), comp.create_output("out", String)
 work = comp.create_functionality("pass", inputs=[inp], outputs=[out])
 work.set_normal_mode(
     lambda message: out.write(String(data=f"{sys.argv[1]}: {message.data}")),
-    inputs=[inp], outputs=[out], guarantees={out: 20},
+    inputs=[inp], outputs=[out], guarantees={out: 50},
 )
 work.set_degraded_mode(lambda: None)
 comp.start()
@@ -150,14 +152,14 @@ CHANGES = {
     "an input on another topic": Change("{ in <- /neat }", "{ in <- /raw }", ("attach", "detach"), "one m"),
     "a topic with another contract, and another publisher": Change(
         "topic /neat : Text",
-        "topic /neat : std_msgs/msg/String @ 15 Hz",
+        "topic /neat : std_msgs/msg/String @ 40 Hz",
         ("attach", "attach", "attach", "create", "detach", "detach", "detach", "remove"),
         "other: one m",
         more=("node pass   : Pass ", "node pass   : Other"),
     ),
     "a topic with another contract": Change(
         "topic /neat : Text",
-        "topic /neat : std_msgs/msg/String @ 15 Hz",
+        "topic /neat : std_msgs/msg/String @ 40 Hz",
         ("attach", "attach", "detach", "detach"),
         "passed: one m",
     ),
@@ -189,27 +191,38 @@ class Running:
         return {entry["role"]: {row["mode"] for row in entry["functionalities"]} for entry in document["components"]}
 
 
-BACKENDS = ["sim", pytest.param("ros2", marks=pytest.mark.ros2)]
+BACKENDS = ["sim", pytest.param("ros2", marks=(pytest.mark.ros2, pytest.mark.full))]
 # One of each kind of step, where each takes seconds.
 ON_ROS_2 = (
-    "a changeable parameter is set in place",
     "a parameter of another kind replaces the node",
+    "a changeable parameter is set in place",
     "an input on another topic",
     "a topic with another contract, and another publisher",
 )
 
 
 @pytest.fixture(scope="module")
-def chain(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Running]:
-    """The system of SYSTEM, up. Tests leave it as they found it."""
-    folder = tmp_path_factory.mktemp("chain")
-    for name, text in PROGRAMS.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    for midstride in running():
-        system = Running(midstride, folder)
-        up = midstride("up", system.file(SYSTEM, "chain.stride"), "--backend", request.param, "--detach")
-        assert up.status == 0, up.out + up.err
-        yield system
+def chains(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[str], Running]]:
+    """The system of SYSTEM, up on the back end that is asked for. It is started once for all tests of this module."""
+    with ExitStack() as stack:
+
+        @cache
+        def chain_on(backend: str) -> Running:
+            folder = tmp_path_factory.mktemp("chain")
+            for name, text in PROGRAMS.items():
+                (folder / name).write_text(text, encoding="utf-8")
+            system = Running(stack.enter_context(contextmanager(running)()), folder)
+            up = system.midstride("up", system.file(SYSTEM, "chain.stride"), "--backend", backend, "--detach")
+            assert up.status == 0, up.out + up.err
+            return system
+
+        yield chain_on
+
+
+@pytest.fixture
+def chain(request: pytest.FixtureRequest, chains: Callable[[str], Running]) -> Running:
+    """Tests leave it as they found it."""
+    return chains(request.param)
 
 
 def structural(steps: list[dict[str, str]]) -> list[str]:
@@ -218,7 +231,9 @@ def structural(steps: list[dict[str, str]]) -> list[str]:
 
 @pytest.mark.parametrize(
     ("chain", "name"),
-    [("sim", name) for name in CHANGES] + [pytest.param("ros2", name, marks=pytest.mark.ros2) for name in ON_ROS_2],
+    [("sim", name) for name in CHANGES]
+    + [pytest.param("ros2", ON_ROS_2[0], marks=pytest.mark.ros2)]
+    + [pytest.param("ros2", name, marks=(pytest.mark.ros2, pytest.mark.full)) for name in ON_ROS_2[1:]],
     indirect=["chain"],
 )
 def test_the_difference_of_two_files_is_carried_out(chain: Running, name: str) -> None:

@@ -139,7 +139,7 @@ def test_graph_says_what_it_needs(run: Any, patrol: Path, monkeypatch: pytest.Mo
     assert (status, "needs Graphviz" in err) == (1, True)
 
 
-@pytest.mark.skipif(shutil.which("dot") is None, reason="Graphviz is not installed")
+@pytest.mark.graphviz
 @pytest.mark.parametrize(("kind", "magic"), [("svg", b"<?xml"), ("png", b"\x89PNG")])
 def test_graph_draws(run: Any, patrol: Path, kind: str, magic: bytes) -> None:
     target = patrol.parent / f"x.{kind}"

@@ -96,6 +96,7 @@ def test_nothing_is_live(midstride: Midstride) -> None:
 
 @pytest.mark.alloy
 @pytest.mark.ros2
+@pytest.mark.full
 def test_a_running_system_is_judged_and_changed_only_as_alloy_allows(midstride: Midstride) -> None:
     """On the simulator, `docs/how-to/verify.md` does so."""
     up = midstride("up", str(EXAMPLES / "talker" / "talker.stride"), "-d", "--backend", "ros2")

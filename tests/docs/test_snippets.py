@@ -123,7 +123,7 @@ class Session:
 
     def close(self) -> list[str]:
         """End the systems that still run, and return their names."""
-        left = [state.parent.name for state in self.folder.glob("midstride/*/state.json")]
+        left = [state.parent.name for state in self.folder.glob("midstride/*/state.db")]
         for system in left:
             command = [sys.executable, "-m", "midstride", "down", "--system", system]
             subprocess.run(command, env=self.environment, capture_output=True, check=True)
@@ -146,9 +146,9 @@ def name_of(page: Path) -> str:
     return str(page.relative_to(ROOT))
 
 
-NEEDS_ALLOY = {"docs/how-to/verify.md"}
+MARKS = {"docs/how-to/verify.md": (pytest.mark.alloy, pytest.mark.full)}
 WITH_CODE = [
-    pytest.param(page, marks=pytest.mark.alloy if name_of(page) in NEEDS_ALLOY else (), id=name_of(page))
+    pytest.param(page, marks=MARKS.get(name_of(page), ()), id=name_of(page))
     for page in PAGES
     if any(snippet.language in RUN for snippet in snippets(page))
 ]

@@ -104,7 +104,7 @@ def play(folder: Path, backend: str) -> None:
 
 
 @pytest.mark.timeout(180)
-@pytest.mark.parametrize("backend", ["sim", pytest.param("ros2", marks=pytest.mark.ros2)])
+@pytest.mark.parametrize("backend", ["sim", pytest.param("ros2", marks=(pytest.mark.ros2, pytest.mark.full))])
 def test_the_tutorial_can_be_done(tmp_path: Path, backend: str) -> None:
     play(tmp_path, backend)
 

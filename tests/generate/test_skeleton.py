@@ -1,10 +1,13 @@
-"""Skeletons: what they declare is what the specification says, and what users write in them survives."""
+"""Skeletons: they declare what the specification states, and regeneration keeps the user's code."""
 
 from __future__ import annotations
 
 import ast
+import importlib.util
+import subprocess
 import sys
 import types
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -26,7 +29,7 @@ SAMPLE = load(SEEDS / "patrol.stride").require()
 
 
 def message_module(package: str, *names: str) -> types.ModuleType:
-    """Message classes with whatever fields they are asked for."""
+    """Message classes with any field that is accessed."""
 
     def attributes(self: object, name: str) -> Any:
         if name.startswith("_"):
@@ -59,7 +62,7 @@ def skeletons(specification: Specification) -> dict[str, str]:
 
 
 def registered(text: str, name: str) -> ComponentSpec:
-    """What a program of that text would register: the user's class, wired."""
+    """The declaration that a program with that text would register."""
     namespace: dict[str, Any] = {"__name__": "generated"}
     exec(compile(text, "generated.py", "exec"), namespace)
     made = namespace[name]()
@@ -76,7 +79,7 @@ def registered(text: str, name: str) -> ComponentSpec:
 
 @pytest.mark.usefixtures("messages")
 @pytest.mark.parametrize("name", sorted(SAMPLE.components))
-def test_the_samples_skeletons_keep_its_promises(name: str) -> None:
+def test_the_skeletons_of_the_sample_match_its_declarations(name: str) -> None:
     paths = {
         "Lidar": "lidar",
         "ObstacleDetector": "detector",
@@ -90,7 +93,7 @@ def test_the_samples_skeletons_keep_its_promises(name: str) -> None:
 @pytest.mark.usefixtures("messages")
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(components())
-def test_any_components_skeleton_keeps_its_promises(component: ComponentSpec) -> None:
+def test_the_skeleton_of_any_component_matches_its_declaration(component: ComponentSpec) -> None:
     if any(component.output_endpoint(output) is None for output in component.outputs):
         with pytest.raises(SpecificationError, match="has no type"):
             skeletons(of(component))
@@ -188,19 +191,19 @@ def test_names_in_snake_case() -> None:
     ]
 
 
-def test_components_that_get_no_skeleton_are_told_why() -> None:
+def test_components_without_a_skeleton_have_a_reason() -> None:
     text = (
         'system s\ncomponent A { }\ncomponent B { run "./b" }\ncomponent C { run "python3 c.py" }\ncomponent D like C\n'
     )
     made = project(load_text(text).require(), "s.stride", {})
     assert made.skipped == {
-        "A": "it has no `run`: it is started elsewhere",
-        "B": "`./b` runs no Python file of this folder",
-        "D": "it runs c.py, as C does",
+        "A": "it has no `run` command: it is started elsewhere",
+        "B": "`./b` does not run a Python file in this folder",
+        "D": "it runs c.py, which is the program of C",
     }
 
 
-# -- what the user wrote -----------------------------------------------------------------------------------
+# -- the user's code -----------------------------------------------------------------------------------
 
 OLD = load_text(
     """system s
@@ -224,7 +227,7 @@ NEW = load_text(
 ).require()
 
 
-def test_the_block_is_written_anew_and_the_rest_survives() -> None:
+def test_the_block_is_rewritten_and_the_rest_kept() -> None:
     (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
     mine = old.replace(
         'assumes nothing."""\n        self.out.write(String())\n\n    def talk_silent',
@@ -232,7 +235,8 @@ def test_the_block_is_written_anew_and_the_rest_survives() -> None:
         "        return 1  # kept\n\n    def talk_silent",
     )
     head, _, tail = mine.partition(END)
-    mine = "# a header of mine\n" + head + END + tail.replace('"""Yours', '# a note\n    """Yours') + "\nprint('bye')\n"
+    tail = tail.replace('"""Your code', '# a note\n    """Your code')
+    mine = "# a header of mine\n" + head + END + tail + "\nprint('bye')\n"
     assert mine.count("mine") >= 2
     merged = merge_component(mine, new)
     assert merged.text is not None
@@ -246,7 +250,7 @@ def test_the_block_is_written_anew_and_the_rest_survives() -> None:
     compile(merged.text, "merged.py", "exec")
 
 
-def test_a_file_without_marks_or_that_is_no_python_is_left_to_the_user() -> None:
+def test_a_file_without_marks_or_valid_python_is_left_to_the_user() -> None:
     (new,) = skeletons(NEW).values()
     (old,) = skeletons(OLD).values()
     assert merge_component("print('all mine')\n", new) == merge_component(new.replace(BEGIN, ""), new)
@@ -254,9 +258,19 @@ def test_a_file_without_marks_or_that_is_no_python_is_left_to_the_user() -> None
     broken = merge_component(old + "def (:\n", new)
     assert broken.text is not None
     assert broken.text.endswith("def (:\n")
-    assert "no methods were added" in broken.note
+    assert "no methods added" in broken.note
     renamed = merge_component(old.replace("class Talker(", "class Mine("), new)
     assert "no class Talker" in renamed.note
+
+
+def test_the_block_of_an_earlier_version_is_recognised() -> None:
+    """The marks are found by their beginnings, because their wording has changed before."""
+    (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
+    earlier = old.replace(BEGIN, "# >>> midstride: written anew each time").replace(END, "# <<< midstride: yours")
+    merged = merge_component(earlier, new)
+    assert merged == merge_component(old, new)
+    assert merged.text is not None
+    assert (merged.text.count(BEGIN), merged.text.count(END), merged.text.count("# >>>")) == (1, 1, 1)
 
 
 def test_other_files_are_the_users_once_edited() -> None:
@@ -266,44 +280,72 @@ def test_other_files_are_the_users_once_edited() -> None:
     assert merge_whole(old, old).text is None
     assert merge_whole(old, new).text == new
     edited = merge_whole(old.replace("0.1.0", "0.2.0"), new)
-    assert (edited.text, edited.note) == (None, "edited, left as it is")
+    assert (edited.text, edited.note) == (None, "edited, left unchanged")
     assert merge_copy("a", "b", None).text is None
 
 
-def test_the_launch_file_is_a_launch_file() -> None:
-    """Where there is no ROS, the modules it asks for are stood in for; what it starts is what is looked at."""
-    (text,) = [file.text for file in project(OLD, "s.stride", {}).files if file.path.name == "s.launch.py"]
+class _Recorded:
+    """Stands in for a class of the ROS package ``launch``, which cannot be installed with pip: keeps its arguments."""
 
-    class Thing:
-        def __init__(self, *given: Any, **named: Any) -> None:
-            self.given, self.named = given, named
-
-    stand_ins = {
-        "launch": {"LaunchDescription": Thing},
-        "launch.actions": {"ExecuteProcess": Thing, "OpaqueFunction": Thing, "RegisterEventHandler": Thing},
-        "launch.event_handlers": {"OnShutdown": Thing},
-    }
-    before = {name: sys.modules.get(name) for name in stand_ins}
-    try:
-        for name, members in stand_ins.items():
-            sys.modules[name] = types.ModuleType(name)
-            vars(sys.modules[name]).update(members)
-        namespace: dict[str, Any] = {"__file__": "/ws/share/s/launch/s.launch.py"}
-        exec(compile(text, "s.launch.py", "exec"), namespace)
-        described = namespace["generate_launch_description"]()
-    finally:
-        for name, module in before.items():
-            if module is None:
-                del sys.modules[name]
-            else:
-                sys.modules[name] = module
-    assert described.given[0][0].named["cmd"] == ["midstride", "up", "/ws/share/s/s.stride"]
+    def __init__(self, **arguments: Any) -> None:
+        self.__dict__.update(arguments)
 
 
-@pytest.mark.ros2
-def test_the_launch_file_can_be_imported_where_ros_launch_is() -> None:
-    launch = pytest.importorskip("launch", reason="ROS's launch is not installed here")
+class LaunchDescription(_Recorded):
+    def __init__(self, initial_entities: list[Any]) -> None:
+        super().__init__(entities=initial_entities)
+
+
+class ExecuteProcess(_Recorded):
+    def __init__(self, *, cmd: list[str], output: str = "log", emulate_tty: bool = False) -> None:
+        super().__init__(cmd=cmd, output=output, emulate_tty=emulate_tty)
+
+
+class OpaqueFunction(_Recorded):
+    def __init__(self, *, function: Callable[[object], Any]) -> None:
+        super().__init__(function=function)
+
+
+class OnShutdown(_Recorded):
+    def __init__(self, *, on_shutdown: list[Any]) -> None:
+        super().__init__(on_shutdown=on_shutdown)
+
+
+class RegisterEventHandler(_Recorded):
+    def __init__(self, event_handler: OnShutdown) -> None:
+        super().__init__(event_handler=event_handler)
+
+
+def launch_description() -> Any:
     (text,) = [file.text for file in project(OLD, "s.stride", {}).files if file.path.name == "s.launch.py"]
     namespace: dict[str, Any] = {"__file__": "/ws/share/s/launch/s.launch.py"}
     exec(compile(text, "s.launch.py", "exec"), namespace)
-    assert isinstance(namespace["generate_launch_description"](), launch.LaunchDescription)
+    return namespace["generate_launch_description"]()
+
+
+def test_the_launch_file_starts_the_system_and_ends_it_with_the_launch(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, classes in {
+        "launch": (LaunchDescription,),
+        "launch.actions": (ExecuteProcess, OpaqueFunction, RegisterEventHandler),
+        "launch.event_handlers": (OnShutdown,),
+    }.items():
+        module = types.ModuleType(name)
+        vars(module).update({one.__name__: one for one in classes})
+        monkeypatch.setitem(sys.modules, name, module)
+    described = launch_description()
+    assert type(described) is LaunchDescription
+    up, registered = vars(described)["entities"]
+    assert type(up) is ExecuteProcess
+    assert vars(up) == {"cmd": ["midstride", "up", "/ws/share/s/s.stride"], "output": "screen", "emulate_tty": True}
+    (down,) = registered.event_handler.on_shutdown
+    commands: list[list[str]] = []
+    monkeypatch.setattr(subprocess, "run", lambda command, check: commands.append(command))
+    assert down.function(object()) is None
+    assert commands == [["midstride", "down", "--system", "s"]]
+
+
+if importlib.util.find_spec("launch") is not None:  # only a distribution's ROS 2 has it
+
+    def test_the_launch_file_is_accepted_by_ros_launch() -> None:
+        launch = importlib.import_module("launch")
+        assert isinstance(launch_description(), launch.LaunchDescription)

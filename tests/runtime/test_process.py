@@ -1,4 +1,4 @@
-"""Processes of components, and the guardian, on real processes."""
+"""Component processes and the reaper, with real processes."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 
+import psutil
 import pytest
 
 from midstride.backends import common
 from midstride.errors import StartFailed
 from midstride.runtime import reaper
 from midstride.runtime.logs import shorten, tail
-from midstride.runtime.orphans import end_strays
+from midstride.runtime.orphans import end_orphans
 from midstride.runtime.process import Process, find, spawn
-from midstride.runtime.reaper import Reaper, look, members
+from midstride.runtime.reaper import Reaper, group_members, process_info
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 VARIABLE = "MIDSTRIDE_TOKEN"
 
-# Says its own number and that of a child, then waits; `stubborn` ignores SIGTERM, and so does its child.
+# Prints its own number and that of a child, then waits; `stubborn` ignores SIGTERM, and so does its child.
 FAMILY = """
 import os, signal, subprocess, sys, time
 if "stubborn" in sys.argv:
@@ -42,21 +43,21 @@ time.sleep(600)
 def until(condition: Callable[[], bool], seconds: float = 10.0) -> None:
     deadline = time.monotonic() + seconds
     while not condition():
-        assert time.monotonic() < deadline, "it did not come true in time"
+        assert time.monotonic() < deadline, "the condition did not become true in time"
         time.sleep(0.005)
 
 
 def alive(pid: int) -> bool:
-    seen = look(pid)
-    return seen is not None and seen.alive
+    info = process_info(pid)
+    return info is not None and info.alive
 
 
 @pytest.fixture
 def token() -> Iterator[str]:
-    """A token of our own; whatever still carries it at the end is ended, and was left behind by a fault."""
+    """A unique token. A process that still has it at the end was left behind by a fault, and is ended."""
     token = f"test-{uuid.uuid4().hex}"
     yield token
-    reaper.end_all({}, VARIABLE, token, grace=0.0)
+    reaper.end_groups({}, VARIABLE, token, grace=0.0)
 
 
 def family(tmp_path: Path, token: str, *arguments: str) -> Process:
@@ -64,18 +65,35 @@ def family(tmp_path: Path, token: str, *arguments: str) -> Process:
     return spawn([sys.executable, "-S", "-c", FAMILY, *arguments], tmp_path, environment, tmp_path / "log.txt")
 
 
-async def told(process: Process) -> int:
-    """The child's number, once the family is up."""
+async def child_of(process: Process) -> int:
+    """The number of its child, once the family is up."""
     while not (text := tail(process.log)).startswith("up "):
         await asyncio.sleep(0.005)
     return int(text.split()[2])
+
+
+def test_a_process_is_described_as_the_kernel_and_psutil_see_it(tmp_path: Path) -> None:
+    program = tmp_path / "a ) b"  # the kernel writes this name in front of all numbers, and does not escape it
+    program.symlink_to(Path(sys.executable).resolve())
+    with subprocess.Popen([program, "-S", "-c", "input()"], stdin=subprocess.PIPE, start_new_session=True) as process:
+        seen = psutil.Process(process.pid)
+        until(lambda: seen.name() == program.name)
+        info = process_info(process.pid)
+        assert info is not None and info.alive and info.group == os.getpgid(process.pid) == process.pid
+        # psutil's time is that of the system clock: it may be a second off after the clock was adjusted.
+        assert abs(info.started - (seen.create_time() - psutil.boot_time())) < 1.5
+        process.kill()
+        until(lambda: seen.status() == psutil.STATUS_ZOMBIE)
+        zombie = process_info(process.pid)
+        assert zombie == info._replace(alive=False)
+    assert process_info(process.pid) is None
 
 
 @pytest.mark.parametrize(
     ("code", "status"),
     [("raise SystemExit(7)", 7), ("import os, signal; os.kill(os.getpid(), signal.SIGKILL)", -9), ("pass", 0)],
 )
-def test_the_exit_is_told_with_its_status(tmp_path: Path, code: str, status: int) -> None:
+def test_the_exit_is_reported_with_its_status(tmp_path: Path, code: str, status: int) -> None:
     async def run() -> tuple[int | None, list[int | None]]:
         heard: list[int | None] = []
         process = spawn([sys.executable, "-S", "-c", code], tmp_path, {}, tmp_path / "log.txt")
@@ -90,7 +108,7 @@ def test_the_exit_is_told_with_its_status(tmp_path: Path, code: str, status: int
 def test_an_exit_is_known_within_milliseconds(tmp_path: Path, token: str) -> None:
     async def run() -> float:
         process = family(tmp_path, token)
-        await told(process)
+        await child_of(process)
         killed = time.monotonic()
         os.killpg(process.pid, signal.SIGKILL)
         await asyncio.wait_for(process.wait(), 10)
@@ -107,13 +125,13 @@ def test_it_is_not_a_zombie_afterwards(tmp_path: Path) -> None:
         process.close()
         return process.pid
 
-    assert look(asyncio.run(run())) is None
+    assert process_info(asyncio.run(run())) is None
 
 
 def test_it_leads_a_session_of_its_own_and_the_log_has_what_it_says(tmp_path: Path, token: str) -> None:
     async def run() -> tuple[int, int, str]:
         process = family(tmp_path, token)
-        await told(process)
+        await child_of(process)
         found = os.getsid(process.pid), os.getpgid(process.pid), tail(process.log)
         await process.end(grace=5.0)
         process.close()
@@ -127,20 +145,20 @@ def test_it_leads_a_session_of_its_own_and_the_log_has_what_it_says(tmp_path: Pa
 def test_ending_reaches_the_whole_group(tmp_path: Path, token: str, arguments: tuple[str, ...]) -> None:
     async def run() -> tuple[int, list[int]]:
         process = family(tmp_path, token, *arguments)
-        child = await told(process)
+        child = await child_of(process)
         await process.end(grace=0.3)
         process.close()
-        return child, members(process.pid)
+        return child, group_members(process.pid)
 
     child, rest = asyncio.run(run())
     assert rest == []
     assert not alive(child)
 
 
-def test_a_leader_that_is_killed_takes_its_group_along(tmp_path: Path, token: str) -> None:
+def test_a_killed_leader_takes_its_group_with_it(tmp_path: Path, token: str) -> None:
     async def run() -> int:
         process = family(tmp_path, token, "stubborn")
-        child = await told(process)
+        child = await child_of(process)
         os.kill(process.pid, signal.SIGKILL)
         assert await asyncio.wait_for(process.wait(), 10) == -signal.SIGKILL
         process.close()
@@ -153,7 +171,7 @@ def test_a_leader_that_is_killed_takes_its_group_along(tmp_path: Path, token: st
 def test_a_stopped_process_ends_in_order(tmp_path: Path, token: str) -> None:
     async def run() -> int | None:
         process = family(tmp_path, token)
-        await told(process)
+        await child_of(process)
         os.killpg(process.pid, signal.SIGSTOP)
         await process.end(grace=10.0)
         process.close()
@@ -182,7 +200,7 @@ def test_what_cannot_be_watched_does_not_run(tmp_path: Path, token: str, monkeyp
             spawn(("sleep", "600"), tmp_path, {**os.environ, VARIABLE: token}, tmp_path / "log")
 
     asyncio.run(main())
-    assert not reaper.left({}, VARIABLE, token)
+    assert not reaper.remaining_groups({}, VARIABLE, token)
 
 
 def test_the_tail_of_a_log_is_whole_lines(tmp_path: Path) -> None:
@@ -193,8 +211,8 @@ def test_the_tail_of_a_log_is_whole_lines(tmp_path: Path) -> None:
     assert tail(tmp_path / "none") == tail(None) == ""
 
 
-def test_the_last_words_are_its_own(tmp_path: Path) -> None:
-    """A log is written on: what an earlier process of that name has said explains nothing of this one's end."""
+def test_the_end_of_a_log_is_that_of_this_process(tmp_path: Path) -> None:
+    """A log is continued: what an earlier process of that name wrote does not explain why this one exited."""
 
     async def run(code: str) -> str:
         process = spawn([sys.executable, "-S", "-c", code], tmp_path, {}, tmp_path / "log.txt")
@@ -237,11 +255,11 @@ def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypat
         children.take("talkative", spawn([sys.executable, "-u", "-c", talkative], tmp_path, os.environ, log))
         deadline = time.monotonic() + 60
         while not log.read_bytes()[:1] or log.read_bytes().startswith(b"0\n"):
-            assert time.monotonic() < deadline, "it was not cut"
+            assert time.monotonic() < deadline, "the log was not truncated"
             await asyncio.sleep(0.01)
         cut_at = last()
         while last() <= cut_at:
-            assert time.monotonic() < deadline, "its writer does not go on"
+            assert time.monotonic() < deadline, "its writer does not continue"
             await asyncio.sleep(0.01)
         assert await children.end("talkative", 3.0)
         children.close()
@@ -285,7 +303,7 @@ def test_a_process_of_an_earlier_manager_is_found_and_watched(tmp_path: Path, to
 def test_another_process_of_the_same_number_is_not_taken_for_it(tmp_path: Path, token: str) -> None:
     async def run() -> None:
         process = family(tmp_path, token)
-        await told(process)
+        await child_of(process)
         pid, started = process.pid, process.started
         assert find(pid, started - 0.01, VARIABLE, token) is None
         assert find(pid, started, VARIABLE, "another token") is None
@@ -299,37 +317,39 @@ def test_another_process_of_the_same_number_is_not_taken_for_it(tmp_path: Path, 
     asyncio.run(run())
 
 
-def test_what_was_started_and_not_written_down_is_ended_and_nothing_else(tmp_path: Path, token: str) -> None:
+def test_an_unrecorded_component_is_ended_and_nothing_else(tmp_path: Path, token: str) -> None:
     def component(name: str, token: str) -> Process:
         code = "import subprocess; subprocess.run(['sleep', '600'], start_new_session=True)"
         environment = {**os.environ, ENV_TOKEN: token, ENV_INSTANCE: name}
         return spawn((sys.executable, "-S", "-c", code), tmp_path, environment, tmp_path / "log")
 
     async def run() -> None:
-        stray, known, other = component("new", token), component("old", token), component("new", f"{token}-other")
-        for process in (stray, known, other):  # each with what it has started itself, in a group of its own
+        orphan, known, other = component("new", token), component("old", token), component("new", f"{token}-other")
+        for process in (orphan, known, other):  # each with a child in another process group
             while len(carriers(process.pid)) < 2:
                 await asyncio.sleep(0.005)
-        all_of_the_stray = carriers(stray.pid)
-        assert await end_strays(token, {"old"}, grace=5.0) == ["new"]
-        assert not any(alive(pid) for pid in all_of_the_stray)
+        whole_orphan = carriers(orphan.pid)
+        assert await end_orphans(token, {"old"}, grace=5.0) == ["new"]
+        assert not any(alive(pid) for pid in whole_orphan)
         assert len(carriers(known.pid)) == len(carriers(other.pid)) == 2
-        assert await end_strays(token, {"old"}, grace=5.0) == []
-        assert await end_strays(token, (), grace=5.0) == ["old"]
-        assert await end_strays(f"{token}-other", (), grace=5.0) == ["new"]
-        for process in (stray, known, other):
+        assert await end_orphans(token, {"old"}, grace=5.0) == []
+        assert await end_orphans(token, (), grace=5.0) == ["old"]
+        assert await end_orphans(f"{token}-other", (), grace=5.0) == ["new"]
+        for process in (orphan, known, other):
             process.close()
 
     def carriers(pid: int) -> list[int]:
         """The process and its child, which have one environment."""
-        mine = [reaper.value_of(pid, variable) for variable in (ENV_TOKEN, ENV_INSTANCE)]
+        mine = [reaper.environment_value(pid, variable) for variable in (ENV_TOKEN, ENV_INSTANCE)]
         found = (seen.pid for seen in reaper.processes() if seen.alive)
-        return [one for one in found if [reaper.value_of(one, name) for name in (ENV_TOKEN, ENV_INSTANCE)] == mine]
+        return [
+            one for one in found if [reaper.environment_value(one, name) for name in (ENV_TOKEN, ENV_INSTANCE)] == mine
+        ]
 
     asyncio.run(run())
 
 
-# A manager that starts one family it tells the guardian of, and one it does not, and one without the token.
+# A manager with three families: a watched one, one with the token that is not watched, and a released one.
 MANAGER = """
 import asyncio, os, sys, time
 from pathlib import Path
@@ -338,18 +358,18 @@ from midstride.runtime.logs import tail
 from midstride.runtime.process import spawn
 
 async def main(token, family):
-    guardian = Reaper("MIDSTRIDE_TOKEN", token)
+    reaping = Reaper("MIDSTRIDE_TOKEN", token)
     bare = {"PATH": os.environ["PATH"]}
     started = []
-    for name, environment in (("told", bare), ("untold", {**bare, "MIDSTRIDE_TOKEN": token}), ("released", bare)):
+    for name, environment in (("watched", bare), ("unwatched", {**bare, "MIDSTRIDE_TOKEN": token}), ("released", bare)):
         process = spawn([sys.executable, "-S", "-c", family], Path.cwd(), environment, Path(f"{name}.txt"))
         started.append(process.pid)
-        if name != "untold":
-            guardian.watch(process.pid, process.started)
+        if name != "unwatched":
+            reaping.watch(process.pid, process.started)
         while not tail(Path(f"{name}.txt")).startswith("up "):
             await asyncio.sleep(0.005)
-    guardian.release(process.pid)
-    print(guardian.pid, *started, flush=True)
+    reaping.release(process.pid)
+    print(reaping.pid, *started, flush=True)
     await asyncio.sleep(600)
 
 asyncio.run(main(*sys.argv[1:]))
@@ -363,31 +383,33 @@ def test_a_killed_manager_leaves_nothing_behind(tmp_path: Path, token: str) -> N
     assert manager.stdout is not None
     pids = [int(word) for word in manager.stdout.readline().split()]
     assert len(pids) == 4
-    watching, told, untold, released = pids
-    children = {name: int((tmp_path / f"{name}.txt").read_text().split()[2]) for name in ("told", "untold", "released")}
+    reaping, watched, unwatched, released = pids
+    children = {
+        name: int((tmp_path / f"{name}.txt").read_text().split()[2]) for name in ("watched", "unwatched", "released")
+    }
     try:
         assert all(map(alive, (*pids, *children.values())))
-        os.kill(watching, signal.SIGTERM)  # what ends everything else in sight does not end the guardian
+        os.kill(reaping, signal.SIGTERM)  # the reaper ignores what ends other processes
         manager.kill()
         manager.wait()
-        until(lambda: not any(map(alive, (told, untold, children["told"], children["untold"], watching))))
+        until(lambda: not any(map(alive, (watched, unwatched, children["watched"], children["unwatched"], reaping))))
         assert alive(released)
         assert alive(children["released"])
     finally:
         manager.stdout.close()
-        for pid in (told, untold, released):
+        for pid in (watched, unwatched, released):
             with suppress(ProcessLookupError):
                 os.killpg(pid, signal.SIGKILL)
         until(lambda: not any(map(alive, (*pids, *children.values()))))
 
 
-def test_closing_the_guardian_ends_what_is_left(tmp_path: Path, token: str) -> None:
+def test_closing_the_reaper_ends_what_remains(tmp_path: Path, token: str) -> None:
     async def run() -> tuple[int, int]:
-        with Reaper(VARIABLE, token) as watching:
+        with Reaper(VARIABLE, token) as reaping:
             process = family(tmp_path, token, "stubborn")
-            watching.watch(process.pid, process.started)
-            child = await told(process)
-            assert os.getsid(watching.pid) == watching.pid
+            reaping.watch(process.pid, process.started)
+            child = await child_of(process)
+            assert os.getsid(reaping.pid) == reaping.pid
             process.close()
         return process.pid, child
 
@@ -398,14 +420,14 @@ def test_closing_the_guardian_ends_what_is_left(tmp_path: Path, token: str) -> N
         os.waitpid(pid, 0)
 
 
-def test_the_guardian_spares_a_later_process_of_the_same_number(tmp_path: Path, token: str) -> None:
+def test_the_reaper_spares_a_later_process_of_the_same_number(tmp_path: Path, token: str) -> None:
     async def run() -> bool:
         environment = {"PATH": os.environ["PATH"]}
         process = spawn(
             [sys.executable, "-S", "-c", "import time; time.sleep(600)"], tmp_path, environment, tmp_path / "log.txt"
         )
-        with Reaper(VARIABLE, token) as watching:
-            watching.watch(process.pid, process.started - 5.0)
+        with Reaper(VARIABLE, token) as reaping:
+            reaping.watch(process.pid, process.started - 5.0)
         survived = alive(process.pid)
         await process.end(grace=5.0)
         process.close()

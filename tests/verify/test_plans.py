@@ -197,7 +197,10 @@ PLANTED = [
 
 @pytest.mark.parametrize(
     "planted",
-    [pytest.param(each, id=each.fault, marks=pytest.mark.long if each.takes_long else ()) for each in PLANTED],
+    [
+        pytest.param(each, id=each.fault, marks=pytest.mark.long if each.takes_long else pytest.mark.full)
+        for each in PLANTED
+    ],
 )
 def test_a_fault_in_a_plan_is_caught_and_told_by_its_names(planted: Planted, alloy: Alloy) -> None:
     document = copy.deepcopy(plans()[planted.of])

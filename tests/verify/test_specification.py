@@ -31,6 +31,7 @@ def only(module: str, **given: object) -> Checked:
 
 @pytest.mark.alloy
 @pytest.mark.parametrize("module", MODULES)
+@pytest.mark.full
 def test_the_specification_comes_out_as_it_says_at_a_small_scope(module: str) -> None:
     checked = only(module)
     assert checked.answer is Answer.HOLDS, checked.because
@@ -69,6 +70,7 @@ _MENDED = {"'": "_", "...": "", "env_guards": "env_guars", "mode_guards": "mode_
         ("mode_guards", 'The name "mode_guards" cannot be found'),
     ],
 )
+@pytest.mark.full
 def test_the_papers_listings_do_not_parse_for_four_reasons(tmp_path: Path, left: str, said: str) -> None:
     """Each is enough, with the other three mended; docs/paper.md tells them."""
     text = library.source(PRINTED)
@@ -83,6 +85,7 @@ def test_the_papers_listings_do_not_parse_for_four_reasons(tmp_path: Path, left:
 
 
 @pytest.mark.alloy
+@pytest.mark.full
 def test_the_papers_check_fails_where_the_rest_is_left_open(tmp_path: Path) -> None:
     text = library.source(PRINTED)
     for printed, mended in _MENDED.items():
@@ -139,6 +142,7 @@ def test_tasks_ask_everything_at_any_scope() -> None:
 
 
 @pytest.mark.alloy
+@pytest.mark.full
 def test_a_specification_without_a_conjunct_is_violated() -> None:
     whole = library.scoped("handover", SMALL)
     forgotten = "    satisfy[s.cur_mode[assoc_outputs.new].mode_guars[new], conn.conn_guar]\n"
@@ -202,6 +206,7 @@ def little(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.alloy
 @pytest.mark.usefixtures("little")
+@pytest.mark.full
 def test_the_command_tells_each_check(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["prove", "--alloy", "--scope", "3"]) == 0
     out = capsys.readouterr().out

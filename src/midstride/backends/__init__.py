@@ -26,11 +26,11 @@ def make(name: str, workspace: Workspace, *, guardian: Reaper | None = None) -> 
     if name == "ros2":
         from midstride.backends.ros2 import create_backend
 
-        return create_backend(control=workspace.components, logs=workspace.logs, guardian=guardian)
+        return create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
     if name == "ros1":
         from midstride.backends import ros1
 
-        return ros1.create_backend(control=workspace.components, logs=workspace.logs, guardian=guardian)
+        return ros1.create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
     raise BackendError(f"there is no back end {name}; there are {', '.join(NAMES)}")
 
 

@@ -16,9 +16,11 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import psutil
+
 from midstride import backends
 from midstride.backends.simulator import Simulator
-from midstride.cli.example import Demo, examples_folder
+from midstride.cli.example import Demo, repository
 from midstride.runtime.backend import Backend
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import Reaper
@@ -55,8 +57,8 @@ def demo_environment(example: Demo, backend: str) -> Iterator[DemoEnvironment]:
 @contextmanager
 def _folder() -> Iterator[Path]:
     """A folder for the demo's files; those of demos that were killed are swept up."""
-    examples = examples_folder()
-    root = None if examples is None else examples.parent / ".midstride"
+    checkout = repository()
+    root = None if checkout is None else checkout / ".midstride"
     try:
         if root is None:
             raise OSError
@@ -80,7 +82,7 @@ def _folder() -> Iterator[Path]:
 def _sweep(root: Path) -> None:
     for left in root.glob("demo-*"):
         pid = left.name.removeprefix("demo-")
-        if not Path(f"/proc/{pid}").exists():
+        if not (pid.isdigit() and psutil.pid_exists(int(pid))):
             shutil.rmtree(left, ignore_errors=True)
 
 

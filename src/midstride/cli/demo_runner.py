@@ -6,7 +6,7 @@ import asyncio
 import signal
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 from rich.markup import escape
@@ -27,6 +27,10 @@ Document = dict[str, Any]
 ASIDE = 0.1
 
 
+# How long the system runs before the first act (s): what is replaced then has been heard before.
+RUN_IN: Final = 1.0
+
+
 async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
     """Play an example; what came of each act, as `replace --json` prints it. Stops at the first act that fails.
 
@@ -38,6 +42,7 @@ async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
             out.print(f"[bold]{escape(example.title)}[/bold]  [dim](examples/{example.name}, on {backend})[/dim]")
             async with _shown(scene, example, out):
                 await scene.manager.up()
+                await scene.backend.clock.sleep(RUN_IN)
             outcomes: list[Document] = []
             for act in example.acts:
                 outcomes.append(await _act(scene, example, act, out))

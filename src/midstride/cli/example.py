@@ -17,6 +17,8 @@ from midstride.model.specification import Specification
 from midstride.plan.request import Request
 from midstride.plan.request_form import decode_request
 
+_PACKAGE = Path(midstride.__file__).resolve().parent
+
 
 @dataclass(frozen=True, slots=True)
 class DemoStep:
@@ -41,19 +43,23 @@ class Demo:
 
 def find(name: str) -> Demo:
     """The example called ``name``, or in the folder ``name``. Raises UsageError where there is none."""
-    root = examples_folder()
-    known = {file.parent.name: file.parent for file in sorted(root.glob("*/demo.json"))} if root else {}
+    known = {file.parent.name: file.parent for file in sorted(examples_folder().glob("*/demo.json"))}
     folder = known.get(name) or Path(name)
     if not (folder / "demo.json").is_file():
-        where = "" if root else " (the examples are in the repository, not in the installed package: give a folder)"
-        raise click.UsageError(f"there is no example `{name}`; {suggestion(name, known)}{where}")
+        raise click.UsageError(f"there is no example `{name}`; {suggestion(name, known)}")
     return read(folder)
 
 
-def examples_folder() -> Path | None:
-    """The examples that came with this Midstride, where it runs from its repository."""
-    folder = Path(midstride.__file__).resolve().parents[2] / "examples"
-    return folder if folder.is_dir() else None
+def examples_folder() -> Path:
+    """The examples of this Midstride: those of its repository if it runs from one, else those that were installed."""
+    root = repository()
+    return _PACKAGE / "examples" if root is None else root / "examples"
+
+
+def repository() -> Path | None:
+    """The repository that this Midstride runs from; None for an installed package."""
+    root = _PACKAGE.parents[1]
+    return root if (root / "examples").is_dir() and (root / "pyproject.toml").is_file() else None
 
 
 def read(folder: Path) -> Demo:

@@ -13,7 +13,7 @@ from midstride.cli.systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
 from midstride.runtime.backend import Backend, Handle
 from midstride.runtime.launcher import STOP_GRACE
-from midstride.runtime.orphans import end_strays
+from midstride.runtime.orphans import end_orphans
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 
@@ -80,7 +80,7 @@ async def _end(backend: Backend, handles: list[Handle], token: str) -> list[str]
             except MidstrideError as error:
                 faults.append(f"{handle.instance}: {error}")
         try:
-            await end_strays(token, {handle.instance for handle in handles}, STOP_GRACE)
+            await end_orphans(token, {handle.instance for handle in handles}, STOP_GRACE)
         except BackendError as error:
             faults.append(str(error))
     finally:

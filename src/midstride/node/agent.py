@@ -116,7 +116,8 @@ class Agent:
         finally:
             heartbeat.cancel()
             with contextlib.suppress(asyncio.CancelledError):
-                await self._server.close(LAST_ANSWERS)
+                # Requests that wait for a set-up that has failed are never answered.
+                await self._server.close(LAST_ANSWERS if self._ready.is_set() else 0.0)
 
     def _register(self) -> None:
         """Say what the component is, to whichever manager connects."""

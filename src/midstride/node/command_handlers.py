@@ -132,6 +132,7 @@ class CommandHandlers:
         because = "released: it has no manager any more"
         await self._modes(ModesCommand(modes=modes, timeout=timeout, because=because), None)
         await self._attachments.close_all(timeout)
+        self._handovers.disconnect()
 
     async def end(self) -> None:
         """No call any more, the author's last word, then the endpoints; each in bounded time, whatever fails."""

@@ -53,8 +53,12 @@ class Component:
         self.instance = name
         self.clock = ComponentClock()
         self._parts = DeclaredParts()
-        self.logger: Any = logging.getLogger(f"midstride.{name}")
         self._started = False
+
+    @property
+    def logger(self) -> Any:
+        host = self.clock.host
+        return logging.getLogger(f"midstride.{self.name}") if host is None else host.logger
 
     # -- declaring ---------------------------------------------------------------------------------
 
@@ -197,7 +201,7 @@ class Component:
         factory = host_factory(surroundings)
         self._started = True
         host = factory(surroundings.instance or self.name, surroundings.namespace)
-        self.instance, self.clock.host, self.logger = host.instance, host, host.logger
+        self.instance, self.clock.host = host.instance, host
         pid = os.getpid() if surroundings.pid is None else surroundings.pid
         agent = Agent(self._parts, declaration, host, surroundings.token, pid, standalone)
         host.run(agent.main)

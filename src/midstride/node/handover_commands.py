@@ -65,8 +65,13 @@ class HandoverCommands:
         """The component ends: no side goes on."""
         for task in self._tasks:
             task.cancel()
+        self.disconnect()
+
+    def disconnect(self) -> None:
+        """Forget the peers: they belong to the system that the component leaves."""
         for channel in self._channels.values():
             channel.close()
+        self._channels.clear()
 
     # -- before ------------------------------------------------------------------------------------
 
@@ -208,6 +213,9 @@ class HandoverCommands:
         if channel is None or channel.closed.is_set():
             if self._host.transport is None:
                 raise Unreachable("this component runs without a control socket, so it has no peers")
-            channel = await Channel.open(self._host.transport, address, self._token(), timeout=timeout)
-            self._channels[address] = channel
+            made = await Channel.open(self._host.transport, address, self._token(), timeout=timeout)
+            self._channels = {peer: other for peer, other in self._channels.items() if not other.closed.is_set()}
+            channel = self._channels.setdefault(address, made)
+            if channel is not made:  # another cut has connected to the same peer meanwhile
+                made.close()
         return await channel.request(command, timeout=timeout)

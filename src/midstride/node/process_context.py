@@ -1,6 +1,6 @@
 """Who this process is, and which platform it runs on: asked once, in ``Component.start``.
 
-The manager tells a component's process through environment variables (wire/messages.py). In the
+The manager tells a component's process through environment variables (wire/environment.py). In the
 simulator many components share one process, so there a context variable says it instead.
 """
 
@@ -66,7 +66,7 @@ def host_factory(surroundings: ProcessContext) -> HostFactory:
         if name is None:
             raise NodeError(
                 "no ROS can be imported (neither rclpy nor rospy): source your ROS's setup file, "
-                "or `pip install 'midstride[ros2]'`, or run it in the simulator"
+                "or `pip install '.[ros2]'` in a clone of Midstride, or run it in the simulator"
             )
     if name not in BACKENDS:
         raise NodeError(f"{ENV_BACKEND}={name!r} names no back end: write one of {', '.join(BACKENDS)}")

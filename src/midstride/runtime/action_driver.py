@@ -125,7 +125,7 @@ class ActionDriver:
         except MidstrideError as error:
             if not self.rolling_back:
                 raise
-            self.tell("note", f"{instance} has not taken up its state again: {error}", {})
+            self.tell("note", f"{instance} did not restore its state: {error}", {})
 
     async def _attach(self, action: Attach, configuration: Configuration) -> None:
         port, output = action.port, configuration.is_output(action.port)
@@ -143,7 +143,7 @@ class ActionDriver:
         if reply.last:
             self.last_numbers[port] = reply.last
         if reply.acknowledged is None and configuration.is_output(port):
-            self.tell("note", f"{port}: it is not known whether its last messages on {topic} arrived", {})
+            self.tell("note", f"{port}: unknown whether its last messages on {topic} arrived", {})
 
     async def _set_modes(self, action: Degrade | Upgrade, configuration: Configuration, because: str) -> None:
         """The functionalities of each component at once, the components one after the other."""
@@ -182,7 +182,7 @@ class ActionDriver:
         except MidstrideError as error:
             if not self.rolling_back:
                 raise
-            self.tell("note", f"{new} goes on with the state it had: {error}", {})
+            self.tell("note", f"{new} keeps its own state: {error}", {})
             return
         if exported.state is not None:
             await self._give(new, exported.state)

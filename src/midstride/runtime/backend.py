@@ -77,7 +77,7 @@ class Backend(Protocol):
         ...
 
     async def adopt(self, handle: Handle) -> bool:
-        """Take over a component that an earlier manager started. False where it no longer runs."""
+        """Take over a component that an earlier manager started. False where it is no longer running."""
         ...
 
     async def end(self, instance: str, grace: float) -> None:

@@ -1,4 +1,4 @@
-"""Time is owned: production code is handed a clock, tests hand in a virtual one."""
+"""Code that reads the time or sleeps receives a clock: the system clock in production, a virtual one in tests."""
 
 from __future__ import annotations
 
@@ -8,19 +8,23 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """The steady clock of the manager: seconds from an arbitrary start, and sleeping on it."""
+    """The clock of the manager."""
 
-    def steady(self) -> float: ...
-
-    def ros_now(self) -> int:
-        """The ROS clock, ns."""
+    def steady(self) -> float:
+        """Monotonic time in seconds, from an arbitrary start."""
         ...
 
-    async def sleep(self, seconds: float) -> None: ...
+    def ros_now(self) -> int:
+        """ROS time in nanoseconds."""
+        ...
+
+    async def sleep(self, seconds: float) -> None:
+        """Sleep on the monotonic clock."""
+        ...
 
 
 class SystemClock:
-    """The real one."""
+    """The clocks of the operating system."""
 
     def steady(self) -> float:
         return time.monotonic()

@@ -62,7 +62,7 @@ class Executor:
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as error:
-                what, why = self.describe(action), _told(error)
+                what, why = self.describe(action), _words(error)
                 self._tell("step_failed", f"{what} failed: {why}", position)
                 await self._abandon_started(actions[index:])
                 problem = await self._roll_back(done)
@@ -148,17 +148,17 @@ class Executor:
         """Undo what was done, last first. None, or why it could not be undone."""
         if not done:
             return None
-        self._tell("rollback", f"taking back {len(done)} step{'s' if len(done) > 1 else ''}", {"of": len(done)})
+        self._tell("rollback", f"rolling back {len(done)} step{'s' if len(done) > 1 else ''}", {"of": len(done)})
         self.driver.rolling_back = True
         for action, before in reversed(done):
             for undoing in action.undo(before):
                 try:
                     await self.perform(undoing)
                 except Exception as error:
-                    problem = f"{self.describe(undoing)}: {_told(error)}"
-                    self._tell("rollback_failed", f"not everything could be taken back: {problem}", {})
+                    problem = f"{self.describe(undoing)}: {_words(error)}"
+                    self._tell("rollback_failed", f"the roll-back is incomplete: {problem}", {})
                     return problem
-        self._tell("rolled_back", "everything is as before", {})
+        self._tell("rolled_back", "everything is as it was before", {})
         return None
 
     async def _start_ahead(self, actions: Iterable[Action]) -> None:
@@ -182,11 +182,11 @@ class Executor:
         self.driver.tell(kind, words, details)
 
 
-def _told(error: BaseException) -> str:
+def _words(error: BaseException) -> str:
     """An exception in words; one that nobody foresaw goes to the log with its traceback."""
     if isinstance(error, MidstrideError):
         return str(error)
     if isinstance(error, asyncio.CancelledError):
-        return "the manager was told to end"
-    log.error("a step failed in a way that nobody foresaw", exc_info=error)
+        return "the manager is shutting down"
+    log.error("a step failed with an unexpected error", exc_info=error)
     return f"internal error: {error!r}"

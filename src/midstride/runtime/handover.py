@@ -134,7 +134,7 @@ async def _fallen(client: ComponentClient, configuration: Configuration, swaps: 
             continue
         ref = FunctionalityRef(swap.new.instance, owner.name)
         if view is not None and owner.mode_index(view.mode) > configuration.modes[ref]:
-            return f"{ref} has gone to {view.mode} by itself: {view.because.strip()}"
+            return f"{ref} degraded to {view.mode} by itself: {view.because.strip()}"
     return None
 
 
@@ -185,7 +185,7 @@ async def _stand_by(
         return None
     return (
         f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
-        "readers outside this system may miss messages"
+        "subscribers outside this system may miss messages"
     )
 
 
@@ -289,9 +289,9 @@ async def _await_cuts(
         over = AwaitCutCommand(cut=cut.id, timeout=patience)
         incoming, outgoing = await asyncio.gather(client.read(cut.new, over), client.read(cut.old, over))
         if incoming.outcome != "done":
-            raise StepFailed(f"{cut.new} did not write after the cut, so {cut.old} goes on")
+            raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues")
         if outgoing.outcome != "done":
-            raise StepFailed(f"{cut.old} had resumed before it learnt that {cut.new} had written")
+            raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published")
         for swap in cut.swaps:
             write = outgoing.last.get(f"{swap.old.port} {_topic(configuration, swap.connector)}")
             last[swap.old] = None if write is None else write.number

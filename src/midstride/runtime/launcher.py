@@ -21,7 +21,7 @@ from midstride.errors import (
 from midstride.model.configuration import Instance
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.orphans import end_strays
+from midstride.runtime.orphans import end_orphans
 from midstride.runtime.registration import mismatches, unexpected_endpoints
 from midstride.runtime.timeouts import within
 from midstride.wire.commands import ReleaseCommand, WelcomeCommand
@@ -203,9 +203,9 @@ class Launcher:
         self._learn(state)
         return state
 
-    async def end_strays(self, known: Container[str]) -> list[str]:
-        """End what an earlier manager started and could not write down: all but the ``known``. Raises BackendError."""
-        return await end_strays(self._token, known, STOP_GRACE)
+    async def end_orphans(self, known: Container[str]) -> list[str]:
+        """End what an earlier manager started and could not record: all but the ``known``. Raises BackendError."""
+        return await end_orphans(self._token, known, STOP_GRACE)
 
     def _learn(self, state: ComponentState) -> None:
         """How long its author wants it to have for its end (``on_stop``)."""

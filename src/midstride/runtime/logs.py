@@ -1,8 +1,8 @@
-"""The logs of components: their ends, for whoever asks why one has ended, and their length.
+"""The logs of components: reading their ends, and limiting their length.
 
-A component writes to its log by itself, at the end of the file, for as long as it runs. The logs lie beside the state,
-often in memory (``XDG_RUNTIME_DIR``): after some days they would fill it, and a component that cannot write any more
-fails at its next word.
+A component appends to its log itself for as long as it runs. The logs are in the workspace, often in memory
+(``XDG_RUNTIME_DIR``): without a limit they would fill it after some days, and a component that cannot write to its log
+fails.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ _TAIL: Final = 4000
 
 
 def tail(log: Path | None, length: int = _TAIL, since: int = 0) -> str:
-    """The end of a log from the byte ``since`` on, in whole lines."""
+    """The last ``length`` bytes of a log, in whole lines, and nothing before the byte ``since``."""
     if log is None:
         return ""
     try:
@@ -29,9 +29,10 @@ def tail(log: Path | None, length: int = _TAIL, since: int = 0) -> str:
 
 
 def shorten(log: Path, longest: int, kept: int) -> bool:
-    """Cut a log that is longer than ``longest`` to its last ``kept`` bytes, in whole lines; whether that was done.
+    """Truncate a log longer than ``longest`` bytes to its last ``kept`` bytes, in whole lines; returns whether it did.
 
-    Whoever writes goes on at the new end, since it appends. What it writes in this very moment may be lost.
+    The component continues at the new end, since it opened the log for appending. A line that it writes during the
+    truncation may be lost.
     """
     try:
         size = log.stat().st_size

@@ -204,7 +204,7 @@ class Manager:
             await self._launcher.end(name)
         except MidstrideError as error:
             return f"{name}: {error}"
-        self.events.add("ended", f"{name} has ended")
+        self.events.add("ended", f"{name} has exited")
         return None
 
     # -- asking -------------------------------------------------------------------------------------

@@ -1,6 +1,7 @@
-"""Processes that no state tells of: their manager was killed after it started them, before it could write them down.
+"""Orphans: components that a manager started but could not record before it was killed.
 
-They bear the system's token, so they can be found; nobody else would ever end them, and their names would be taken.
+The system's token in their environment identifies them. Without this module they would run forever and keep their
+names in use.
 """
 
 from __future__ import annotations
@@ -9,36 +10,36 @@ import asyncio
 from collections.abc import Container
 
 from midstride.runtime.process import Process
-from midstride.runtime.reaper import Seen, carries, processes, value_of
+from midstride.runtime.reaper import ProcessInfo, environment_value, processes
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 
-async def end_strays(token: str, known: Container[str], grace: float) -> list[str]:
-    """End the processes of the system that bear the name of no ``known`` instance; the names that were ended.
+async def end_orphans(token: str, known: Container[str], grace: float) -> list[str]:
+    """End the system's processes whose instance is not ``known``; returns the names of those instances.
 
-    ``grace`` is how long each may take to end in order (s). What a known component has started for itself bears
-    that component's name, and is left alone. Raises BackendError where the kernel does not let one go.
+    After ``grace`` seconds each is killed. The children of a known component have that component's name in their
+    environment, and are left alone. Raises BackendError if the kernel does not remove a killed process.
     """
-    strays: dict[str, list[Seen]] = {}
-    for seen in processes():
-        if seen.alive and carries(seen.pid, ENV_TOKEN, token):
-            name = value_of(seen.pid, ENV_INSTANCE)
+    orphans: dict[str, list[ProcessInfo]] = {}
+    for process in processes():
+        if process.alive and environment_value(process.pid, ENV_TOKEN) == token:
+            name = environment_value(process.pid, ENV_INSTANCE)
             if name is not None and name not in known:
-                strays.setdefault(name, []).append(seen)
-    await asyncio.gather(*(_end(seen, grace) for found in strays.values() for seen in _heads(found)))
-    return sorted(strays)
+                orphans.setdefault(name, []).append(process)
+    await asyncio.gather(*(_end(process, grace) for found in orphans.values() for process in _leaders(found)))
+    return sorted(orphans)
 
 
-def _heads(found: list[Seen]) -> list[Seen]:
-    """The leaders of process groups, with whom their groups end, and whoever has none."""
-    leaders = {seen.pid for seen in found if seen.pid == seen.group}
-    return [seen for seen in found if seen.pid == seen.group or seen.group not in leaders]
+def _leaders(found: list[ProcessInfo]) -> list[ProcessInfo]:
+    """The group leaders, with which their groups end, and the processes whose leader is not among ``found``."""
+    leaders = {process.pid for process in found if process.pid == process.group}
+    return [process for process in found if process.pid == process.group or process.group not in leaders]
 
 
-async def _end(seen: Seen, grace: float) -> None:
+async def _end(orphan: ProcessInfo, grace: float) -> None:
     try:
-        process = Process(seen.pid, seen.started, child=False)
-    except ProcessLookupError:  # it has just ended by itself
+        process = Process(orphan.pid, orphan.started, child=False)
+    except ProcessLookupError:  # it has exited meanwhile
         return
     try:
         await process.end(grace)

@@ -1,10 +1,9 @@
-"""The operating-system processes of components: started in a session of their own, ended as a group.
+"""The operating-system processes of components: each starts as a session leader and is ended with its process group.
 
-Each process is started as the leader of its own session and process group, so that a signal reaches
-what it starts in turn (a shell, `ros2 run`), and a terminal's Ctrl-C passes it by. Its exit is known
-at once through a file descriptor of the process, whoever its parent is: a process that an earlier
-manager started is watched like an own one, only that nobody can tell its exit status. Where the
-leader ends by itself, the rest of its group is ended with it.
+Since each process leads a session and a process group, a signal also reaches its children (of a shell, of
+`ros2 run`), and Ctrl-C in the manager's terminal does not reach it. A pidfd reports its exit at once. This also
+works for a process that an earlier manager started, except that its exit status is then unknown. When the leader
+exits unexpectedly, the rest of its group is killed.
 """
 
 from __future__ import annotations
@@ -19,21 +18,22 @@ from typing import Final
 
 from midstride.errors import BackendError, StartFailed
 from midstride.runtime.logs import shorten, tail
-from midstride.runtime.reaper import carries, look, members, send
+from midstride.runtime.reaper import environment_value, group_members, process_info, signal_group
 from midstride.runtime.timeouts import within
 
-# How long the kernel may take to end what was killed (s).
+# How long the kernel may take to remove a killed process (s).
 KILL_PATIENCE: Final = 10.0
 _TICK: Final = 0.02
 
 
 class Process:
-    """A running process and its group. To be used on the event loop it was made on; :meth:`close` lets go of it."""
+    """A running process and its group, to be used on the event loop that created it. :meth:`close` stops watching."""
 
     def __init__(self, pid: int, started: float, child: bool, log: Path | None = None, log_begins: int = 0) -> None:
-        """Watches from now on; what ``log`` holds before ``log_begins`` is another one's.
+        """Watch the process ``pid`` that started at ``started`` (s since boot).
 
-        Raises ProcessLookupError where ``pid`` is no longer that process.
+        ``log`` before the byte ``log_begins`` was written by an earlier process. Raises ProcessLookupError if ``pid``
+        is no longer the same process.
         """
         self.pid = pid
         self.started = started
@@ -45,11 +45,11 @@ class Process:
         self._ending = False
         self._on_exit: Callable[[int | None], None] | None = None
         self._fd = os.pidfd_open(pid)
-        seen = look(pid)
-        if seen is None or seen.started != started:
+        info = process_info(pid)
+        if info is None or info.started != started:
             os.close(self._fd)
             raise ProcessLookupError(f"process {pid} is not the one that was started")
-        self._group = seen.group
+        self._group = info.group
         self._loop = asyncio.get_running_loop()
         self._loop.add_reader(self._fd, self._ended)
 
@@ -59,20 +59,20 @@ class Process:
 
     @property
     def status(self) -> int | None:
-        """The exit status, negative for a signal; None while it runs, and where nobody can tell."""
+        """The exit status, negative for a signal; None while the process runs, and if the status is unknown."""
         return self._status
 
     def last_words(self) -> str:
-        """The end of what it has written to its log."""
+        """The end of what the process has written to its log."""
         return tail(self.log, since=self._log_begins)
 
     def shorten_log(self, longest: int, kept: int) -> None:
-        """Cut its log to the last ``kept`` bytes where it is longer than ``longest``."""
+        """Truncate a log longer than ``longest`` bytes to its last ``kept`` bytes."""
         if self.log is not None and shorten(self.log, longest, kept):
             self._log_begins = 0
 
     def on_exit(self, callback: Callable[[int | None], None] | None) -> None:
-        """Call ``callback(status)`` when it has ended, instead of what was asked for before."""
+        """Call ``callback(status)`` when the process has exited; replaces the previous callback."""
         self._on_exit = callback
 
     async def wait(self) -> int | None:
@@ -84,31 +84,31 @@ class Process:
         if self._child:
             try:
                 result = os.waitid(os.P_PIDFD, self._fd, os.WEXITED)
-            except ChildProcessError:  # somebody else has reaped it
+            except ChildProcessError:  # already reaped elsewhere
                 result = None
             if result is not None:
                 self._status = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
         if not self._ending and self._group == self.pid:
-            # What it started has lost its head: a shell that is killed must not leave the component it ran.
-            send(self._group, signal.SIGKILL)
+            # A shell that is killed must not leave the component that it ran.
+            signal_group(self._group, signal.SIGKILL)
         self._exited.set()
         if self._on_exit is not None:
             self._on_exit(self._status)
 
     async def end(self, grace: float) -> None:
-        """End the process and all of its group: in order, and by force after ``grace`` seconds.
+        """End the process and its group: with SIGTERM, and after ``grace`` seconds with SIGKILL.
 
-        Returns when all of them are gone. Raises BackendError where the kernel does not let them go.
+        Returns when all of them have exited. Raises BackendError if the kernel does not remove a killed process.
         """
         self._ending = True
         deadline = self._loop.time() + grace
         self._signal(signal.SIGTERM)
-        self._signal(signal.SIGCONT)  # one that was stopped ends in order, too
+        self._signal(signal.SIGCONT)  # a stopped process must run to handle SIGTERM
         await self._gone(deadline)
         deadline = self._loop.time() + KILL_PATIENCE
-        while self._left():
+        while self._remaining():
             if self._loop.time() > deadline:
-                raise BackendError(f"process {self.pid} was killed, but the kernel does not let go of {self._left()}")
+                raise BackendError(f"process {self.pid} was killed, but {self._remaining()} did not exit")
             self._signal(signal.SIGKILL)
             await self._gone(self._loop.time() + 0.5)
 
@@ -118,22 +118,22 @@ class Process:
                 await self._exited.wait()
         except asyncio.TimeoutError:
             return
-        while self._left() and self._loop.time() < deadline:
+        while self._remaining() and self._loop.time() < deadline:
             await asyncio.sleep(_TICK)
 
-    def _left(self) -> list[int]:
+    def _remaining(self) -> list[int]:
         if self._group == self.pid:
-            return members(self._group)
+            return group_members(self._group)
         return [self.pid] if self.running else []
 
     def _signal(self, number: signal.Signals) -> None:
         if self._group == self.pid:
-            send(self._group, number)
+            signal_group(self._group, number)
         elif self.running:
             signal.pidfd_send_signal(self._fd, number)
 
     def close(self) -> None:
-        """Let go of it; it goes on."""
+        """Stop watching; the process continues."""
         if self._fd >= 0:
             if not self._loop.is_closed():
                 self._loop.remove_reader(self._fd)
@@ -142,7 +142,7 @@ class Process:
 
 
 def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, str], log: Path) -> Process:
-    """Start a process whose output goes to the end of ``log``. Raises StartFailed, naming what is missing."""
+    """Start a process that appends its output to ``log``. Raises StartFailed with the reason."""
     try:
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "ab") as output:
@@ -161,24 +161,24 @@ def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, s
         if not directory.is_dir():
             raise StartFailed(f"cannot start `{command}`: the folder {directory} does not exist") from None
         raise StartFailed(f"cannot start `{command}`: {getattr(error, 'strerror', None) or error}") from None
-    child.returncode = 0  # it is waited for by its file descriptor: Popen need not, and must not, reap it
-    seen = look(child.pid)
-    assert seen is not None, "a child stays in /proc until it is waited for"
+    child.returncode = 0  # the pidfd reaps it: Popen must not
+    info = process_info(child.pid)
+    assert info is not None, "a child stays in /proc until it is reaped"
     try:
-        return Process(child.pid, seen.started, child=True, log=log, log_begins=begins)
-    except OSError as error:  # no file descriptor is left for it: what cannot be watched must not run
-        send(child.pid, signal.SIGKILL)
+        return Process(child.pid, info.started, child=True, log=log, log_begins=begins)
+    except OSError as error:  # no file descriptor left: a process that cannot be watched must not run
+        signal_group(child.pid, signal.SIGKILL)
         os.waitpid(child.pid, 0)
         raise StartFailed(f"cannot watch `{' '.join(arguments)}`: {error.strerror or error}") from None
 
 
 def find(pid: int, started: float, variable: str, value: str, log: Path | None = None) -> Process | None:
-    """The process that an earlier manager started, or None where it no longer runs.
+    """The process that an earlier manager started, or None if it no longer runs.
 
-    It is known by its number, the time of its start, and what it carries in its environment.
+    It is identified by its number, its start time (s since boot) and ``variable`` in its environment.
     """
-    seen = look(pid)
-    if seen is None or not seen.alive or seen.started != started or not carries(pid, variable, value):
+    info = process_info(pid)
+    if info is None or not info.alive or info.started != started or environment_value(pid, variable) != value:
         return None
     try:
         return Process(pid, started, child=False, log=log)

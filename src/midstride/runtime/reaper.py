@@ -1,14 +1,15 @@
-"""Nothing is left behind: a small process that ends what a manager started, should the manager be killed.
+"""The reaper: a small process that ends the processes of a system when its manager is killed.
 
-It holds the reading end of a pipe from the manager. At the end of that pipe, however it came about
-(kill -9 included), it ends every process group it was told of, and every process whose environment
-carries the system's token, told of or not. ``demo`` and the tests use one; under ``up`` components
-outlive their manager, so there it has no place (semantics.md section 7).
+It holds the reading end of a pipe from the manager. When that pipe reaches its end, for whatever reason
+(``kill -9`` of the manager included), it ends every process group that the manager registered and every
+process that has the system's token in its environment, registered or not. ``demo`` and the tests use a
+reaper. ``up`` does not: there, components outlive their manager (docs/semantics.md).
 
-The process runs this very file, without the package and without site-packages, so that it starts in
-milliseconds and no environment can break it: only the standard library is imported here, and what is
-slow to import only where it is used. It has a session of its own: what ends a terminal or a process
-group passes it by.
+The process runs this file alone, without the package and without site-packages: it starts in milliseconds,
+and no environment can break it. So this module imports only the standard library, and slow modules only where
+they are used. This is also why it parses ``/proc`` itself; psutil, besides, offers neither the process group
+nor a start time that survives a step of the system clock. The process leads a session, so a signal to the
+manager's terminal or process group does not reach it.
 """
 
 from __future__ import annotations
@@ -25,15 +26,19 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 if TYPE_CHECKING:
     from subprocess import Popen
 
-# How long what is left may take to end in order, and then how long the kernel may take to end it (s).
+# How long processes may take to exit after SIGTERM, and the kernel to remove them after SIGKILL (s).
 GRACE: Final = 3.0
 KILL_PATIENCE: Final = 10.0
 _TICK: Final = 0.02
 _TICKS_PER_SECOND: Final = os.sysconf("SC_CLK_TCK")
 
 
-class Seen(NamedTuple):
-    """One process as ``/proc`` shows it. ``started`` (s since the system's start) tells it from a later one."""
+class ProcessInfo(NamedTuple):
+    """One process as ``/proc`` shows it.
+
+    ``started`` (s since boot) and ``pid`` together identify it: a later process with the same number has another start
+    time, and a step of the system clock does not change it.
+    """
 
     pid: int
     group: int
@@ -41,31 +46,31 @@ class Seen(NamedTuple):
     alive: bool
 
 
-def look(pid: int) -> Seen | None:
-    """The process ``pid``, or None where there is none. A zombie is not alive."""
+def process_info(pid: int) -> ProcessInfo | None:
+    """The process ``pid``, or None if it does not exist. A zombie is not alive."""
     try:
         with open(f"/proc/{pid}/stat", "rb") as file:
             text = file.read()
     except OSError:
         return None
-    fields = text[text.rindex(b")") + 2 :].split()  # the command's name in parentheses may hold anything
-    return Seen(pid, int(fields[2]), int(fields[19]) / _TICKS_PER_SECOND, fields[0] not in (b"Z", b"X"))
+    fields = text[text.rindex(b")") + 2 :].split()  # the command name, in parentheses, may contain anything
+    return ProcessInfo(pid, int(fields[2]), int(fields[19]) / _TICKS_PER_SECOND, fields[0] not in (b"Z", b"X"))
 
 
-def processes() -> Iterator[Seen]:
-    """Every process there is."""
+def processes() -> Iterator[ProcessInfo]:
+    """All processes of this machine."""
     for name in os.listdir("/proc"):
-        if name.isdigit() and (seen := look(int(name))) is not None:
-            yield seen
+        if name.isdigit() and (process := process_info(int(name))) is not None:
+            yield process
 
 
-def members(group: int) -> list[int]:
+def group_members(group: int) -> list[int]:
     """The living processes of a process group."""
-    return [seen.pid for seen in processes() if seen.group == group and seen.alive]
+    return [process.pid for process in processes() if process.group == group and process.alive]
 
 
-def value_of(pid: int, variable: str) -> str | None:
-    """The variable in the environment that the process was started with; None without, or where nobody may know."""
+def environment_value(pid: int, variable: str) -> str | None:
+    """The variable in the environment with which the process started; None if it is not set or cannot be read."""
     name = f"{variable}=".encode()
     try:
         with open(f"/proc/{pid}/environ", "rb") as file:
@@ -75,67 +80,62 @@ def value_of(pid: int, variable: str) -> str | None:
     return next((os.fsdecode(entry[len(name) :]) for entry in entries if entry.startswith(name)), None)
 
 
-def carries(pid: int, variable: str, value: str) -> bool:
-    """Whether the process was started with this variable in its environment."""
-    return value_of(pid, variable) == value
-
-
-def send(group: int, number: signal.Signals) -> None:
-    """Send a signal to a process group; that it is gone already is no error."""
+def signal_group(group: int, number: signal.Signals) -> None:
+    """Send a signal to a process group. A group that no longer exists is not an error."""
     with suppress(ProcessLookupError, PermissionError):
         os.killpg(group, number)
 
 
-def left(told: dict[int, float], variable: str, token: str) -> set[int]:
-    """The process groups, told of or carrying the token, that still have a living member."""
+def remaining_groups(watched: dict[int, float], variable: str, token: str) -> set[int]:
+    """The process groups with a living member that are ``watched`` (group: start of its leader) or have the token."""
     own = os.getpgrp()
     groups: set[int] = set()
-    for seen in processes():
-        if not seen.alive or seen.group == own:
+    for process in processes():
+        if not process.alive or process.group == own:
             continue
-        if carries(seen.pid, variable, token):
-            groups.add(seen.group)
-        elif seen.group in told:
-            leader = look(seen.group)  # where the leader is gone, its number cannot have been given to another one
-            if leader is None or leader.started == told[seen.group]:
-                groups.add(seen.group)
+        if environment_value(process.pid, variable) == token:
+            groups.add(process.group)
+        elif process.group in watched:
+            leader = process_info(process.group)  # its number is not reused while the group has members
+            if leader is None or leader.started == watched[process.group]:
+                groups.add(process.group)
     return groups
 
 
-def end_all(told: dict[int, float], variable: str, token: str, grace: float = GRACE) -> None:
-    """End them all: in order, by force after ``grace`` seconds."""
+def end_groups(watched: dict[int, float], variable: str, token: str, grace: float = GRACE) -> None:
+    """End all remaining groups: with SIGTERM, and after ``grace`` seconds with SIGKILL."""
     deadline = time.monotonic() + grace
-    asked: set[int] = set()
-    while (groups := left(told, variable, token)) and time.monotonic() < deadline:
-        for group in groups - asked:
-            send(group, signal.SIGTERM)
-            send(group, signal.SIGCONT)
-        asked |= groups
+    signalled: set[int] = set()
+    while (groups := remaining_groups(watched, variable, token)) and time.monotonic() < deadline:
+        for group in groups - signalled:
+            signal_group(group, signal.SIGTERM)
+            signal_group(group, signal.SIGCONT)
+        signalled |= groups
         time.sleep(_TICK)
     deadline = time.monotonic() + KILL_PATIENCE
-    while (groups := left(told, variable, token)) and time.monotonic() < deadline:
+    while (groups := remaining_groups(watched, variable, token)) and time.monotonic() < deadline:
         for group in groups:
-            send(group, signal.SIGKILL)
+            signal_group(group, signal.SIGKILL)
         time.sleep(_TICK)
 
 
 def main(lines: Iterable[str], variable: str, token: str) -> None:
-    """``+GROUP STARTED``: watch this group; ``-GROUP``: no longer. The end of ``lines`` is the manager's end."""
-    told: dict[int, float] = {}
+    """``+GROUP STARTED`` watches a group, ``-GROUP`` releases it. The end of ``lines`` is the end of the manager."""
+    watched: dict[int, float] = {}
     for line in lines:
         group, _, started = line[1:].strip().partition(" ")
         if line.startswith("+"):
-            told[int(group)] = float(started)
+            watched[int(group)] = float(started)
         else:
-            told.pop(int(group), None)
-    end_all(told, variable, token)
+            watched.pop(int(group), None)
+    end_groups(watched, variable, token)
 
 
 class Reaper:
-    """The manager's end of it. A context manager: leaving it ends what is left, and then the guardian itself."""
+    """The manager's handle of the reaper process. As a context manager it ends what remains, then the reaper itself."""
 
     def __init__(self, variable: str, token: str) -> None:
-        """``variable`` and ``token``: what the environment of every process of the system carries."""
+        """Every process of the system has the environment variable ``variable`` set to ``token``."""
         import subprocess
 
         self._process: Popen[bytes] = subprocess.Popen(
@@ -152,20 +152,21 @@ class Reaper:
         return self._process.pid
 
     def watch(self, group: int, started: float) -> None:
-        self._tell(f"+{group} {started}\n")
+        """End the group with the manager; ``started`` is the start time of its leader (s since boot)."""
+        self._write(f"+{group} {started}\n")
 
     def release(self, group: int) -> None:
-        self._tell(f"-{group}\n")
+        self._write(f"-{group}\n")
 
-    def _tell(self, line: str) -> None:
+    def _write(self, line: str) -> None:
         pipe = self._process.stdin
         if pipe is not None and not pipe.closed:
-            with suppress(BrokenPipeError):  # somebody killed the guardian: the manager goes on without
+            with suppress(BrokenPipeError):  # the reaper was killed: the manager continues without it
                 pipe.write(line.encode())
                 pipe.flush()
 
     def close(self) -> None:
-        """End what is left, and return when it has ended."""
+        """End what remains, and return when it has ended."""
         if self._process.stdin is not None and not self._process.stdin.closed:
             with suppress(BrokenPipeError):
                 self._process.stdin.close()
@@ -181,6 +182,6 @@ class Reaper:
 
 
 if __name__ == "__main__":
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # it ends when the manager does, not before
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # it ends after the manager, not before
         signal.signal(number, signal.SIG_IGN)
     main(sys.stdin, sys.argv[1], sys.argv[2])

@@ -155,11 +155,11 @@ class Reconciler:
         for name in {ref.instance for ref in worse}:
             self._client.accept(name)  # at the revision that it reports them at
         for ref, index in sorted(worse.items()):
-            words = f"{ref} has degraded to {configuration.functionality(ref).modes[index].name} by itself"
+            words = f"{ref} degraded to {configuration.functionality(ref).modes[index].name} by itself"
             self._events.add("degraded", words, functionality=str(ref))
             because.append(words)
             self.degraded.add(ref)
         after, fallen = settled(configuration, gone, worse, self._pending_degradations)
         self._system.moved(after)
-        reason = "; ".join(because) or "what it assumes was gone before it could be reached"
+        reason = "; ".join(because) or "its input was lost before it could be degraded"
         self._pending_degradations = await self._executor().lower(fallen, reason)

@@ -36,15 +36,15 @@ async def recover(
         instance, handle = entry.instance, entry.handle
         state = await launcher.adopt(handle or Handle(instance.name), own=handle is not None)
         if state is None:
-            tell("gone", f"{instance.name} no longer runs")
+            tell("gone", f"{instance.name} is no longer running")
             await launcher.abandon(instance.name)
             continue
         found[instance.name] = (instance, state)
-        tell("adopted", f"{instance.name} was found again")
-    for name in await launcher.end_strays(found):
-        tell("ended", f"{name} had just been started by an earlier manager, and is ended")
+        tell("adopted", f"{instance.name} was reattached unchanged")
+    for name in await launcher.end_orphans(found):
+        tell("ended", f"ended {name}, which an earlier manager had just started")
     for name in _half_done(found):
-        tell("ended", f"{name} had been left half done by an earlier manager, and is ended")
+        tell("ended", f"ended {name}, which an earlier manager had left half done")
         await _end(found.pop(name)[0].name, launcher, client)
     for name, (instance, _) in found.items():
         # A cut that was under way may have been settled since it was looked at.

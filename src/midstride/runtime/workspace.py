@@ -1,4 +1,4 @@
-"""Where a running system keeps what its next manager needs: socket, state, logs, lock.
+"""The workspace of a running system: the files that its next manager needs (socket, state, logs, lock).
 
 ``$XDG_RUNTIME_DIR/midstride/<system>``, a folder only its user can open. The control sockets of its components are in
 a folder below it (:mod:`midstride.wire.sockets`); the state is :mod:`.state_store`'s.
@@ -13,6 +13,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+
+import psutil
 
 from midstride.errors import ManagerBusy, ManagerError
 from midstride.wire.sockets import COMPONENTS, workspace_folder, workspace_root
@@ -96,14 +98,13 @@ class Workspace:
         try:
             with (self.path / "lock").open() as lock:
                 pid = int(lock.read())
-                words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-                if b"_manager" not in words:
+                if "_manager" not in psutil.Process(pid).cmdline():
                     return None
                 fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # one that is about to end has let go of it
                 return None
         except BlockingIOError:
             return pid
-        except (OSError, ValueError):
+        except (OSError, ValueError, psutil.Error):
             return None
 
     def require_room(self) -> None:

@@ -22,6 +22,8 @@ from pathlib import Path
 from threading import Event
 from typing import Any, Final
 
+import psutil
+
 from midstride.errors import AlloyFailed, AlloyMissing
 
 VERSION: Final = "6.2.0"
@@ -251,11 +253,5 @@ def fast_solver(alloy: Alloy) -> str:
 
 
 def available_memory() -> int:
-    """MiB that may be used without swapping; what is there in all where the system does not say."""
-    try:
-        for line in Path("/proc/meminfo").read_text(encoding="ascii").splitlines():
-            if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) // 1024
-    except OSError:
-        pass
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2**20 // 2
+    """Memory that can be used without swapping (MiB)."""
+    return int(psutil.virtual_memory().available) // 2**20

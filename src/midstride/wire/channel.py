@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import uuid
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from typing import Any, TypeVar
 
 import msgspec
@@ -13,6 +13,7 @@ import msgspec
 from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Unreachable
 from midstride.wire.commands import Command
 from midstride.wire.frames import (
+    INVALID,
     PROTOCOL,
     Greeting,
     Hello,
@@ -21,17 +22,19 @@ from midstride.wire.frames import (
     Request,
     StateChanged,
     decode_from_component,
+    decode_greeting,
     encode,
     encode_value,
 )
 from midstride.wire.transport import Connection, Transport
 
 R = TypeVar("R")
+T = TypeVar("T")
 Report = Registration | StateChanged
 
 
 class Channel:
-    """One connection to one component. ``report`` is called with what it reports, ``ended`` once when it is gone.
+    """One connection to one component. ``report`` is called with each of its reports, ``ended`` once when it is gone.
 
     ``greeting`` says which component answered. To be used on one event loop.
     """
@@ -64,27 +67,13 @@ class Channel:
     ) -> Channel:
         """Connect, and exchange greetings within ``timeout`` seconds.
 
-        Raises Unreachable, CallTimeout (something listens and says nothing), ProtocolError (another version).
+        Raises Unreachable, CallTimeout (something listens but does not greet), ProtocolError (another version).
         """
         connection = await transport.connect(address)
         try:
-            await connection.send(encode(Hello(protocol=PROTOCOL, token=token)))
-            receiving = asyncio.ensure_future(connection.receive())
-            done, _ = await asyncio.wait({receiving}, timeout=timeout)
-            if not done:
-                receiving.cancel()
-                raise CallTimeout(f"{address} did not greet within {timeout:g} s")
-            line = receiving.result()
-            if line is None:
-                raise Unreachable(f"{address} closed the connection without a word: it may accept other users only")
-            greeting = decode_from_component(line)
-            if not isinstance(greeting, Greeting):
-                raise ProtocolError(f"{address} did not greet first")
-            if greeting.protocol != PROTOCOL:
-                raise ProtocolError(
-                    f"{greeting.instance} speaks version {greeting.protocol} of the control protocol, and this is "
-                    f"version {PROTOCOL}: it was started with another version of Midstride; restart it"
-                )
+            greeting = await _within(
+                timeout, _greet(connection, address, token), f"{address} did not greet within {timeout:g} s"
+            )
         except BaseException:
             connection.close()
             raise
@@ -99,28 +88,28 @@ class Channel:
         return await self.send(request, timeout)
 
     async def send(self, request: Request, timeout: float) -> Reply:
-        """As :meth:`request`, for a request that is made already."""
+        """As :meth:`request`, for a request that is made already. Its id must not be that of one under way."""
         name = self.greeting.instance
         if self.closed.is_set():
             raise Unreachable(f"{name} has closed its control connection")
+        return await _within(timeout, self._exchange(request), f"{name} did not answer within {timeout:g} s")
+
+    async def _exchange(self, request: Request) -> Reply:
         waiting: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
         self._waiting[request.id] = waiting
         try:
             await self._connection.send(encode(request))
-            await asyncio.wait({waiting}, timeout=timeout)
-            if not waiting.done():
-                raise CallTimeout(f"{name} did not answer within {timeout:g} s")
-            return waiting.result()
+            return await waiting
         finally:
-            if self._waiting.get(request.id) is waiting:
-                del self._waiting[request.id]
-            waiting.cancel()
+            self._waiting.pop(request.id, None)
+            if waiting.done() and not waiting.cancelled():
+                waiting.exception()  # retrieved: the connection may have ended while the request was being sent
 
     def close(self) -> None:
         """Close it from here; ``ended`` is not called."""
         self._ended = lambda: None
         self._reading.cancel()
-        self._end("it was closed")
+        self._end("the connection was closed at this end")
 
     async def _read(self) -> None:
         words = "it has closed its control connection"
@@ -129,8 +118,11 @@ class Channel:
                 self._take(line)
         except ProtocolError as error:
             words = str(error)
-        except Exception as error:  # a fault of ours ends the connection, and says so
+        except Exception as error:  # of the caller's `report`
             words = f"internal error: {error!r}"
+            asyncio.get_running_loop().call_exception_handler(
+                {"message": f"handling a report of {self.greeting.instance} failed", "exception": error}
+            )
         ended = self._ended
         self._end(words)
         ended()
@@ -138,7 +130,7 @@ class Channel:
     def _take(self, line: bytes) -> None:
         frame = decode_from_component(line)
         if isinstance(frame, Reply):
-            waiting = self._waiting.pop(frame.id, None)  # one that was given up has nobody waiting
+            waiting = self._waiting.pop(frame.id, None)  # None: the request was given up, and its reply is late
             if waiting is not None and not waiting.done():
                 waiting.set_result(frame)
         elif isinstance(frame, (Registration, StateChanged)):
@@ -156,13 +148,34 @@ class Channel:
         self._waiting.clear()
 
 
+async def _greet(connection: Connection, address: str, token: str) -> Greeting:
+    with contextlib.suppress(Unreachable):  # closed at once, which is explained below
+        await connection.send(encode(Hello(protocol=PROTOCOL, token=token)))
+    line = await connection.receive()
+    if line is None:
+        raise Unreachable(f"{address} closed the connection without a greeting: it may accept other users only")
+    return decode_greeting(line)
+
+
+async def _within(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T:
+    """What ``work`` returns. Raises CallTimeout with ``words`` after ``timeout`` seconds, and ends it."""
+    task = asyncio.get_running_loop().create_task(work)
+    try:
+        await asyncio.wait({task}, timeout=timeout)
+        if not task.done():
+            raise CallTimeout(words)
+        return task.result()
+    finally:
+        task.cancel()
+
+
 def result_of(reply: Reply, command: Command[R]) -> R:
     """What the command came to. Raises CommandRefused with the component's reason, ProtocolError."""
     if reply.refused is not None:
         raise CommandRefused(reply.refused)
     try:
         result: Any = msgspec.json.decode(reply.result, type=command.reply)
-    except msgspec.DecodeError as error:
+    except INVALID as error:
         raise ProtocolError(f"the reply to `{command.name}` is not one: {error}") from None
     found: R = result
     return found

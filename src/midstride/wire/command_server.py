@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+from collections import deque
 from collections.abc import Awaitable, Callable
+from typing import Final
 
 from midstride.errors import ProtocolError, Unreachable
 from midstride.wire.frames import (
@@ -25,6 +27,60 @@ from midstride.wire.transport import Connection, Listener, Transport
 # The reply to a request of a client with this token.
 Handler = Callable[[Request, str], Awaitable[Reply]]
 
+# How long a client may take to greet (s).
+HELLO_TIMEOUT: Final = 10.0
+# How many requests of one client may be under way, or answered and not yet sent. Its next ones are not read until then.
+UNDER_WAY: Final = 64
+
+
+class _Client:
+    """One connection, and what is still to be sent on it.
+
+    A client that does not read (its process is stopped) must cost a bounded amount of memory: a state that is not yet
+    sent is replaced by the next one, and replies are bounded by ``UNDER_WAY``.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+        self.room = asyncio.Semaphore(UNDER_WAY)
+        self._frames: deque[Frame] = deque()
+        self._state: StateChanged | None = None
+        self._arrived = asyncio.Event()
+        self._flushed = asyncio.Event()
+        self._flushed.set()
+
+    def put(self, frame: Frame) -> None:
+        """Send ``frame`` after what was put before, save that a state not yet sent is replaced."""
+        if isinstance(frame, StateChanged):
+            waiting, self._state = self._state, frame
+            if waiting is not None:
+                return
+        self._frames.append(frame)
+        self._flushed.clear()
+        self._arrived.set()
+
+    async def write(self) -> None:
+        """Send what is put, until cancelled or until the client is gone."""
+        try:
+            while True:
+                while not self._frames:
+                    self._flushed.set()
+                    self._arrived.clear()
+                    await self._arrived.wait()
+                frame = self._frames.popleft()
+                if isinstance(frame, StateChanged) and self._state is not None:
+                    frame, self._state = self._state, None
+                await self.connection.send(encode(frame))
+                if isinstance(frame, Reply):
+                    self.room.release()
+        except Unreachable:
+            pass
+        finally:
+            self._flushed.set()
+
+    async def flushed(self) -> None:
+        await self._flushed.wait()
+
 
 class CommandServer:
     """Serves one component at its address. To be used on one event loop, which never runs user code."""
@@ -32,7 +88,8 @@ class CommandServer:
     def __init__(self, greeting: Greeting, handler: Handler) -> None:
         self._greeting = greeting
         self._handler = handler
-        self._clients: dict[Connection, asyncio.Task[None]] = {}
+        self._clients: list[_Client] = []
+        self._connections: dict[Connection, asyncio.Task[None]] = {}
         self._answering: set[asyncio.Task[None]] = set()
         self._registration: Registration | None = None
         self._state: StateChanged | None = None
@@ -43,17 +100,22 @@ class CommandServer:
         self._listener = await transport.listen(self._greeting.instance, self._serve)
 
     async def close(self, timeout: float) -> None:
-        """Take no further requests, answer those under way within ``timeout`` seconds, and close."""
+        """Accept no further clients, answer the requests under way within ``timeout`` seconds, and disconnect."""
         if self._listener is not None:
             self._listener.close()
-        if self._answering:
-            await asyncio.wait(self._answering, timeout=timeout)
-        for connection, task in list(self._clients.items()):
+        finishing = asyncio.ensure_future(self._finish())
+        await asyncio.wait({finishing}, timeout=timeout)
+        finishing.cancel()
+        for connection, task in list(self._connections.items()):
             task.cancel()
             connection.close()
 
+    async def _finish(self) -> None:
+        await asyncio.gather(*self._answering, return_exceptions=True)
+        await asyncio.gather(*(client.flushed() for client in self._clients))
+
     def register(self, registration: Registration) -> None:
-        """The component is set up: tell every client, and each later one."""
+        """The component is set up: report it to every client, and to each later one."""
         self._registration = registration
         self._broadcast(registration)
 
@@ -63,43 +125,60 @@ class CommandServer:
         self._broadcast(state)
 
     def _broadcast(self, frame: Frame) -> None:
-        line = encode(frame)
-        for connection in list(self._clients):
-            self._later(self._send(connection, line))
-
-    async def _send(self, connection: Connection, line: bytes) -> None:
-        with contextlib.suppress(Unreachable):
-            await connection.send(line)
-
-    def _later(self, work: Awaitable[None]) -> None:
-        task = asyncio.ensure_future(work)
-        self._answering.add(task)
-        task.add_done_callback(self._answering.discard)
+        for client in self._clients:
+            client.put(frame)
 
     async def _serve(self, connection: Connection) -> None:
         task = asyncio.current_task()
         assert task is not None
+        self._connections[connection] = task
         try:
             await connection.send(encode(self._greeting))
-            hello = await self._receive(connection)
-            if not isinstance(hello, Hello) or hello.protocol != PROTOCOL:
-                return  # the greeting says which version is spoken here
-            self._clients[connection] = task
-            for known in (self._registration, self._state):
-                if known is not None:
-                    await connection.send(encode(known))
-            while isinstance(request := await self._receive(connection), Request):
-                self._later(self._answer(connection, request, hello.token))
+            hello = await self._hello(connection)
+            if hello is not None:
+                await self._serve_client(_Client(connection), hello.token)
         except (Unreachable, ProtocolError):
-            pass  # the client is gone, or is none
+            pass  # the client is gone, or what connected is not a client
         finally:
-            self._clients.pop(connection, None)
+            del self._connections[connection]
             connection.close()
+
+    async def _hello(self, connection: Connection) -> Hello | None:
+        """The client's greeting; None where there is none, or one of another version: ours says which is spoken."""
+        receiving = asyncio.ensure_future(self._receive(connection))
+        try:
+            await asyncio.wait({receiving}, timeout=HELLO_TIMEOUT)
+            hello = receiving.result() if receiving.done() else None
+        finally:
+            receiving.cancel()
+        return hello if isinstance(hello, Hello) and hello.protocol == PROTOCOL else None
+
+    async def _serve_client(self, client: _Client, token: str) -> None:
+        for known in (self._registration, self._state):
+            if known is not None:
+                client.put(known)
+        self._clients.append(client)
+        tasks = {asyncio.ensure_future(work) for work in (self._read(client, token), client.write())}
+        try:
+            # The writer finds out first that a client is gone whose requests are not read because of UNDER_WAY.
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._clients.remove(client)
+            for task in tasks:
+                task.cancel()
+
+    async def _read(self, client: _Client, token: str) -> None:
+        with contextlib.suppress(Unreachable, ProtocolError):  # it is gone, or sends what is not a request
+            await client.room.acquire()
+            while isinstance(request := await self._receive(client.connection), Request):
+                answering = asyncio.ensure_future(self._answer(client, request, token))
+                self._answering.add(answering)
+                answering.add_done_callback(self._answering.discard)
+                await client.room.acquire()
 
     async def _receive(self, connection: Connection) -> FromClient | None:
         line = await connection.receive()
         return None if line is None else decode_from_client(line)
 
-    async def _answer(self, connection: Connection, request: Request, token: str) -> None:
-        reply = await self._handler(request, token)
-        await self._send(connection, encode(reply))
+    async def _answer(self, client: _Client, request: Request, token: str) -> None:
+        client.put(await self._handler(request, token))

@@ -15,7 +15,7 @@ from midstride.errors import CommandRefused, ProtocolError
 from midstride.wire.commands import COMMANDS, AnyCommand, Command
 from midstride.wire.state import ComponentState, Endpoint, Value
 
-# Raised by every change of a frame, command, reply or event that an older side could misread.
+# Incremented with every change of a frame, command, reply or event that another version could misread.
 PROTOCOL: Final = 1
 # The longest frame (bytes): recorded receipts and exported state included.
 LONGEST_FRAME: Final = 256 * 1024 * 1024
@@ -87,11 +87,19 @@ class _Named(msgspec.Struct):
     command: str
 
 
+class _Versioned(msgspec.Struct):
+    protocol: int
+    instance: str = "the component"
+
+
 _named: Final[msgspec.json.Decoder[_Named]] = msgspec.json.Decoder(_Named)
+_versioned: Final[msgspec.json.Decoder[_Versioned]] = msgspec.json.Decoder(_Versioned)
 _encoder: Final = msgspec.json.Encoder()
 _from_component: Final[msgspec.json.Decoder[FromComponent]] = msgspec.json.Decoder(FromComponent)
 _from_client: Final[msgspec.json.Decoder[FromClient]] = msgspec.json.Decoder(FromClient)
 _command: Final[msgspec.json.Decoder[AnyCommand]] = msgspec.json.Decoder(AnyCommand)
+# What decoding raises for input that is not valid; msgspec does not translate the last two.
+INVALID: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
 
 def encode(frame: Frame) -> bytes:
@@ -103,11 +111,28 @@ def encode_value(value: Value) -> msgspec.Raw:
     return msgspec.Raw(_encoder.encode(value))
 
 
+def decode_greeting(line: bytes) -> Greeting:
+    """Raises ProtocolError, which says so where the component speaks another version of the protocol."""
+    try:
+        versioned = _versioned.decode(line)
+        if versioned.protocol != PROTOCOL:
+            raise ProtocolError(
+                f"{versioned.instance} speaks version {versioned.protocol} of the control protocol, and this is "
+                f"version {PROTOCOL}: it was started with another version of Midstride; restart it"
+            )
+        frame = _from_component.decode(line)
+    except INVALID as error:
+        raise ProtocolError(f"not a greeting: {error}") from None
+    if not isinstance(frame, Greeting):
+        raise ProtocolError("the component did not greet first")
+    return frame
+
+
 def decode_from_component(line: bytes) -> FromComponent:
     """Raises ProtocolError."""
     try:
         return _from_component.decode(line)
-    except msgspec.DecodeError as error:
+    except INVALID as error:
         raise ProtocolError(f"not a frame of a component: {error}") from None
 
 
@@ -115,7 +140,7 @@ def decode_from_client(line: bytes) -> FromClient:
     """Raises ProtocolError."""
     try:
         return _from_client.decode(line)
-    except msgspec.DecodeError as error:
+    except INVALID as error:
         raise ProtocolError(f"not a frame of a client: {error}") from None
 
 
@@ -123,7 +148,7 @@ def decode_command(request: Request) -> Command[Any]:
     """Raises CommandRefused, naming the field that is unknown, missing or of another type."""
     try:
         return _command.decode(request.command)
-    except msgspec.DecodeError as error:
+    except INVALID as error:
         name = command_name(request)
         if name in COMMANDS:
             raise CommandRefused(f"`{name}`: {error}") from None
@@ -134,5 +159,5 @@ def command_name(request: Request) -> str:
     """The name that a request gives its command, whether that is one or not."""
     try:
         return _named.decode(request.command).command
-    except msgspec.DecodeError:
+    except INVALID:
         return ""

@@ -1,8 +1,8 @@
 """Unix sockets, one for each component, in the folder ``components`` of the system's workspace.
 
 The folder is the access control: mode 0700 unless its owner opens it to others. A component accepts connections of
-its own user, of root, and of the user who owns the folder. A path too long for a socket (107 bytes on Linux) is
-reached through a file descriptor of the folder, so its length does not matter.
+its own user, of root, and of the user who owns the folder. A socket's path may have 107 bytes on Linux; here sockets
+are reached through file descriptors, so neither the folder's path nor a component's name is limited by that.
 """
 
 from __future__ import annotations
@@ -10,13 +10,16 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import errno
+import fcntl
 import os
 import re
 import socket
 import stat
 import struct
 import tempfile
-from collections.abc import Iterator
+import time
+import uuid
+from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote, unquote
@@ -30,8 +33,8 @@ COMPONENTS: Final = "components"
 _SCHEME: Final = "unix:"
 _SUFFIX: Final = ".sock"
 _BACKLOG: Final = 16
-# How long another listener of the same name may take to be found out (s).
-_LOOK: Final = 1.0
+# How long the lock of the folder may be held by a process that takes a name (s).
+LOCK_TIMEOUT: Final = 2.0
 _SYSTEM: Final = re.compile(r"[A-Za-z][A-Za-z0-9_\-]*\Z")
 
 
@@ -63,9 +66,14 @@ def workspace_folder(system: str) -> Path:
                 f"cannot create the folder {folder}, for sockets, state and logs: {error.strerror or error}; "
                 "set XDG_RUNTIME_DIR to a folder of yours"
             ) from None
-        if info.st_uid != os.getuid() and not stat.S_IMODE(info.st_mode) & 0o020:
+        if info.st_uid != os.getuid() and not _is_shared(info):
             raise ManagerError(f"{folder} belongs to another user; remove it or set XDG_RUNTIME_DIR")
     return root / system
+
+
+def _is_shared(info: os.stat_result) -> bool:
+    """Whether another user's folder is meant to be used by this one, which has then named it, and not by everyone."""
+    return bool(os.environ.get("XDG_RUNTIME_DIR")) and stat.S_IMODE(info.st_mode) & 0o022 == 0o020
 
 
 class SocketConnection:
@@ -74,11 +82,16 @@ class SocketConnection:
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader = reader
         self._writer = writer
+        self._turn = asyncio.Lock()
+        # Nothing is buffered here: what the other end does not read is kept, and given up, by the sender.
+        writer.transport.set_write_buffer_limits(0)
 
     async def send(self, frame: bytes) -> None:
         try:
-            self._writer.write(frame + b"\n")
-            await self._writer.drain()
+            async with self._turn:
+                await self._writer.drain()  # of a send that was cancelled before the kernel had taken all of it
+                self._writer.write(frame + b"\n")
+                await self._writer.drain()
         except (OSError, RuntimeError) as error:  # RuntimeError: it was closed here
             raise Unreachable(f"the control connection is closed: {error}") from None
 
@@ -86,7 +99,7 @@ class SocketConnection:
         try:
             line = await self._reader.readline()
         except ValueError:
-            raise ProtocolError(f"a frame of more than {LONGEST_FRAME} bytes") from None
+            raise ProtocolError(f"it sent a frame of more than {LONGEST_FRAME} bytes") from None
         except OSError:
             return None
         return line[:-1] if line.endswith(b"\n") else None  # half a line: the other end died while it wrote
@@ -104,10 +117,10 @@ class SocketListener:
         self._inode = inode
 
     def close(self) -> None:
-        self._server.close()
         with contextlib.suppress(OSError):
-            if self._path.stat().st_ino == self._inode:  # not that of a component that has taken the name since
+            if self._path.stat().st_ino == self._inode:  # as long as this one listens, no other takes the name
                 self._path.unlink()
+        self._server.close()
 
 
 class SocketFolder:
@@ -128,52 +141,58 @@ class SocketFolder:
         return {instance: self.address(instance) for instance in instances}
 
     async def listen(self, instance: str, serve: Serve) -> SocketListener:
-        self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         path = self._path(instance)
-        if await self._answers(path):
-            raise NodeError(
-                f"a component {instance} is running already in {self.folder.parent.name}; end it, or give this one "
-                "another name"
-            )
-        allowed = {0, os.getuid(), self.folder.stat().st_uid}
-        open_connections: set[asyncio.Task[None]] = set()
+        try:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            allowed = {0, os.getuid(), self.folder.stat().st_uid}
+            async with locked(self.folder):
+                if _answers(path):
+                    raise NodeError(
+                        f"a component {instance} is running already in {self.folder.parent.name}; end it, or give "
+                        "this one another name"
+                    )
+                listening = self._bind(path)
+                inode = path.stat().st_ino
+        except OSError as error:
+            raise NodeError(f"cannot open the control socket {path}: {error.strerror or error}") from None
 
         async def accepted(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            task = asyncio.current_task()
-            assert task is not None
-            open_connections.add(task)
             try:
                 if _peer_uid(writer.get_extra_info("socket")) in allowed:
                     await serve(SocketConnection(reader, writer))
             except asyncio.CancelledError:
                 pass  # the component ends
             finally:
-                open_connections.discard(task)
                 writer.close()
 
-        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        try:
-            with contextlib.suppress(FileNotFoundError):
-                path.unlink()  # of a component that was killed
-            with _short(path) as short:
-                listening.bind(short)
-            os.chmod(path, 0o600 if stat.S_IMODE(self.folder.stat().st_mode) == 0o700 else 0o660)
-            listening.listen(_BACKLOG)
-            inode = path.stat().st_ino
-        except OSError as error:
-            listening.close()
-            raise NodeError(f"cannot open the control socket {path}: {error.strerror or error}") from None
         server = await asyncio.start_unix_server(accepted, sock=listening, limit=LONGEST_FRAME)
         return SocketListener(server, path, inode)
+
+    def _bind(self, path: Path) -> socket.socket:
+        """A socket that listens at ``path``, in place of what a killed component has left there."""
+        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        new = self.folder / f".{uuid.uuid4().hex}"
+        try:
+            with _descriptor(self.folder) as folder:
+                listening.bind(f"{folder}/{new.name}")
+            new.chmod(0o600 if stat.S_IMODE(self.folder.stat().st_mode) == 0o700 else 0o660)
+            listening.listen(_BACKLOG)
+            new.rename(path)  # so whatever is found there under its name listens, or is dead
+        except OSError:
+            listening.close()
+            new.unlink(missing_ok=True)
+            raise
+        return listening
 
     async def connect(self, address: str) -> SocketConnection:
         path = Path(address.removeprefix(_SCHEME))
         connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        connecting.setblocking(False)
         try:
-            with _short(path) as short:
-                await asyncio.get_running_loop().sock_connect(connecting, short)
+            _connect(connecting, path)
             reader, writer = await asyncio.open_unix_connection(sock=connecting, limit=LONGEST_FRAME)
+        except BlockingIOError:
+            connecting.close()
+            raise Unreachable(f"{address} accepts no connection: its process is stopped or overloaded") from None
         except OSError as error:
             connecting.close()
             raise Unreachable(f"nothing listens at {address}: {error.strerror or error}") from None
@@ -182,33 +201,59 @@ class SocketFolder:
             raise
         return SocketConnection(reader, writer)
 
-    async def _answers(self, path: Path) -> bool:
-        """Whether something listens at ``path``: a socket file alone may be what a killed process left."""
-        if not path.exists():
-            return False
-        probe = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-        probe.settimeout(_LOOK)
-        try:
-            with _short(path) as short:
-                probe.connect(short)
-            return True
-        except OSError as error:
-            return error.errno in (errno.EAGAIN, errno.EACCES) or isinstance(error, TimeoutError)
-        finally:
-            probe.close()
-
     def _path(self, instance: str) -> Path:
         return self.folder / f"{quote(instance.strip('/'), safe='')}{_SUFFIX}"
 
 
+def _answers(path: Path) -> bool:
+    """Whether something listens at ``path``: a socket file alone may be what a killed process left."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            _connect(probe, path)
+        except OSError as error:
+            return error.errno in (errno.EAGAIN, errno.EACCES)
+        return True
+
+
+def _connect(connecting: socket.socket, path: Path) -> None:
+    """Connect at once or not at all: BlockingIOError where too many wait to be accepted. Raises OSError."""
+    connecting.setblocking(False)
+    with _descriptor(path) as short:
+        connecting.connect(short)
+
+
 @contextlib.contextmanager
-def _short(path: Path) -> Iterator[str]:
-    """A short name of ``path`` for the socket calls, which take 107 bytes and no more."""
-    folder = os.open(path.parent, os.O_PATH | os.O_DIRECTORY | os.O_CLOEXEC)
+def _descriptor(path: Path) -> Iterator[str]:
+    """A short name of ``path``. Raises OSError."""
+    descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
     try:
-        yield f"/proc/self/fd/{folder}/{path.name}"
+        yield f"/proc/self/fd/{descriptor}"
     finally:
-        os.close(folder)
+        os.close(descriptor)
+
+
+@contextlib.asynccontextmanager
+async def locked(folder: Path) -> AsyncIterator[None]:
+    """Take names in ``folder`` one process at a time: of two that start at once under one name, one is refused.
+
+    Raises NodeError where another process keeps the lock.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        deadline = time.monotonic() + LOCK_TIMEOUT
+        while True:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    raise NodeError(
+                        f"another process holds the lock of {folder}: a component that was stopped while it started?"
+                    ) from None
+            await asyncio.sleep(0.01)
+        yield
+    finally:
+        os.close(descriptor)
 
 
 def _peer_uid(connection: socket.socket) -> int:

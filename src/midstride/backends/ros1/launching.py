@@ -14,6 +14,8 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import urlsplit
 
+import psutil
+
 from midstride.errors import BackendError
 
 # Names the interpreter in which components run, and which has rospy, rosmaster and Midstride.
@@ -67,10 +69,9 @@ def master_uri(environment: Mapping[str, str]) -> str:
 def master_of(pid: int) -> str:
     """The master that a component's process was started with."""
     try:
-        entries = Path(f"/proc/{pid}/environ").read_bytes().decode(errors="replace").split("\0")
-    except OSError:
+        return master_uri(psutil.Process(pid).environ())
+    except psutil.Error:
         return master_uri({})
-    return master_uri(dict(entry.partition("=")[::2] for entry in entries))
 
 
 def is_local(uri: str) -> bool:

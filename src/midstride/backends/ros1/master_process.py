@@ -18,7 +18,7 @@ from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed
 from midstride.runtime.logs import tail
 from midstride.runtime.process import find, spawn
-from midstride.runtime.reaper import Reaper, look
+from midstride.runtime.reaper import Reaper, process_info
 
 ENV_STARTED: Final = "MIDSTRIDE_ROS1_MASTER"
 # How long a master may take to answer after its start (s).
@@ -84,7 +84,7 @@ async def ensure(master: Master, environment: Mapping[str, str], logs: Path, gua
 async def release(master: Master, guardian: Reaper | None) -> None:
     """End the master if Midstride started it and no other manager and no node needs it."""
     pid = await master.process()
-    seen = None if pid is None else look(pid)
+    seen = None if pid is None else process_info(pid)
     if pid is None or seen is None:
         return
     process = find(pid, seen.started, ENV_STARTED, str(rpc.address(master.uri)[1]))

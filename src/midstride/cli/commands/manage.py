@@ -47,7 +47,7 @@ async def _still_running(workspace: Workspace) -> Specification | None:
     The record of a system of which nothing runs any more is removed, once processes that are in no record have ended.
     """
     from midstride.runtime.launcher import STOP_GRACE
-    from midstride.runtime.orphans import end_strays
+    from midstride.runtime.orphans import end_orphans
     from midstride.runtime.state_store import StateStore
 
     store = StateStore(workspace.state)
@@ -55,16 +55,16 @@ async def _still_running(workspace: Workspace) -> Specification | None:
     if saved is None:
         return None
     if not any(_runs(entry.handle) for entry in saved.instances):
-        await end_strays(saved.token, (), STOP_GRACE)
+        await end_orphans(saved.token, (), STOP_GRACE)
         store.forget()
         return None
     return saved.specification
 
 
 def _runs(handle: Handle | None) -> bool:
-    from midstride.runtime.reaper import look
+    from midstride.runtime.reaper import process_info
 
     if handle is None or handle.pid is None:
         return False
-    seen = look(handle.pid)
+    seen = process_info(handle.pid)
     return seen is not None and seen.alive and seen.started == handle.started

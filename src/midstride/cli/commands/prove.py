@@ -52,7 +52,7 @@ def prove_command(
 
     Each goal is asked as its negation, which no system may satisfy. That it is not proved of nothing is shown
     beside it: the action can happen, and with one conjunct of its precondition left out there is a counterexample.
-    Needs the solvers: pip install 'midstride[proof]'.
+    Needs the solvers: pip install z3-solver cvc5.
 
     With --alloy, the same is then asked of the Alloy specification, for all systems up to a scope. Needs Java and
     the Alloy Analyzer (`make alloy`). At scope 5 that takes 20 to 40 minutes of two cores.

@@ -58,13 +58,15 @@ class _Cvc5:
 STRATEGIES: Final[dict[Name, tuple[str, ...]]] = {"z3": ("",), "cvc5": ("enum-inst-interleave", "enum-inst")}
 _SESSIONS: Final[dict[Name, Callable[[float, str], Session]]] = {"z3": _Z3, "cvc5": _Cvc5}
 
+_PACKAGES: Final[dict[Name, str]] = {"z3": "z3-solver", "cvc5": "cvc5"}
+
 
 def _imported(name: Name) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
         raise SolverMissing(
-            f"the solver {name} is not installed, so nothing is proved by it: pip install 'midstride[proof]'"
+            f"the solver {name} is not installed, so it proves nothing: pip install {_PACKAGES[name]}"
         ) from None
 
 

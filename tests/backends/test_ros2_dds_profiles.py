@@ -20,7 +20,7 @@ LOCAL = {RANGE: "LOCALHOST"}
 @pytest.mark.parametrize(
     ("major", "variable"), [(3, "FASTDDS_DEFAULT_PROFILES_FILE"), (2, "FASTRTPS_DEFAULT_PROFILES_FILE")]
 )
-def test_each_fast_dds_is_told_by_its_own_variable(major: int, variable: str) -> None:
+def test_each_fast_dds_has_a_variable_of_its_own(major: int, variable: str) -> None:
     assert choose({}, FAST_DDS, major).variables == {
         variable: str(PROFILES / f"fastdds{major}_subnet.xml"),
         TRANSPORTS: "UDPv4?sockets_size=4MB",
@@ -32,7 +32,7 @@ def test_each_fast_dds_is_told_by_its_own_variable(major: int, variable: str) ->
 
 
 @pytest.mark.parametrize(
-    ("environment", "left", "told"),
+    ("environment", "left", "words"),
     [
         ({"FASTDDS_DEFAULT_PROFILES_FILE": "/my.xml"}, set(), "your own profile"),
         ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/my.xml", **LOCAL}, set(), "your own profile"),
@@ -40,10 +40,10 @@ def test_each_fast_dds_is_told_by_its_own_variable(major: int, variable: str) ->
         ({TRANSPORTS: "LARGE_DATA", **LOCAL}, {"FASTDDS_DEFAULT_PROFILES_FILE"}, "LARGE_DATA"),
     ],
 )
-def test_what_the_user_has_set_counts(environment: dict[str, str], left: set[str], told: str) -> None:
+def test_what_the_user_has_set_is_kept(environment: dict[str, str], left: set[str], words: str) -> None:
     chosen = choose(environment, FAST_DDS, 3)
     assert set(chosen.variables) == left
-    assert told in " ".join(chosen.untuned)
+    assert words in " ".join(chosen.warnings)
 
 
 @pytest.mark.parametrize("own", [{"ROS_STATIC_PEERS": "10.0.0.2"}, {"ROS_LOCALHOST_ONLY": "1"}])
@@ -51,18 +51,18 @@ def test_what_rmw_alone_understands_is_left_to_it(own: dict[str, str]) -> None:
     assert RANGE not in choose({**LOCAL, **own}, FAST_DDS, 3).variables
 
 
-def test_other_middlewares_are_left_as_they_come_and_that_is_said() -> None:
+def test_other_middlewares_keep_their_defaults_with_a_warning() -> None:
     chosen = choose({}, "rmw_cyclonedds_cpp", None)
     assert chosen.variables == {}
-    assert "rmw_cyclonedds_cpp" in chosen.untuned[0]
-    assert choose({}, FAST_DDS, None).untuned
+    assert "rmw_cyclonedds_cpp" in chosen.warnings[0]
+    assert choose({}, FAST_DDS, None).warnings
 
 
 @pytest.mark.parametrize("environment", [{}, LOCAL])
-def test_what_is_tuned_stays_as_it_is(environment: dict[str, str]) -> None:
+def test_what_is_set_already_stays_as_it_is(environment: dict[str, str]) -> None:
     first = choose(environment, FAST_DDS, 3)
     again = choose({**environment, **first.variables}, FAST_DDS, 3)
-    assert (again.variables, again.untuned) == ({}, ())
+    assert (again.variables, again.warnings) == ({}, ())
 
 
 @pytest.mark.parametrize("kind", ["subnet", "localhost"])
@@ -88,8 +88,8 @@ def test_the_profiles_of_both_versions_say_the_same(kind: str) -> None:
 def test_the_environment_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(RANGE, "LOCALHOST")
     monkeypatch.delenv(TRANSPORTS, raising=False)
-    chosen = dds_profiles.Tuning(FAST_DDS, {RANGE: "SYSTEM_DEFAULT", TRANSPORTS: "UDPv4"})
-    with dds_profiles.in_force(chosen):
+    chosen = dds_profiles.DdsSettings(FAST_DDS, {RANGE: "SYSTEM_DEFAULT", TRANSPORTS: "UDPv4"})
+    with dds_profiles.applied_profile(chosen):
         assert (os.environ[RANGE], os.environ[TRANSPORTS]) == ("SYSTEM_DEFAULT", "UDPv4")
     assert os.environ[RANGE] == "LOCALHOST"
     assert TRANSPORTS not in os.environ
@@ -105,17 +105,17 @@ def test_which_fast_dds_another_interpreter_has(tmp_path: Path) -> None:
 CHECKING = """
 import sys
 import rclpy
-from midstride.backends.ros2 import tuning
+from midstride.backends.ros2 import dds_profiles
 
 if "before" in sys.argv:
     rclpy.init()
     rclpy.create_node("before").destroy_node()
     rclpy.shutdown()
-chosen = tuning.of_this_process()
-with tuning.in_force(chosen) as check:
+chosen = dds_profiles.of_this_process()
+with dds_profiles.applied_profile(chosen) as warnings:
     rclpy.init()
     node = rclpy.create_node("checked")
-print(sorted(chosen.variables), "|", *check.tuning.untuned)
+print(sorted(chosen.variables), "|", *warnings)
 node.destroy_node()
 rclpy.shutdown()
 """
@@ -141,8 +141,7 @@ def test_that_it_took_effect_is_seen() -> None:
 
 @pytest.mark.ros2
 def test_that_it_came_too_late_is_seen() -> None:
-    told = checked("before", **LOCAL)
-    assert "this process has used ROS 2 before" in told
+    assert "this process has used ROS 2 before" in checked("before", **LOCAL)
 
 
 @pytest.mark.ros2

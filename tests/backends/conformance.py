@@ -1,0 +1,34 @@
+"""The conformance checks as parameters of tests on real ROS: those that `make test` leaves out are marked."""
+
+from __future__ import annotations
+
+import pytest
+
+from midstride.testing.conformance import CHECKS
+
+# `make test` runs these: start and stop, attach, carry over state, hand over, and what each does when something fails.
+# The simulator runs all checks every time, and `make test-all` runs all of them on every ROS.
+ESSENTIAL = {
+    "starts_announces_and_waits",
+    "stops_in_order",
+    "ends_what_does_not_end",
+    "refuses_a_name_in_use",
+    "finds_again_what_was_started",
+    "obeys_its_manager_alone",
+    "answers_a_repeat_as_before",
+    "attaches_and_detaches",
+    "counts_behind_a_closed_gate",
+    "carries_state_over",
+    "degrades_where_user_code_raises",
+    "hands_over_on_the_grid",
+    "hands_over_what_messages_drive",
+    "hands_over_a_latched_topic",
+    "takes_up_again_unless_relieved",
+    "cancels_a_cut",
+}
+assert {check.__name__ for check in CHECKS} >= ESSENTIAL
+
+CHECKS_ON_ROS = [
+    pytest.param(check, id=check.__name__, marks=() if check.__name__ in ESSENTIAL else pytest.mark.full)
+    for check in CHECKS
+]
