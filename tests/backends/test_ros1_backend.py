@@ -163,7 +163,7 @@ def test_subscriptions_to_parameters_do_not_keep_a_dead_node_known(tmp_path: Pat
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             master, nowhere = r.backend._master, f"http://127.0.0.1:{free_port()}/"
-            await master.ask("subscribeParam", "/ghost", nowhere, "/some/parameter")
+            await master.call("subscribeParam", "/ghost", nowhere, "/some/parameter")
             assert await master.address_of("/ghost") == nowhere
             await master.forget("/ghost")
             assert await master.address_of("/ghost") is None
