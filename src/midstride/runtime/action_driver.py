@@ -91,8 +91,6 @@ class ActionDriver:
                 return _has_endpoint(configuration, port, connector)
             case Detach(port, connector):
                 return self.is_gone(port.instance) or _has_endpoint(configuration, port, connector)
-            case Degrade(modes):
-                return all(self.is_gone(ref.instance) for ref in modes)
             case Remove(component):
                 return self.is_gone(component)
             case _:
@@ -150,6 +148,8 @@ class ActionDriver:
         changed: list[tuple[str, dict[str, str]]] = []
         try:
             for component, modes in by_component(action.modes).items():
+                if isinstance(action, Degrade) and self.is_gone(component):
+                    continue
                 changed.append((component, {ref.functionality: configuration.mode(ref).name for ref in modes}))
                 wanted = {
                     ref.functionality: configuration.functionality(ref).modes[index].name
