@@ -13,6 +13,8 @@ from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, TypeVar
 
+from msgspec import structs
+
 from midstride.backends.simulator.clock import SimulatedClock
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import CallTimeout, CommandRefused, MidstrideError, Unreachable
@@ -22,10 +24,11 @@ from midstride.model.specification import Specification
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock
-from midstride.runtime.component_client import ComponentClient, ComponentEvent, LatestState
+from midstride.runtime.component_client import ComponentClient, ComponentEvent, LatestState, Reported
 from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
 from midstride.testing.clock import run
@@ -95,7 +98,10 @@ class Sent(NamedTuple):
 
 
 class ScriptedClient(ComponentClient):
-    """Records each command, and replies as the test says: a value, an exception, or a function of the command."""
+    """Records each command, and replies as the test says: a value, an exception, or a function of the command.
+
+    A component is in the modes that it was sent last, and otherwise in the state that it reported last.
+    """
 
     def __init__(self, clock: SimulatedClock) -> None:
         super().__init__(PipeNetwork(), clock, TOKEN)
@@ -117,6 +123,7 @@ class ScriptedClient(ComponentClient):
     def report(self, state: ComponentState) -> None:
         """The component reports ``state`` by itself."""
         self.states[state.instance] = state
+        self.on_event(Reported(state))
 
     def register(self, instance: Instance, *, token: str = TOKEN, **options: Any) -> None:
         """The component of ``instance`` is up, and has said what it is."""
@@ -160,6 +167,10 @@ class ScriptedClient(ComponentClient):
             answer = await answer
         if isinstance(answer, BaseException):
             raise answer
+        if isinstance(command, ModesCommand) and instance in self.states:
+            state = self.states[instance]
+            modes = {name: _functionality(mode) for name, mode in command.modes.items()}
+            self.states[instance] = structs.replace(state, functionalities=state.functionalities | modes)
         return answer
 
     # -- the client --------------------------------------------------------------------------------
@@ -315,9 +326,31 @@ class Bench:
         return [entry.instance for entry in state.instances]
 
 
-def play(body: Callable[[], Coroutine[Any, Any, T]]) -> T:
-    """Run ``body`` in virtual time."""
-    return run(body())
+@dataclass
+class ReconcilingBench(Bench):
+    """A bench with a reconciler, whose turn and busyness the test decides on."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.turn = asyncio.Lock()
+        self.busy = False
+        self.reconciler = Reconciler(
+            self.system, self.events, self.store, lambda: self.executor, lambda: self.turn, lambda: self.busy
+        )
+        self.reconciler.connect(self.client, self.launcher)
+        self.client.on_event = self.reconciler.on_component_event
+        for live in self.configuration.instances.values():
+            self.store.write_instance(live, self.launcher.handles.get(live.name))
+
+    def exits(self, event: Exited) -> None:
+        """The process of a component ends."""
+        self.client.states.pop(event.instance, None)
+        self.reconciler.on_exit(event)
+
+    def degrades(self, instance: str) -> None:
+        """A component reports that its functionality has degraded."""
+        found = self.configuration.instances[instance]
+        self.client.report(reported(found, self.system.configuration, modes={"work": "degraded"}))
 
 
 def bench(

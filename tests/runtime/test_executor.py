@@ -262,6 +262,7 @@ def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_pat
         assert command.because == "the camera exited unexpectedly"
         assert b.words("degraded") == ["degrade listener.work to degraded"]
         assert b.words("note") == [f"degrade talker.work to degraded failed: {UNREACHABLE}"]
+        assert b.client.changes == [("listener", "modes"), ("talker", "modes")], "it is not raised again"
 
     bench(talking(), tmp_path, body)
 

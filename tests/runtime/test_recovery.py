@@ -80,7 +80,7 @@ def test_what_no_longer_runs_is_not_in_the_model(tmp_path: Path) -> None:
 def test_a_component_that_runs_and_does_not_answer_stops_the_recovery(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.disconnect("talker")
-        with pytest.raises(Unreachable, match="talker runs .* but does not answer"):
+        with pytest.raises(Unreachable, match=r"talker runs .* but does not answer"):
             await recovered(b)
         assert b.backend.ended == []
 
