@@ -24,7 +24,7 @@ from midstride.runtime.reaper import environment_value
 from midstride.wire.channel import Channel
 from midstride.wire.commands import AwaitWriteCommand, PingCommand
 from midstride.wire.environment import ENV_SYSTEM
-from midstride.wire.sockets import workspace_folder
+from midstride.wire.folders import workspace_folder
 from tests.backends.ros1_support import free_port, own_master_uri, program, rig, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, alive, run, until, until_async
 

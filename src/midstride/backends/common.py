@@ -27,7 +27,8 @@ from midstride.wire.environment import (
     ENV_SYSTEM,
     ENV_TOKEN,
 )
-from midstride.wire.sockets import COMPONENTS, SocketFolder, workspace_folder
+from midstride.wire.folders import COMPONENTS, workspace_folder
+from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Transport
 
 T = TypeVar("T")

@@ -139,6 +139,10 @@ class ChangeSession:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
             if outcome == "rolled_back":
                 system.configuration = before
+        except asyncio.CancelledError:
+            if system.configuration == plan.change.start:  # everything has been rolled back
+                system.configuration = before
+            raise
         seconds, fallen = self._clock.steady() - begun, timer.stop()
         await self._reconciler.reconcile_crashes()  # before measuring: what relied on it is to be lowered now
         if recording.subjects:

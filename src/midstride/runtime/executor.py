@@ -21,7 +21,7 @@ from midstride.model.action import Action, Create, Degrade, Remove, SetParameter
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.plan.forms import AnyStep
-from midstride.runtime.action_driver import ActionDriver, by_component
+from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
 
@@ -114,23 +114,22 @@ class Executor:
 
         There is no order to keep and no precondition to check: what they assume is gone already.
         """
-        configuration = self.system.configuration
-        each = list(by_component(modes).values())
-        results = await asyncio.gather(*(self._lower(configuration, own, because) for own in each))
-        left = {ref for own, lowered in zip(each, results, strict=True) if not lowered for ref in own}
-        if len(left) < len(modes):
-            reached = {ref: index for ref, index in modes.items() if ref not in left}
-            self._moved(configuration.with_modes(reached))
-        return left
+        groups = by_instance(modes)
+        results = await asyncio.gather(*(self._lower(name, group, because) for name, group in groups.items()))
+        failed = {ref for group, lowered in zip(groups.values(), results, strict=True) if not lowered for ref in group}
+        if len(failed) < len(modes):
+            reached = {ref: index for ref, index in modes.items() if ref not in failed}
+            self._moved(self.system.configuration.with_modes(reached))
+        return failed
 
-    async def _lower(self, configuration: Configuration, modes: Mapping[FunctionalityRef, int], because: str) -> bool:
-        action = Degrade(Map(modes))
+    async def _lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> bool:
+        words = Degrade(Map(modes)).describe(self.system.configuration)
         try:
-            await self.driver.perform(action, configuration, because)
+            await self.driver.lower(instance, modes, self.system.configuration, because)
         except MidstrideError as error:
-            self._tell("note", f"{action.describe(configuration)} failed: {error}", {})
+            self._tell("note", f"{words} failed: {error}", {})
             return False
-        self._tell("degraded", action.describe(configuration), {})
+        self._tell("degraded", words, {})
         return True
 
     async def _roll_back(self, done: Done) -> str | None:
