@@ -105,7 +105,7 @@ def test_which_fast_dds_another_interpreter_has(tmp_path: Path) -> None:
 CHECKING = """
 import sys
 import rclpy
-from midstride.backends.ros2 import tuning
+from midstride.backends.ros2 import dds_profiles as tuning
 
 if "before" in sys.argv:
     rclpy.init()
