@@ -50,13 +50,13 @@ def recorder(path: str) -> None:
 
 async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
     from midstride import backends
-    from midstride.model.document import specification_from_document
+    from midstride.codec.specification import decode_specification
     from midstride.plan.request import Request
     from midstride.runtime.manager import Manager
     from midstride.runtime.workspace import Workspace
 
-    specification = specification_from_document(json.loads((EXAMPLE / "filter.json").read_text()))
-    manager = Manager(specification, backends.make("ros2", logs=folder / "logs"), Workspace(folder), EXAMPLE)
+    specification = decode_specification(json.loads((EXAMPLE / "filter.json").read_text()))
+    manager = Manager(specification, backends.make("ros2", Workspace(folder)), Workspace(folder), EXAMPLE)
     path = folder / "counts.json"
     reported: Counter[str] = Counter()
     unknown = 0
@@ -68,14 +68,15 @@ async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
             for index in range(swaps):
                 component = ("MedianFilter", "MeanFilter")[index % 2]
                 outcome = await manager.change(Request(replace=(("filter", component),)))
-                if outcome["outcome"] != "done":
-                    raise SystemExit(f"swap {index}: {outcome['because']}")
-                for swap in outcome["swaps"]:
+                if outcome.outcome != "done":
+                    raise SystemExit(f"swap {index}: {outcome.because}")
+                for swap in outcome.swaps:
                     for figure in ("missed", "lost", "duplicates"):
-                        if swap[figure] is None:
+                        found: int | None = getattr(swap, figure)
+                        if found is None:
                             unknown += 1
                         else:
-                            reported[figure] += swap[figure]
+                            reported[figure] += found
             process.send_signal(signal.SIGTERM)
             process.wait(timeout=30)
         finally:

@@ -27,6 +27,7 @@ from typing import Any
 
 from immutables import Map
 
+from midstride.codec.form import encode
 from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
@@ -137,7 +138,12 @@ async def midstride(way: Way, platform: Platform, strategy: str, swaps: int) -> 
     from midstride.runtime.workspace import Workspace
 
     with tempfile.TemporaryDirectory() as folder:
-        manager = Manager(specification(platform), backends.make(platform.backend), Workspace(Path(folder)), HERE)
+        manager = Manager(
+            specification(platform),
+            backends.make(platform.backend, Workspace(Path(folder))),
+            Workspace(Path(folder)),
+            HERE,
+        )
         try:
             await manager.up()
             component, other = "OtherSource", "Source"
@@ -146,14 +152,14 @@ async def midstride(way: Way, platform: Platform, strategy: str, swaps: int) -> 
                 begun = time.monotonic_ns()
                 outcome = await manager.change(Request(replace=(("source", component),), strategy=strategy))
                 way.windows.append((begun, time.monotonic_ns()))
-                way.own.extend(outcome["swaps"])
-                way.lost_seconds.append(sum(outcome["fallen"].values()))
-                if outcome["outcome"] == "done":
+                way.own.extend(map(encode, outcome.swaps))
+                way.lost_seconds.append(sum(outcome.fallen.values()))
+                if outcome.outcome == "done":
                     component, other = other, component
-                elif outcome["outcome"] == "rolled_back":  # the subscriber is none the wiser: its window counts as well
-                    way.rolled_back.append(outcome["because"])
+                elif outcome.outcome == "rolled_back":  # the subscriber is none the wiser: its window counts as well
+                    way.rolled_back.append(str(outcome.because))
                 else:
-                    raise SystemExit(f"{way.name}: swap {len(way.windows)}: {outcome['because']}")
+                    raise SystemExit(f"{way.name}: swap {len(way.windows)}: {outcome.because}")
         finally:
             await manager.down()
             await manager.close()

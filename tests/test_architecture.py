@@ -16,19 +16,20 @@ import pytest
 ROOT = Path(__file__).parent.parent / "src"
 PACKAGE = "midstride"
 
-EVERY = frozenset("model wire lang plan verify generate runtime backends node server cli testing".split())
+EVERY = frozenset("model codec wire lang plan verify generate runtime backends node server cli testing".split())
 
 # What each room may import of the package, besides itself and `errors`. "" is the package's own __init__.
 MAY_IMPORT: dict[str, frozenset[str]] = {
     "errors": frozenset(),
     "model": frozenset(),
-    "wire": frozenset({"model"}),
-    "lang": frozenset({"model"}),
-    "plan": frozenset({"model"}),
-    "generate": frozenset({"model"}),
-    "node": frozenset({"model", "wire"}),
-    "verify": frozenset({"model", "plan"}),
-    "runtime": frozenset({"model", "wire", "plan", "verify"}),
+    "codec": frozenset({"model"}),
+    "wire": frozenset({"model", "codec"}),
+    "lang": frozenset({"model", "codec"}),
+    "plan": frozenset({"model", "codec"}),
+    "generate": frozenset({"model", "codec"}),
+    "node": frozenset({"model", "codec", "wire"}),
+    "verify": frozenset({"model", "codec", "plan"}),
+    "runtime": frozenset({"model", "codec", "wire", "plan", "verify"}),
     "backends": frozenset({"model", "wire", "node", "runtime"}),
     "server": EVERY - {"node", "cli", "testing"} | {""},
     "cli": EVERY - {"testing"} | {""},
@@ -41,7 +42,8 @@ MAY_IMPORT: dict[str, frozenset[str]] = {
 OUTSIDE: dict[str, frozenset[str]] = {
     "errors": frozenset({"__future__"}),
     "model": (frozenset(sys.stdlib_module_names) | {"immutables"}),
-    "wire": frozenset(sys.stdlib_module_names) | {"immutables"},
+    "codec": frozenset(sys.stdlib_module_names) | {"immutables", "msgspec"},
+    "wire": frozenset(sys.stdlib_module_names) | {"immutables", "msgspec"},
 }
 
 # The model does no I/O and knows no clock.
@@ -151,6 +153,7 @@ def test_the_rules_are_not_circular() -> None:
             "from midstride.errors import ActionRefused\nfrom .contract import Contract\nimport enum",
         ),
         ("midstride.model.best", "from immutables import Map"),
+        ("midstride.codec.form", "import msgspec\nfrom midstride.model.contract import QoS"),
         ("midstride.wire", "from midstride.model import Mode"),
         ("midstride.plan.paper", "from ..model.action import Action"),
         ("midstride.runtime.manager", "from midstride.wire import Command\nimport time"),
@@ -176,6 +179,8 @@ def test_what_is_allowed(module: str, source: str) -> None:
         ("midstride.model.best", "from .. import plan", "may not import 'plan'"),
         ("midstride.model.best", "from ..plan.paper import replace", "may not import 'plan'"),
         ("midstride.model.best", "def later():\n    import midstride.runtime", "may not import 'runtime'"),
+        ("midstride.model.best", "import msgspec", "may not import 'msgspec'"),
+        ("midstride.codec.form", "from midstride.plan import plan", "may not import 'plan'"),
         ("midstride.wire", "from midstride.node import Component", "may not import 'node'"),
         ("midstride.wire", "import pydantic", "may not import 'pydantic'"),
         ("midstride.lang.parser", "from midstride.plan import paper", "may not import 'plan'"),

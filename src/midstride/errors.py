@@ -9,7 +9,8 @@
     ├── BackendError            the platform below failed
     │   ├── StartFailed         a component did not start, register or match its declaration
     │   ├── CallTimeout         a component did not answer in time
-    │   └── Unreachable         a component or the middleware is gone
+    │   ├── Unreachable         a component or the middleware is gone
+    │   └── ProtocolError       the other end of a control connection speaks something else
     ├── VerificationError       a question about safety could not be answered: neither yes nor no
     │   ├── AlloyMissing        there is no Alloy Analyzer, or no Java to run it
     │   ├── AlloyFailed         the Alloy Analyzer did not come to an answer
@@ -77,6 +78,10 @@ class CallTimeout(BackendError):
 
 class Unreachable(BackendError):
     """A component, or the middleware itself, is gone."""
+
+
+class ProtocolError(BackendError):
+    """The other end of a control connection does not speak this version of the protocol; says what it sent."""
 
 
 class VerificationError(MidstrideError):

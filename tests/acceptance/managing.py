@@ -19,50 +19,51 @@ from typing import Any
 from midstride import backends
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
-from midstride.runtime.recovery import specification_of
+from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
-from midstride.wire.messages import Command, Reply
+from midstride.wire.commands import Command
 from tests.acceptance.support import BENCHMARKS, swap_specification
 
 
-def killed_at(backend: Any, op: str, number: int, when: str) -> None:
-    """Let this process die at the ``number``-th call ``op`` from now on."""
-    call, counts = backend.call, Counter[str]()
+def killed_at(manager: Manager, op: str, number: int, when: str) -> None:
+    """Let this process die at the ``number``-th request ``op`` from now on."""
+    client = manager._client
+    send, counts = client._send, Counter[str]()
 
-    async def counted(instance: str, command: Command, timeout: float) -> Reply:
-        counts[command.op] += 1
-        last = (command.op, counts[command.op]) == (op, number)
-        print("call", command.op, flush=True)
+    async def counted(instance: str, command: Command[Any], revision: int | None) -> Any:
+        counts[command.name] += 1
+        last = (command.name, counts[command.name]) == (op, number)
+        print("call", command.name, flush=True)
         if last and when == "before":
             os.kill(os.getpid(), signal.SIGKILL)
-        reply: Reply = await call(instance, command, timeout)
+        result = await send(instance, command, revision)
         if last:
             os.kill(os.getpid(), signal.SIGKILL)
-        return reply
+        return result
 
-    backend.call = counted
+    client._send = counted  # type: ignore[method-assign]
 
 
 async def main(folder: Path, task: str, op: str = "", number: str = "0", when: str = "") -> int:
     workspace = Workspace(folder)
-    state = workspace.load()
-    specification = swap_specification() if state is None else specification_of(state)
-    backend = backends.make("ros2", logs=workspace.logs)
+    saved = StateStore(workspace.state).load()
+    specification = swap_specification() if saved is None else saved.specification
+    backend = backends.make("ros2", workspace)
     manager = Manager(specification, backend, workspace, BENCHMARKS)
     await manager.up()
     try:
         status = await manager.status()
-        if not status["valid"]:
-            print(f"not valid: {status['violations']} {status['components']}")
+        if not status.valid:
+            print(f"not valid: {status.violations} {status.components}")
             return 1
         if task == "down":
             await manager.down()
         else:
             (now,) = (each.component.name for each in manager.configuration.instances.values() if each.role == "source")
-            killed_at(backend, op, int(number), when)
+            killed_at(manager, op, int(number), when)
             other = "Source" if now == "OtherSource" else "OtherSource"
             outcome = await manager.change(Request(replace=(("source", other),)))
-            print(outcome["outcome"], outcome["because"])
+            print(outcome.outcome, outcome.because)
     finally:
         await manager.close()
     return 0

@@ -19,9 +19,9 @@ from typing import Any
 from midstride.model.specification import Specification
 from midstride.runtime import reaper
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Row
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
+from midstride.wire.commands import Receipt
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "benchmarks"
@@ -81,10 +81,10 @@ class Recorder:
             assert time.monotonic() < deadline, "the recorder hears nothing"
             time.sleep(0.02)
 
-    def stop(self) -> list[Row]:
+    def stop(self) -> list[Receipt]:
         self._process.send_signal(signal.SIGTERM)
         assert self._process.wait(timeout=20) == 0
-        return [Row(*row) for row in json.loads(self._path.read_text())]
+        return [Receipt(*row) for row in json.loads(self._path.read_text())]
 
 
 @contextlib.asynccontextmanager
@@ -95,8 +95,9 @@ async def managed(
     from midstride import backends
 
     folder.mkdir(exist_ok=True)
-    backend: Any = backends.make("ros2", logs=folder / "logs")
-    manager = Manager(specification, backend, Workspace(folder), directory)
+    workspace = Workspace(folder)
+    backend: Any = backends.make("ros2", workspace)
+    manager = Manager(specification, backend, workspace, directory)
     try:
         await manager.up()
         yield manager, backend

@@ -18,8 +18,10 @@ from immutables import Map
 from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
+from midstride.plan.forms import encode_plan
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
+from midstride.wire.state import GateState
 from tests.acceptance.support import Recorder, ended, managed, swap_specification
 from tests.backends.ros2_support import run, until_async
 
@@ -30,7 +32,7 @@ REPLACE = Request(replace=(("source", "OtherSource"),))
 async def step(manager: Manager, kind: str, action: str) -> None:
     """Until an event of ``kind`` tells of a step ``action``."""
     async for event in manager.subscribe():
-        if event["kind"] == kind and event["step"].get("action") == action:
+        if event.kind == kind and event.step and event.step.action == action:
             return
 
 
@@ -39,21 +41,19 @@ def test_both_publishers_are_live_at_the_cut_and_one_is_gated(tmp_path: Path) ->
         async with managed(tmp_path / "system", swap_specification()) as (manager, backend):
             changing = asyncio.ensure_future(manager.change(REPLACE))
             await step(manager, "step", "handover")
-            seen: list[tuple[set[str], dict[str, str]]] = []
+            seen: list[tuple[set[str], dict[str, GateState | None]]] = []
 
             async def both() -> bool:
                 graph = await backend.endpoints()
                 publishers = {name for name, topic in graph.publishers if topic == "/swap"}
                 if publishers < {"/source", "/source_2"} or changing.done():
                     return changing.done()
-                gates = {
-                    name: (await manager.peek(name))["ports"]["out"]["/swap"]["gate"] for name in ("source", "source_2")
-                }
+                gates = {name: (await manager.peek(name)).ports["out"]["/swap"].gate for name in ("source", "source_2")}
                 seen.append((publishers, gates))
                 return True
 
             await until_async(both)
-            assert (await changing)["outcome"] == "done"
+            assert (await changing).outcome == "done"
             assert seen == [({"/source", "/source_2"}, {"source": "open", "source_2": "closed"})]
 
     with ended():
@@ -96,7 +96,7 @@ async def a_call_begins(manager: Manager) -> None:
     """Wait for a call of user code to begin, which takes a second from then on."""
 
     async def is_busy() -> bool:
-        return bool((await manager.peek("busy"))["functionalities"]["work"]["busy"])
+        return bool((await manager.peek("busy")).functionalities["work"].busy)
 
     async def is_idle() -> bool:
         return not await is_busy()
@@ -116,14 +116,14 @@ def test_status_answers_while_a_mode_sleeps_and_nothing_comes_after_the_degrade(
             changing = asyncio.ensure_future(manager.change(Request(remove=("busy",), strategy="quiesce")))
             await step(manager, "step", "degrade")
             answers = 0
-            while (view := (await manager.status())["components"][0]["functionalities"][0])["busy"] is not None:
-                assert view["name"] == "busy.work" and view["busy"] > 0
+            while (view := (await manager.status()).components[0].functionalities[0]).busy is not None:
+                assert view.name == "busy.work" and view.busy > 0
                 answers += 1
             assert answers >= 3, "the status waited for the call of user code"
             await step(manager, "step_done", "degrade")
             acknowledged = time.time_ns()
             outcome = await changing
-            assert outcome["outcome"] == "done", outcome["because"]
+            assert outcome.outcome == "done", outcome.because
             # The call under way had written its message before the degrade was acknowledged, and none came after.
             written = [row.source for row in recorder.stop() if row.source is not None and row.source > begun]
             assert len(written) == 1 and written[0] < acknowledged
@@ -142,15 +142,15 @@ def test_a_call_that_outlasts_the_drain_fails_the_step_and_nothing_has_changed(
 
             def impatient(*arguments: Any) -> Any:
                 executor = make(*arguments)
-                executor.performer.drain_timeout = 0.3
+                executor.driver.drain_timeout = 0.3
                 return executor
 
-            monkeypatch.setattr(manager, "_executor", impatient)
+            monkeypatch.setattr(manager._session, "_executor", impatient)
             await a_call_begins(manager)
             outcome = await manager.change(Request(remove=("busy",), strategy="quiesce"))
-            assert outcome["outcome"] == "rolled_back" and "busy" in outcome["because"]
+            assert outcome.outcome == "rolled_back" and "busy" in str(outcome.because)
             status = await manager.status()
-            assert status["valid"] and status["components"][0]["functionalities"][0]["mode"] == "normal"
+            assert status.valid and status.components[0].functionalities[0].mode == "normal"
 
     with ended():
         run(main())
@@ -161,10 +161,8 @@ async def picture(manager: Manager, backend: Any) -> dict[str, Any]:
     own = {}
     for name in ("source", "sink"):
         state = await manager.peek(name)
-        gates = {
-            f"{port} {topic}": view["gate"] for port, topics in state["ports"].items() for topic, view in topics.items()
-        }
-        own[name] = ({key: view["mode"] for key, view in state["functionalities"].items()}, gates)
+        gates = {f"{port} {topic}": view.gate for port, topics in state.ports.items() for topic, view in topics.items()}
+        own[name] = ({key: view.mode for key, view in state.functionalities.items()}, gates)
     graph = await backend.endpoints()
     on_swap = {name for name, topic in (*graph.publishers, *graph.subscribers) if topic == "/swap"}
     return {"own": own, "graph": on_swap, "model": manager.configuration}
@@ -179,7 +177,7 @@ def test_a_step_that_fails_at_any_index_leaves_all_as_it_was(strategy: str, tmp_
             plan = await manager.plan(replace(REPLACE, strategy=strategy))
             needing = [
                 index
-                for index, document in enumerate(plan.step_documents())
+                for index, document in enumerate(encode_plan(plan)["steps"])
                 if "source_2" in str({**document, "step": None}) and document["action"] != "create"
             ]
             before = await picture(manager, backend)
@@ -187,12 +185,12 @@ def test_a_step_that_fails_at_any_index_leaves_all_as_it_was(strategy: str, tmp_
                 changing = asyncio.ensure_future(manager.change(replace(REPLACE, strategy=strategy)))
                 seen = len(manager.log())
                 async for event in manager.subscribe(seen):
-                    if event["kind"] == "step" and event["index"] == index:
+                    if event.kind == "step" and event.index == index:
                         break
-                os.kill((await manager.peek("source_2"))["pid"], signal.SIGKILL)
+                os.kill((await manager.peek("source_2")).pid, signal.SIGKILL)
                 outcome = await changing
-                assert outcome["outcome"] == "rolled_back", outcome["because"]
-                assert "source_2" in outcome["because"]
+                assert outcome.outcome == "rolled_back", outcome.because
+                assert "source_2" in str(outcome.because)
 
                 async def as_before() -> bool:
                     now = await picture(manager, backend)
@@ -233,8 +231,8 @@ def test_an_endpoint_that_is_not_allowed_is_named_and_the_system_is_as_it_was(tm
         async with managed(tmp_path / "system", specification) as (manager, backend):
             before = await picture(manager, backend)
             outcome = await manager.change(REPLACE)
-            assert outcome["outcome"] == "rolled_back"
-            assert "source_2" in outcome["because"] and "service /source_2/reset" in outcome["because"]
+            assert outcome.outcome == "rolled_back"
+            assert "source_2" in str(outcome.because) and "service /source_2/reset" in str(outcome.because)
             assert await picture(manager, backend) == before
 
     with ended():
@@ -259,9 +257,9 @@ def test_a_full_disk_refuses_a_change_before_anything_is_begun(tmp_path: Path) -
             os.close(filler)
             outcome = await manager.change(REPLACE)
             (small / "filler").unlink()
-            assert outcome["outcome"] == "refused" and "No space left" in outcome["because"]
+            assert outcome.outcome == "refused" and "No space left" in str(outcome.because)
             assert await picture(manager, backend) == before
-            assert (await manager.change(REPLACE))["outcome"] == "done"
+            assert (await manager.change(REPLACE)).outcome == "done"
 
     try:
         with ended():

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from midstride.runtime.handover import RESUME_PERIODS
-from midstride.runtime.measure import Row
+from midstride.wire.commands import Receipt
 from tests.acceptance.support import PERIOD, ROOT, Recorder, ended
 
 pytestmark = pytest.mark.ros2
@@ -34,7 +34,7 @@ def calls_of_a_swap(system: Path) -> Counter[str]:
     return Counter(line.split()[1] for line in done.stdout.splitlines() if line.startswith("call "))
 
 
-def silences(rows: list[Row]) -> list[float]:
+def silences(rows: list[Receipt]) -> list[float]:
     """By the times of publication, where they are told: the recorder has a jitter of its own."""
     times = sorted(row.received if row.source is None else row.source for row in rows)
     return [(later - earlier) / 1e9 for earlier, later in itertools.pairwise(times)]

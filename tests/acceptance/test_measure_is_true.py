@@ -9,14 +9,14 @@ import signal
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
-from typing import Any
 
 import pytest
 
 from midstride.plan.request import Request
 from midstride.runtime import recording
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Observation, Row, SwapReport, report
+from midstride.runtime.measure import Observation, SwapReport, report
+from midstride.wire.commands import GateCommand, Receipt, RecordCommand, RecordsCommand
 from tests.acceptance.support import NODES, PERIOD, Recorder, ended, managed, swap_specification
 from tests.backends.ros2_support import Rig, rig, run, until_async
 
@@ -52,28 +52,29 @@ def test_a_bare_recorder_agrees_with_the_report(strategy: str, tmp_path: Path, m
         inside = [row for source, row in outside.items() if min(own) <= source <= max(own)]
         assert own.keys() <= outside.keys()
         missed = by_source(inside).keys() - own.keys()
+        assert swap.gap is not None
         if strategy == "paper":  # the new publisher begins when it is created: the recorder may find it first
-            missed = {source for source in missed if not in_the_gap(source, own, swap["gap"])}
+            missed = {source for source in missed if not in_the_gap(source, own, swap.gap)}
         assert not missed
         apart += [row.received - outside[source].received for source, row in own.items()]
-        assert swap["gap"] == pytest.approx(longest_gap(observed), abs=1e-6)
+        assert swap.gap == pytest.approx(longest_gap(observed), abs=1e-6)
         publishers = {row.publisher for row in inside}
         assert len(publishers) == 2 or None in publishers
         # Numbers without a hole: what the report calls lost, by the recorder's account.
         for publisher in publishers - {None}:
             numbers = [row.number for row in inside if row.publisher == publisher and row.number is not None]
             assert numbers == list(range(min(numbers), max(numbers) + 1))
-        assert (swap["lost"], swap["duplicates"]) == (0, 0)
+        assert (swap.lost, swap.duplicates) == (0, 0)
     assert abs(median(apart)) / 1e9 <= PERIOD / 2
 
 
-def window(observed: Observation) -> list[Row]:
+def window(observed: Observation) -> list[Receipt]:
     """The messages that a report counts: from 20 periods before the change to the end of the observation."""
     begun = observed.begun - 20 * PERIOD * 1e9
     return [row for row in observed.rows if begun <= row.received <= observed.ended]
 
 
-def by_source(rows: Sequence[Row]) -> dict[int, Row]:
+def by_source(rows: Sequence[Receipt]) -> dict[int, Receipt]:
     """Messages by their times of publication, which no two have in common."""
     found = {row.source: row for row in rows if row.source is not None}
     assert len(found) == len(rows)
@@ -86,18 +87,18 @@ def longest_gap(observed: Observation) -> float:
     return max(later - earlier for earlier, later in itertools.pairwise([*times, observed.ended])) / 1e9
 
 
-def in_the_gap(source: int, own: dict[int, Row], gap: float) -> bool:
+def in_the_gap(source: int, own: dict[int, Receipt], gap: float) -> bool:
     """Whether a message was published during the gap (s) between the messages ``own``."""
     before = max(other for other in own if other < source)
     after = min(other for other in own if other > source)
     return (own[after].received - own[before].received) / 1e9 == pytest.approx(gap, abs=1e-6)
 
 
-def recorded_swaps(strategy: str, folder: Path) -> tuple[list[Row], list[dict[str, Any]]]:
+def recorded_swaps(strategy: str, folder: Path) -> tuple[list[Receipt], list[SwapReport]]:
     """What a bare recorder received while a source was replaced some times, and the report of each replacement."""
-    swaps: list[dict[str, Any]] = []
+    swaps: list[SwapReport] = []
 
-    async def main() -> list[Row]:
+    async def main() -> list[Receipt]:
         async with managed(folder / "system", swap_specification()) as (manager, _):
             recorder = Recorder(folder)
             # The recorder must hear what comes before the first window, too.
@@ -105,34 +106,34 @@ def recorded_swaps(strategy: str, folder: Path) -> tuple[list[Row], list[dict[st
             await asyncio.sleep(40 * PERIOD)
             for _ in range(SWAPS):
                 outcome = await manager.change(other(manager, strategy))
-                assert outcome["outcome"] == "done", outcome["because"]
-                swaps.extend(outcome["swaps"])
+                assert outcome.outcome == "done", outcome.because
+                swaps.extend(outcome.swaps)
             return recorder.stop()
 
     with ended():
         return run(main(), 100), swaps
 
 
+@pytest.mark.full
 def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Path) -> None:
-    async def main() -> dict[str, Any]:
+    async def main() -> SwapReport:
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
             changing = asyncio.ensure_future(manager.change(other(manager)))
             async for event in manager.subscribe():
-                if event["kind"] == "step_done" and event["step"].get("action") == "handover":
+                if event.kind == "step_done" and event.step and event.step.action == "handover":
                     break
-            pid = (await manager.peek("source_2"))["pid"]
+            pid = (await manager.peek("source_2")).pid
             os.kill(pid, signal.SIGSTOP)
             await asyncio.sleep(0.3)
             os.kill(pid, signal.SIGCONT)
             outcome = await changing
-            assert outcome["outcome"] == "done", outcome["because"]
-            swap: dict[str, Any] = outcome["swaps"][0]
-            return swap
+            assert outcome.outcome == "done", outcome.because
+            return outcome.swaps[0]
 
     with ended():
         swap = run(main())
-    assert swap["missed"] >= 14
-    assert swap["gap_periods"] >= 14
+    assert swap.missed is not None and swap.missed >= 14
+    assert swap.gap_periods is not None and swap.gap_periods >= 14
 
 
 async def planted(folder: Path, order: tuple[str, ...]) -> SwapReport:
@@ -148,24 +149,24 @@ async def planted(folder: Path, order: tuple[str, ...]) -> SwapReport:
         for name in ("first", "second"):
             await r.modes(name, talk="normal")
         await r.modes("sink", listen="normal")
-        begun = (await r.link.change("sink", "record", inputs=["in"], on=True))["now"]
+        begun = (await r.client.change("sink", RecordCommand(inputs=["in"], on=True))).now
         await until_async(lambda: heard(r, 25))
         for gate in order:
             name = "first" if gate == "close" else "second"
-            await r.link.change(name, "gate", port="out", topic="/swap", gate="open" if gate == "open" else "closed")
+            moved = GateCommand(port="out", topic="/swap", gate="open" if gate == "open" else "closed")
+            await r.client.change(name, moved)
             await r.backend.clock.sleep(3 * PERIOD)
-        count = len((await r.link.read("sink", "records", input="in"))["rows"])
+        count = len((await r.client.read("sink", RecordsCommand(input="in"))).rows)
         await until_async(lambda: heard(r, count + 25))
-        seen = await r.link.read("sink", "records", input="in")
-        rows = [Row(*row) for row in seen["rows"]]
+        seen = await r.client.read("sink", RecordsCommand(input="in"))
         begun += int(20 * PERIOD * 1e9)
         # Where the middleware names no publishers, the first one's last number tells the two numberings apart.
-        last = (await r.link.peek("first"))["ports"]["out"]["/swap"]["count"]
-        return report(Observation("/swap", "sink.in", rows, begun, seen["now"], PERIOD, PERIOD, last))
+        last = (await r.client.peek("first")).ports["out"]["/swap"].count
+        return report(Observation("/swap", "sink.in", seen.rows, begun, seen.now, PERIOD, PERIOD, last))
 
 
 async def heard(r: Rig, count: int) -> bool:
-    return len((await r.link.read("sink", "records", input="in"))["rows"]) >= count
+    return len((await r.client.read("sink", RecordsCommand(input="in"))).rows) >= count
 
 
 def test_a_planted_open_then_close_shows_duplicates(tmp_path: Path) -> None:

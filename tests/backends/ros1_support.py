@@ -5,21 +5,23 @@ Nothing here imports ROS at the top, so that the tests can be collected where th
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import os
 import signal
 import socket
+import struct
 import subprocess
 import sys
 import time
 import uuid
 from collections.abc import AsyncIterator, Iterator
 from pathlib import Path
-from typing import Any
 
+from midstride.backends.ros1 import rpc
 from midstride.runtime import reaper
 from midstride.runtime.reaper import Reaper
-from midstride.wire.messages import ENV_TOKEN
+from midstride.wire.environment import ENV_TOKEN
 from tests.backends.ros2_support import Rig
 
 BARE = """
@@ -33,9 +35,9 @@ rospy.spin()
 
 
 def free_port() -> int:
-    with socket.socket() as door:
-        door.bind(("127.0.0.1", 0))
-        port: int = door.getsockname()[1]
+    with socket.socket() as listening:
+        listening.bind(("127.0.0.1", 0))
+        port: int = listening.getsockname()[1]
         return port
 
 
@@ -56,18 +58,19 @@ def own_master_uri() -> Iterator[str]:
 
 
 @contextlib.asynccontextmanager
-async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
+async def rig(folder: Path) -> AsyncIterator[Rig]:
     """A back end, opened; at the end it is closed, and everything it started is ended, its master included."""
     from midstride.backends.ros1 import create_backend
 
     token = f"test-{uuid.uuid4().hex}"
     with own_master_uri(), Reaper(ENV_TOKEN, token) as guarding:
-        backend = create_backend(logs=folder / "logs", guardian=guarding, **options)
+        backend = create_backend(folder / "components", logs=folder / "logs", guardian=guarding)
         rig = Rig(backend, folder, token)
-        await backend.open(rig.heard)
+        await backend.open(rig.exits.append)
         try:
             yield rig
         finally:
+            rig.client.close()
             for instance in list(rig.handles):
                 await backend.end(instance, 2.0)
             await backend.close()
@@ -76,9 +79,11 @@ async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
 
 
 @contextlib.contextmanager
-def program(*arguments: str, source: str = BARE) -> Iterator[subprocess.Popen[bytes]]:
-    """A bare program of rospy's, that knows nothing of Midstride; killed at the end."""
-    process = subprocess.Popen([sys.executable, "-c", source, *arguments], start_new_session=True)
+def program(*arguments: str, source: str = BARE, output: Path | None = None) -> Iterator[subprocess.Popen[bytes]]:
+    """A program started by hand, by default a bare subscriber of rospy's; killed at the end."""
+    command = [sys.executable, "-u", "-c", source, *arguments]
+    with contextlib.nullcontext() if output is None else output.open("w") as out:
+        process = subprocess.Popen(command, start_new_session=True, stdout=out, stderr=out)
     try:
         yield process
     finally:
@@ -96,3 +101,36 @@ def wait_for(path: Path, lines: int, seconds: float = 20.0) -> list[str]:
             return found
         assert time.monotonic() < deadline, f"only {len(found)} of {lines} lines came"
         time.sleep(0.01)
+
+
+# -- a connection to a publisher, made by hand (TCPROS) ------------------------------------------------------------
+
+
+def pack_string(text: str) -> bytes:
+    """A string as ROS 1 serialises it, and a message of one string."""
+    return struct.pack("<I", len(text.encode())) + text.encode()
+
+
+async def read_block(reader: asyncio.StreamReader) -> bytes:
+    """A length, and as many bytes."""
+    (length,) = struct.unpack("<I", await reader.readexactly(4))
+    return await reader.readexactly(length)
+
+
+async def subscribe(
+    r: Rig, node: str, topic: str, definition: str
+) -> tuple[dict[str, str], asyncio.StreamReader, asyncio.StreamWriter]:
+    """The header with which the publisher answers, and the connection."""
+    uri = await r.backend._master.address_of(node)
+    _, _, (_, host, port) = await rpc.call(uri, "requestTopic", "/by_hand", topic, [["TCPROS"]])
+    reader, writer = await asyncio.open_connection(host, port)
+    asked = {"callerid": "/by_hand", "topic": topic, "md5sum": "*", "message_definition": definition}
+    packed = b"".join(pack_string(f"{name}={value}") for name, value in asked.items())
+    writer.write(struct.pack("<I", len(packed)) + packed)
+    block, answered = await read_block(reader), {}
+    while block:
+        (length,) = struct.unpack_from("<I", block)
+        name, _, value = block[4 : 4 + length].decode().partition("=")
+        answered[name], block = value, block[4 + length :]
+    assert "error" not in answered, answered
+    return answered, reader, writer

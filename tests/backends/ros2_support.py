@@ -20,7 +20,11 @@ from midstride.runtime import reaper
 from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.reaper import Reaper, process_info
-from midstride.wire.messages import ENV_TOKEN, Announcement
+from midstride.wire.channel import Channel
+from midstride.wire.commands import AttachCommand, DetachCommand, Detached, ModesCommand, WelcomeCommand
+from midstride.wire.environment import ENV_TOKEN
+from midstride.wire.frames import Greeting, Registration
+from midstride.wire.state import GateState, LinkState
 
 T = TypeVar("T")
 
@@ -65,6 +69,13 @@ def run(coroutine: Coroutine[Any, Any, T], seconds: float = 60.0) -> T:
     return asyncio.run(bounded())
 
 
+def without_midstride() -> dict[str, str]:
+    """The environment of a process started by hand, with the middleware set as for one that a manager starts."""
+    from midstride.backends.ros2 import dds_profiles
+
+    return dds_profiles.tuned_environment({k: v for k, v in os.environ.items() if not k.startswith("MIDSTRIDE_")})
+
+
 def alive(pid: int) -> bool:
     seen = process_info(pid)
     return seen is not None and seen.alive
@@ -86,23 +97,15 @@ async def until_async(condition: Callable[[], Awaitable[Any]], seconds: float = 
 
 
 class Rig:
-    """An opened back end with what it has heard. Made by :func:`rig`."""
+    """An opened back end with a manager's connections to its components. Made by :func:`rig`."""
 
     def __init__(self, backend: Any, folder: Path, token: str) -> None:
         self.backend = backend
         self.folder = folder
         self.token = token
-        self.link = ComponentClient(backend, token)
-        self.announced: dict[str, Announcement] = {}
+        self.client = ComponentClient(backend.transport, backend.clock, token)
         self.exits: list[Exited] = []
         self.handles: dict[str, Handle] = {}
-
-    def heard(self, event: Announcement | Exited) -> None:
-        if isinstance(event, Announcement):
-            if event.start_token == self.token:
-                self.announced[event.instance] = event
-        else:
-            self.exits.append(event)
 
     def write(self, name: str, source: str) -> Path:
         path = self.folder / f"{name}.py"
@@ -111,8 +114,7 @@ class Rig:
 
     async def launch(self, instance: str, source: str, *arguments: str, **options: Any) -> Handle:
         """Start a component's process and return at once."""
-        self.announced.pop(instance, None)
-        self.link.forget(instance)
+        self.client.disconnect(instance)
         self.write(instance.replace("/", "_"), source)
         command = ("python3", f"{instance.replace('/', '_')}.py", *arguments)
         handle: Handle = await self.backend.start(
@@ -121,24 +123,48 @@ class Rig:
         self.handles[instance] = handle
         return handle
 
-    async def start(self, instance: str, source: str, *arguments: str, **options: Any) -> Announcement:
+    async def start(self, instance: str, source: str, *arguments: str, **options: Any) -> tuple[Greeting, Registration]:
         """Start a component and welcome it."""
-        handle = await self.launch(instance, source, *arguments, **options)
-        await until(lambda: instance in self.announced or self.exits)
-        assert instance in self.announced, (
-            f"{instance} ended before it registered:\n{Path(handle.log or '').read_text()}"
-        )
-        await self.link.change(instance, "welcome", manager="a test")
-        return self.announced[instance]
+        await self.launch(instance, source, *arguments, **options)
+        return await self.welcome(instance)
+
+    async def welcome(self, instance: str) -> tuple[Greeting, Registration]:
+        """What the component registers with, once it does; it is welcomed."""
+        registering = asyncio.ensure_future(self.client.registered(instance))
+        try:
+            await until(lambda: registering.done() or self.exits)
+        finally:
+            registering.cancel()
+        assert registering.done(), f"{instance} ended before it registered: {self.exits}"
+        await self.client.change(instance, WelcomeCommand(manager="a test"))
+        return registering.result()
 
     async def modes(self, instance: str, because: str = "a test asked for it", **modes: str) -> None:
-        await self.link.change(instance, "modes", timeout=5.0, modes=modes, because=because)
+        await self.client.change(instance, ModesCommand(timeout=5.0, modes=modes, because=because))
 
-    async def attach(self, instance: str, port: str, topic: str, gate: str = "open", peers: int = 0) -> None:
-        await self.link.change(instance, "attach", timeout=10.0, port=port, topic=topic, gate=gate, peers=peers)
+    async def attach(
+        self, instance: str, port: str, topic: str, gate: GateState = "open", peers: int = 0, timeout: float = 10.0
+    ) -> None:
+        command = AttachCommand(timeout=timeout, port=port, topic=topic, gate=gate, peers=peers)
+        await self.client.change(instance, command)
 
-    async def detach(self, instance: str, port: str, topic: str) -> Any:
-        return await self.link.change(instance, "detach", timeout=5.0, port=port, topic=topic)
+    async def detach(self, instance: str, port: str, topic: str, timeout: float = 5.0) -> Detached:
+        return await self.client.change(instance, DetachCommand(timeout=timeout, port=port, topic=topic))
+
+    async def link(self, instance: str, port: str, topic: str) -> LinkState:
+        """The state of one attachment."""
+        return (await self.client.observe(instance)).ports[port][topic]
+
+    async def channel(self, instance: str) -> Channel:
+        """A control connection beside the manager's."""
+        transport = self.backend.transport
+        return await Channel.open(transport, transport.address(instance), self.token, timeout=5.0)
+
+    async def shows_node(self, full_name: str) -> bool:
+        return full_name in (await self.backend.endpoints()).nodes
+
+    async def shows_reader(self, full_name: str, topic: str) -> bool:
+        return (full_name, topic) in (await self.backend.endpoints()).subscribers
 
     def pid(self, instance: str) -> int:
         pid = self.handles[instance].pid
@@ -153,18 +179,19 @@ class Rig:
 
 
 @contextlib.asynccontextmanager
-async def rig(folder: Path, **options: Any) -> AsyncIterator[Rig]:
+async def rig(folder: Path) -> AsyncIterator[Rig]:
     """A back end, opened; at the end it is closed, and everything it started is ended."""
     from midstride.backends.ros2 import create_backend
 
     token = f"test-{uuid.uuid4().hex}"
     with Reaper(ENV_TOKEN, token) as guarding:
-        backend = create_backend(logs=folder / "logs", guardian=guarding, **options)
+        backend = create_backend(folder / "components", logs=folder / "logs", guardian=guarding)
         rig = Rig(backend, folder, token)
-        await backend.open(rig.heard)
+        await backend.open(rig.exits.append)
         try:
             yield rig
         finally:
+            rig.client.close()
             await backend.close()
     assert reaper.remaining_groups({}, ENV_TOKEN, token) == set()
 
@@ -188,7 +215,7 @@ class Bare:
         from midstride.backends.ros2 import dds_profiles
 
         self.context = Context()
-        with dds_profiles.in_force(dds_profiles.of_this_process()):
+        with dds_profiles.applied_profile(dds_profiles.of_this_process()):
             rclpy.init(args=[], context=self.context, signal_handler_options=SignalHandlerOptions.NO)
             self.node: Any = Node(
                 name, context=self.context, use_global_arguments=False, start_parameter_services=False

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import uuid
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -14,6 +13,7 @@ from midstride.cli.files import load
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import Reaper, remaining_groups
+from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.backends.ros1_support import own_master_uri
 from tests.backends.ros2_support import run
@@ -44,12 +44,12 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
     async def bring_up(name: str, guardian: Reaper) -> Manager:
         folder = tmp_path / name
         folder.mkdir()
-        platform = backends.make(name, logs=folder, guardian=guardian)
+        platform = backends.make(name, Workspace(folder), guardian=guardian)
         manager = Manager(load(EXAMPLE / "talker.json"), platform, Workspace(folder), EXAMPLE)
         await manager.up()
         return manager
 
-    async def replace(manager: Manager) -> list[dict[str, Any]]:
+    async def replace(manager: Manager) -> list[Outcome]:
         """There and back again."""
         outcomes = []
         for component in ("NewTalker", "Talker"):
@@ -60,8 +60,8 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
         managers = [await bring_up("ros1", guardian), await bring_up("ros2", guardian)]
         try:
             states = [await manager.status() for manager in managers]
-            assert [state["valid"] for state in states] == [True, True]
-            pids = [{row["pid"] for row in state["components"]} for state in states]
+            assert [state.valid for state in states] == [True, True]
+            pids = [{row.pid or 0 for row in state.components} for state in states]
             assert not pids[0] & pids[1] and all(len(found) == 2 for found in pids)
             for pid in pids[0]:
                 assert "rclpy" not in loaded(pid) and "AMENT_PREFIX_PATH" not in loaded(pid)
@@ -69,11 +69,11 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
                 assert "rclpy" in loaded(pid) and "rospy" not in loaded(pid)
             for outcomes in await asyncio.gather(*(replace(manager) for manager in managers)):
                 for outcome in outcomes:
-                    assert outcome["outcome"] == "done", outcome["because"]
-                    assert outcome["fallen"] == {}
-                    (swap,) = outcome["swaps"]
-                    assert (swap["subscriber"], swap["lost"]) == ("listener.in", 0)
-                    assert swap["duplicates"] in (0, None)  # not every ROS 2 tells the publisher's identity
+                    assert outcome.outcome == "done", outcome.because
+                    assert outcome.fallen == {}
+                    (swap,) = outcome.swaps
+                    assert (swap.subscriber, swap.lost) == ("listener.in", 0)
+                    assert swap.duplicates in (0, None)  # not every ROS 2 tells the publisher's identity
             for manager in managers:
                 seen = await manager._backend.endpoints()
                 assert {node for node, topic in seen.publishers if topic == "/chatter"} == {"/talker_3"}

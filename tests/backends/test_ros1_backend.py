@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import os
 import signal
 import subprocess
 import sys
@@ -14,19 +15,22 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros1 import master_process, names
+from midstride.backends.ros1 import master_process
 from midstride.backends.ros1.master import Master
 from midstride.errors import CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Handle
 from midstride.runtime.process import Process, spawn
 from midstride.runtime.reaper import environment_value
-from midstride.wire.messages import Command
+from midstride.wire.channel import Channel
+from midstride.wire.commands import AwaitWriteCommand, PingCommand
+from midstride.wire.environment import ENV_SYSTEM
+from midstride.wire.sockets import workspace_folder
 from tests.backends.ros1_support import free_port, own_master_uri, program, rig, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, alive, run, until, until_async
 
 pytestmark = pytest.mark.ros1
 
-# A component whose ports are always the same: whoever gets them next is easily taken for it.
+# A component whose ports are always the same: the next one with these ports is easily taken for it.
 FIXED_PORTS = """
 import functools, sys, rospy
 rospy.init_node = functools.partial(rospy.init_node, xmlrpc_port=int(sys.argv[1]), tcpros_port=int(sys.argv[2]))
@@ -36,9 +40,9 @@ rospy.init_node = functools.partial(rospy.init_node, xmlrpc_port=int(sys.argv[1]
 def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            announced = await r.start("talker", TALKER)
-            assert announced.pid == r.pid("talker")
-            assert announced.endpoints == ()
+            greeting, registration = await r.start("talker", TALKER)
+            assert greeting.pid == r.pid("talker")
+            assert registration.endpoints == []
             await r.start("listener", LISTENER)
             await r.attach("talker", "out", "/chatter")
             await r.attach("listener", "in", "/chatter", peers=1)
@@ -49,18 +53,18 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
             assert seen.publishers == (("/talker", "/chatter"),)
             assert seen.subscribers == (("/listener", "/chatter"),)
             await r.modes("talker", talk="degraded")
-            assert (await r.detach("talker", "out", "/chatter"))["acknowledged"] is True
+            assert (await r.detach("talker", "out", "/chatter")).acknowledged is True
             pid = r.pid("talker")
             await r.backend.end("talker", 5.0)
             assert not alive(pid)
-            assert r.exits == []  # an end that was asked for is no news
+            assert r.exits == []  # a requested end is not reported
             assert await clean(r, "/talker")
 
     run(scenario())
 
 
 async def clean(r: Rig, node: str) -> bool:
-    """Whether the master knows nothing of a node any more."""
+    """Whether the master lists a node nowhere."""
     master = r.backend._master
     return node not in (await master.state()).nodes() and await master.address_of(node) is None
 
@@ -70,15 +74,18 @@ def test_a_killed_component_is_known_at_once_and_the_master_has_forgotten_it_by_
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
             await r.attach("talker", "out", "/chatter")
-            calling = asyncio.ensure_future(r.link.read("talker", "await_write", 30.0, port="out", topic="/none"))
+            waiting = AwaitWriteCommand(port="out", topic="/chatter", timeout=30.0)
+            calling = asyncio.ensure_future(r.client.read("talker", waiting))
+            await asyncio.sleep(0.1)
             r.kill("talker")
             await until(lambda: r.exits)
             assert (r.exits[0].instance, r.exits[0].status) == ("talker", -signal.SIGKILL)
             assert await clean(r, "/talker")
-            with pytest.raises(Exception, match="talker"):
-                await asyncio.wait_for(calling, 20.0)
+            with pytest.raises(Unreachable, match="talker"):
+                await asyncio.wait_for(calling, 1.0)
             with pytest.raises(Unreachable):
-                await r.backend.call("talker", Command("ping", {}, "late", r.token), 5.0)
+                await r.client.read("talker", PingCommand())
+            assert await r.backend.lingering_readers("/chatter") == 0
 
     run(scenario())
 
@@ -88,7 +95,7 @@ async def subscribed(master: Master, topic: str) -> bool:
 
 
 async def kill_again_and_again(r: Rig, folder: Path, times: int) -> None:
-    """Talkers on the very same ports, each killed in the middle of a sentence, beside who must not freeze."""
+    """Talkers on the same ports, each killed while it writes, beside nodes that must not freeze."""
     ports = str(free_port()), str(free_port())
     heard = folder / "heard"
     await r.start("listener", LISTENER)
@@ -102,14 +109,13 @@ async def kill_again_and_again(r: Rig, folder: Path, times: int) -> None:
             await r.attach(name, "out", "/chatter", peers=2)
             await r.modes(name, talk="normal")
             await asyncio.to_thread(wait_for, heard, lines + 5, 5.0)  # a freeze lasts 60 s
-            state = await asyncio.wait_for(r.link.observe("listener"), 20.0)
-            assert state["functionalities"]["listen"]["mode"] == "normal"
+            state = await asyncio.wait_for(r.client.observe("listener"), 20.0)
+            assert state.functionalities["listen"].mode == "normal"
             r.kill(name)
             await until(lambda: r.exits)
             r.exits.clear()
             assert await clean(r, f"/{name}")
-            state = await r.backend._master.state()
-            assert state.nodes() - {r.backend._master.caller} <= {"/listener", "/bystander"}
+            assert (await r.backend._master.state()).nodes() <= {"/listener", "/bystander"}
 
 
 @pytest.mark.timeout(120)
@@ -144,7 +150,9 @@ def test_what_a_killed_node_has_left_is_taken_back_before_its_name_is_used_again
                     await r.launch("talker", TALKER)
                 bare.kill()
                 bare.wait()
-            assert "/talker" in (await master.state()).subscribers["/chatter"]  # for ever, if it were not for us
+            assert (
+                "/talker" in (await master.state()).subscribers["/chatter"]
+            )  # for ever, if Midstride did not take it back
             await r.start("talker", TALKER)
             assert "/chatter" not in (await master.state()).subscribers
 
@@ -163,19 +171,66 @@ def test_subscriptions_to_parameters_do_not_keep_a_dead_node_known(tmp_path: Pat
     run(scenario())
 
 
-def test_a_component_that_does_not_answer_is_given_up_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_component_that_is_paused_is_given_up_and_answers_once_it_is_continued(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
             await r.start("listener", LISTENER)
+            transport = r.backend.transport
+            channel = await Channel.open(transport, transport.address("talker"), r.token, timeout=2.0)
             r.kill("talker", signal.SIGSTOP)
-            begun = time.monotonic()
+            paused = time.monotonic()
             with pytest.raises(CallTimeout):
-                await r.backend.call("talker", Command("ping", {}, "now", r.token), 0.5)
-            assert time.monotonic() - begun > 0.4
-            await r.link.observe("listener")
+                await channel.request(PingCommand(), timeout=0.5)
+            assert time.monotonic() - paused > 0.4
+            await r.client.observe("listener")
+            await asyncio.sleep(3.0 - (time.monotonic() - paused))
             r.kill("talker", signal.SIGCONT)
-            await r.link.observe("talker")
+            continued = time.monotonic()
+            assert (await channel.request(PingCommand(), timeout=1.0)).ok
+            assert (await r.client.observe("talker")).pid == r.pid("talker")
+            assert time.monotonic() - continued < 1.0
+            channel.close()
+
+    run(scenario())
+
+
+@pytest.mark.parametrize("by", ["option", "environment"])
+def test_a_component_started_by_hand_is_found_in_the_system_that_it_names(
+    by: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    if by == "environment":
+        monkeypatch.setenv(ENV_SYSTEM, "robot")
+
+    async def scenario() -> None:
+        async with rig(workspace_folder("robot")) as r:
+            handle = Handle("talker")
+            assert await r.backend.adopt(handle) is False
+            options = ("--system", "robot") if by == "option" else ()
+            with program(*options, source=TALKER) as process:
+                greeting, _ = await r.welcome("talker")
+                assert (greeting.pid, greeting.start_token) == (process.pid, "")
+                assert await r.backend.adopt(handle) is True
+                await r.attach("talker", "out", "/chatter")
+                await r.modes("talker", talk="normal")
+                process.kill()
+                process.wait()
+            assert await r.backend.adopt(handle) is False
+
+    run(scenario())
+
+
+def test_a_component_of_no_system_says_how_to_name_one(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            log = tmp_path / "log"
+            with program(source=TALKER, output=log) as process:
+                await until(lambda: "MIDSTRIDE_SYSTEM=NAME" in log.read_text())
+                assert "--system NAME" in log.read_text()
+                process.send_signal(signal.SIGTERM)
+                assert await asyncio.to_thread(process.wait, 10.0) == 0
+            assert r.backend.transport.present() == {}
 
     run(scenario())
 
@@ -191,8 +246,8 @@ def test_a_component_on_another_master_is_not_found_and_it_is_said_why(tmp_path:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
             with own_master_uri():
-                elsewhere = create_backend(logs=tmp_path / "elsewhere")
-                await elsewhere.open(lambda event: None)
+                elsewhere = create_backend(tmp_path / "components", logs=tmp_path / "elsewhere")
+                await elsewhere.open(lambda exited: None)
                 with pytest.raises(Unreachable, match=f"ROS_MASTER_URI={r.backend._master.uri}"):
                     await elsewhere.adopt(r.handles["talker"])
                 await elsewhere.end("talker", 2.0)  # that needs no master: `midstride down` ends it all the same
@@ -220,8 +275,8 @@ def test_a_master_that_runs_is_used_and_left_alone(tmp_path: Path) -> None:
     async def scenario(process: subprocess.Popen[bytes], uri: str) -> None:
         while await Master(uri, "/test").process() is None:
             await asyncio.sleep(0.02)
-        backend = create_backend(logs=tmp_path)
-        await backend.open(lambda event: None)
+        backend = create_backend(tmp_path / "components", logs=tmp_path)
+        await backend.open(lambda exited: None)
         assert not backend.started_master
         assert await backend._master.process() == process.pid
         await backend.close()
@@ -232,14 +287,14 @@ def test_a_master_that_runs_is_used_and_left_alone(tmp_path: Path) -> None:
         run(scenario(process, uri))
 
 
-def test_a_master_that_was_started_goes_with_the_last_who_needs_it(tmp_path: Path) -> None:
-    """A second manager and a bare node join; whoever is last puts out the light, but only the one Midstride lit."""
+def test_a_master_that_was_started_ends_with_the_last_that_needs_it(tmp_path: Path) -> None:
+    """A second manager and a bare node join; the last to leave ends the master that Midstride started."""
     from midstride.backends.ros1 import create_backend
 
     async def scenario(uri: str) -> None:
-        first, second = create_backend(logs=tmp_path), create_backend(logs=tmp_path)
-        await first.open(lambda event: None)
-        await second.open(lambda event: None)
+        first, second, third = (create_backend(tmp_path / "components", logs=tmp_path) for _ in range(3))
+        await first.open(lambda exited: None)
+        await second.open(lambda exited: None)
         assert (first.started_master, second.started_master) == (True, False)
         pid = await first._master.process()
         assert pid is not None and environment_value(pid, master_process.ENV_STARTED) == uri.rpartition(":")[2]
@@ -248,11 +303,10 @@ def test_a_master_that_was_started_goes_with_the_last_who_needs_it(tmp_path: Pat
         with program("guest", "/chatter", str(tmp_path / "heard")):
             await until_async(lambda: subscribed(second._master, "/chatter"))
             await second.close()
-            assert alive(pid), "somebody else's node needs it"
-        third = create_backend(logs=tmp_path)
-        await third.open(lambda event: None)
+            assert alive(pid), "a node that is not Midstride's needs it"
+        await third.open(lambda exited: None)
         await third.close()
-        assert not alive(pid), "what a dead node has left is no need"
+        assert not alive(pid), "the registrations of a dead node do not count"
 
     with own_master_uri() as uri:
         run(scenario(uri))
@@ -267,46 +321,58 @@ def test_components_outlive_their_manager_and_its_master_does_too(tmp_path: Path
             first, handle = r.backend, r.handles["talker"]
             await first.close()
             assert alive(r.pid("talker"))
-            second = create_backend(logs=tmp_path / "logs")
-            await second.open(r.heard)
+            second = create_backend(tmp_path / "components", logs=tmp_path / "logs")
+            await second.open(r.exits.append)
             r.backend = second
-            r.link._backend = second
             assert not second.started_master
             assert await second.adopt(Handle("nobody", 2**22 - 1, 1.0)) is False
             assert await second.adopt(handle) is True
-            assert (await r.link.observe("talker"))["pid"] == r.pid("talker")
+            assert (await r.client.observe("talker")).pid == r.pid("talker")
             r.kill("talker")
             await until(lambda: r.exits)
-            assert (r.exits[0].instance, r.exits[0].status) == ("talker", None)  # not its child: nobody can tell
+            assert (r.exits[0].instance, r.exits[0].status) == ("talker", None)  # not its child: the status is unknown
             assert await clean(r, "/talker")
             await second.close()
             assert await first._master.process() is None
-            await first.open(r.heard)  # the rig closes it
+            await first.open(r.exits.append)  # the rig closes it
             r.backend = first
             r.handles.clear()
 
     run(scenario())
 
 
-def test_a_killed_manager_is_forgotten_by_the_next(tmp_path: Path) -> None:
-    async def scenario() -> None:
-        async with rig(tmp_path) as r:
-            master = r.backend._master
-            dead = Master(master.uri, f"{names.MANAGER}1_1")
-            await dead.ask(
-                "registerSubscriber", dead.caller, names.ANNOUNCEMENT, names.STRING, f"http://127.0.0.1:{free_port()}/"
-            )
-            assert dead.caller in (await master.state()).nodes()
-            await master_process.forget_dead_managers(master)
-            assert (await master.state()).nodes() == {master.caller}
+def test_a_killed_manager_does_not_keep_the_master(tmp_path: Path) -> None:
+    """Only a manager that runs counts: what it leaves behind when it is killed does not."""
+    manager = """
+import sys, time
+from midstride.backends.ros1 import master_process
+mark = master_process.hold(sys.argv[1])
+print("held", flush=True)
+time.sleep(60)
+"""
+    from midstride.backends.ros1 import create_backend
 
-    run(scenario())
+    async def scenario(uri: str) -> None:
+        first, second = (create_backend(tmp_path / "components", logs=tmp_path) for _ in range(2))
+        await first.open(lambda exited: None)
+        pid = await first._master.process()
+        assert pid is not None
+        said = tmp_path / "said"
+        with program(uri, source=manager, output=said):
+            await asyncio.to_thread(wait_for, said, 1)
+            await first.close()
+            assert alive(pid)
+        await second.open(lambda exited: None)
+        await second.close()
+        assert not alive(pid)
+
+    with own_master_uri() as uri:
+        run(scenario(uri))
 
 
 def test_a_master_that_is_started_for_nothing_ends(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The manager is told to end while its master comes up, or then cannot join it."""
+    """The manager is ended while its master comes up."""
     from midstride.backends.ros1 import create_backend
-    from midstride.backends.ros1.announcement_listener import AnnouncementListener
 
     started: list[int] = []
 
@@ -315,32 +381,54 @@ def test_a_master_that_is_started_for_nothing_ends(tmp_path: Path, monkeypatch: 
         started.append(process.pid)
         return process
 
-    async def refused(listener: AnnouncementListener, host: str) -> None:
-        raise Unreachable("the master does not take it")
-
     async def scenario() -> None:
-        opening = asyncio.ensure_future(create_backend(logs=tmp_path).open(lambda event: None))
+        opening = asyncio.ensure_future(
+            create_backend(tmp_path / "components", logs=tmp_path).open(lambda exited: None)
+        )
         await until_async(lambda: asyncio.sleep(0, bool(started)))
         opening.cancel()
         await asyncio.wait({opening})
         assert opening.cancelled() and not alive(started[0])
-        monkeypatch.setattr(AnnouncementListener, "open", refused)
-        with pytest.raises(Unreachable):
-            await create_backend(logs=tmp_path).open(lambda event: None)
-        assert len(started) == 2 and not alive(started[1])
 
     monkeypatch.setattr(master_process, "spawn", noted)
     with own_master_uri():
         run(scenario())
 
 
-def test_a_master_that_cannot_be_started_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_master_still_lists_of_the_dead_is_left_out(tmp_path: Path) -> None:
+    """A master that was frozen when a component died has kept its registrations."""
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("listener", LISTENER)
+            await r.attach("listener", "in", "/chatter")
+            master = r.backend._master
+            pid = await master.process()
+            os.kill(pid, signal.SIGSTOP)
+            try:
+                r.kill("listener")
+                await until(lambda: r.exits)
+            finally:
+                os.kill(pid, signal.SIGCONT)
+            assert "/listener" in (await master.state()).subscribers["/chatter"]
+            seen = await r.backend.endpoints()
+            assert "/listener" not in seen.nodes and seen.subscribers == ()
+            assert await r.backend.lingering_readers("/chatter") == 1
+            r.exits.clear()
+            await r.start("listener", LISTENER)  # at once, under the same name
+            assert await r.backend.lingering_readers("/chatter") == 0
+            assert "/listener" in (await r.backend.endpoints()).nodes
+
+    run(scenario())
+
+
+def test_a_master_that_cannot_be_started_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from midstride.backends.ros1 import create_backend
 
     async def scenario() -> None:
-        backend = create_backend(logs=tmp_path)
+        backend = create_backend(tmp_path / "components", logs=tmp_path)
         with pytest.raises(StartFailed, match=r"(?s)the ROS master did not start.*rosmaster"):
-            await backend.open(lambda event: None)
+            await backend.open(lambda exited: None)
 
     broken = tmp_path / "python"
     broken.write_text('#!/bin/sh\necho "No module named rosmaster"; exit 1\n')

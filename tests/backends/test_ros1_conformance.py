@@ -27,7 +27,7 @@ def test_ros1(check: Check, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> 
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)
     with own_master_uri(), Reaper(OURS, this) as guarding:
-        backend = create_backend(logs=tmp_path / "logs", guardian=guarding)
+        backend = create_backend(tmp_path / "components", logs=tmp_path / "logs", guardian=guarding)
         run(check(backend, tmp_path), 100)
         assert reaper.remaining_groups({}, OURS, this) - {guarding.pid} == set()
 
@@ -42,4 +42,5 @@ def test_ros1_does_what_random_sequences_ask(seed: int, tmp_path: Path, monkeypa
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)
     with own_master_uri(), Reaper(OURS, this) as guarding:
-        run(walk(create_backend(logs=tmp_path / "logs", guardian=guarding), tmp_path, seed), 100)
+        backend = create_backend(tmp_path / "components", logs=tmp_path / "logs", guardian=guarding)
+        run(walk(backend, tmp_path, seed), 100)

@@ -1,36 +1,27 @@
-"""Ports on real ROS 1: what is on the wire, who hears it, and that nothing is lost where a port goes or comes back."""
+"""Ports on real ROS 1: what is on the wire, what arrives, and that nothing is lost where a port goes or comes back."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import itertools
 import signal
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from midstride.backends.ros1 import connection_headers, rpc, tcpros
+from midstride.backends.ros1 import connection_headers
+from midstride.errors import CommandRefused
 from midstride.model.contract import QoS
-from tests.backends.ros1_support import program, rig, wait_for
+from midstride.wire.commands import Receipt, RecordsCommand
+from tests.backends.ros1_support import pack_string, program, read_block, rig, subscribe, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, run, until_async
 
 pytestmark = pytest.mark.ros1
 
 
-async def subscribe(r: Rig, node: str, topic: str, definition: str) -> tuple[dict[str, str], asyncio.StreamReader, Any]:
-    """A connection to a publisher, made by hand: its header, and the way to its messages."""
-    uri = await r.backend._master.address_of(node)
-    _, _, (_, host, port) = await rpc.call(uri, "requestTopic", "/by_hand", topic, [["TCPROS"]])
-    reader, writer = await asyncio.open_connection(host, port)
-    fields = {"callerid": "/by_hand", "topic": topic, "md5sum": "*", "message_definition": definition}
-    return await tcpros.handshake(reader, writer, fields), reader, writer
-
-
-def test_who_has_not_asked_gets_what_rospy_would_send(tmp_path: Path) -> None:
+def test_a_subscriber_that_requests_nothing_gets_what_rospy_would_send(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
@@ -40,27 +31,27 @@ def test_who_has_not_asked_gets_what_rospy_would_send(tmp_path: Path) -> None:
             assert header["callerid"] == "/talker" and header["type"] == "std_msgs/String"
             assert not [name for name in header if "midstride" in name]
             for number in range(1, 20):
-                assert await tcpros.read_block(reader) == tcpros.pack_string(str(number))
+                assert await read_block(reader) == pack_string(str(number))
             writer.close()
 
     run(scenario())
 
 
-def test_who_asks_gets_numbers_and_times_beside_the_message(tmp_path: Path) -> None:
+def test_a_subscriber_that_requests_them_gets_numbers_and_times_beside_the_message(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
             await r.attach("talker", "out", "/chatter")
             header, reader, writer = await subscribe(
-                r, "/talker", "/chatter", connection_headers.ask("string data", QoS())
+                r, "/talker", "/chatter", connection_headers.request("string data", QoS())
             )
             begun = time.time_ns()
             await r.modes("talker", talk="normal")
             publisher = connection_headers.publisher_of(header)
             assert publisher and connection_headers.is_compatible(header)
             for number in range(1, 20):
-                block = await tcpros.read_block(reader)
-                message = tcpros.pack_string(str(number))
+                block = await read_block(reader)
+                message = pack_string(str(number))
                 assert block.startswith(message)
                 trailer = block[len(message) :]
                 assert int.from_bytes(trailer[:8], "little") == number
@@ -70,7 +61,7 @@ def test_who_asks_gets_numbers_and_times_beside_the_message(tmp_path: Path) -> N
             await r.detach("talker", "out", "/chatter")
             await r.attach("talker", "out", "/chatter")
             header, reader, writer = await subscribe(
-                r, "/talker", "/chatter", connection_headers.ask("string data", QoS())
+                r, "/talker", "/chatter", connection_headers.request("string data", QoS())
             )
             assert connection_headers.publisher_of(header) not in (None, publisher)
             writer.close()
@@ -78,8 +69,8 @@ def test_who_asks_gets_numbers_and_times_beside_the_message(tmp_path: Path) -> N
     run(scenario())
 
 
-def test_who_was_there_hears_the_first_message_even_if_nobody_counts_on_it(tmp_path: Path) -> None:
-    """The master says who they are: an attach waits for them, whatever Midstride knows of them."""
+def test_an_earlier_subscriber_hears_the_first_message_even_if_it_is_not_waited_for(tmp_path: Path) -> None:
+    """The master lists it: an attach waits for all subscribers there, Midstride's or not."""
     heard = tmp_path / "heard"
 
     async def scenario() -> None:
@@ -145,15 +136,15 @@ def test_a_bare_subscriber_that_is_slow_reads_to_the_end_what_was_written_before
                 await r.modes("fast", talk="normal")
                 await asyncio.to_thread(wait_for, heard, 50)
                 await r.modes("fast", talk="degraded")
-                written = (await r.link.observe("fast"))["ports"]["out"]["/fast"]["count"]
-                assert (await r.detach("fast", "out", "/fast"))["acknowledged"] is True
+                written = (await r.link("fast", "out", "/fast")).count
+                assert (await r.detach("fast", "out", "/fast")).acknowledged is True
                 assert await asyncio.to_thread(wait_for, heard, written) == [str(n) for n in range(1, written + 1)]
 
     run(scenario())
 
 
 @pytest.mark.full
-def test_a_port_that_comes_back_is_heard_again_by_who_was_inside_a_callback(tmp_path: Path) -> None:
+def test_a_port_that_comes_back_is_heard_again_by_a_subscriber_inside_a_callback(tmp_path: Path) -> None:
     """rospy's subscriber believes it is still connected, and overlooks the publisher that has come back."""
     heard = tmp_path / "heard"
 
@@ -165,8 +156,7 @@ def test_a_port_that_comes_back_is_heard_again_by_who_was_inside_a_callback(tmp_
                 await r.modes("talker", talk="normal")
                 await asyncio.to_thread(wait_for, heard, 1)  # from now on it is inside its callback
                 await r.detach("talker", "out", "/chatter")
-                before = int((await r.link.observe("talker"))["ports"]["out"].get("/chatter", {}).get("count", 0))
-                assert before == 0
+                assert "/chatter" not in (await r.client.observe("talker")).ports["out"]
                 said = len(heard.read_text().splitlines())
                 await r.attach("talker", "out", "/chatter", peers=1)
                 later = await asyncio.to_thread(wait_for, heard, said + 3, 15.0)
@@ -208,10 +198,9 @@ comp.start()
 """
 
 
-def test_ports_that_share_a_topic_are_told_apart_and_late_joiners_get_what_they_ask_for(tmp_path: Path) -> None:
-    async def rows(r: Rig, port: str) -> list[Any]:
-        rows: list[Any] = (await r.link.read("ears", "records", input=port))["rows"]
-        return rows
+def test_ports_that_share_a_topic_are_distinguished_and_late_joiners_get_what_they_request(tmp_path: Path) -> None:
+    async def rows(r: Rig, port: str) -> list[Receipt]:
+        return (await r.client.read("ears", RecordsCommand(input=port))).rows
 
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -220,10 +209,10 @@ def test_ports_that_share_a_topic_are_told_apart_and_late_joiners_get_what_they_
             for port in ("left", "right"):
                 await r.attach("pair", port, "/pair")
             await r.modes("pair", talk="normal")
-            for port in ("now", "late"):  # the second one joins a connection that is there already
+            for port in ("now", "late"):  # the second one shares the connection of the first
                 await r.attach("ears", port, "/pair", peers=1)
             await until_async(lambda: rows(r, "late"))
-            assert await rows(r, "now") == [], "it has not asked for what was before"
+            assert await rows(r, "now") == [], "it has not requested earlier messages"
             await r.modes("pair", talk="degraded")
             await r.modes("pair", talk="normal")
 
@@ -231,9 +220,9 @@ def test_ports_that_share_a_topic_are_told_apart_and_late_joiners_get_what_they_
                 return len(await rows(r, "now")) == 3
 
             await until_async(all_came)
-            publishers = [row[3] for row in await rows(r, "now")]
+            publishers = [row.publisher for row in await rows(r, "now")]
             assert publishers[0] != publishers[1] == publishers[2]
-            assert [row[2] for row in await rows(r, "now")] == [2, 3, 4]
+            assert [row.number for row in await rows(r, "now")] == [2, 3, 4]
             # Taking one of them off the topic does not concern the other.
             await r.detach("pair", "left", "/pair")
             await r.detach("ears", "late", "/pair")
@@ -264,7 +253,7 @@ comp.start()
 
 
 @pytest.mark.full
-def test_a_frozen_subscriber_does_not_hold_up_the_publisher(tmp_path: Path) -> None:
+def test_a_frozen_subscriber_does_not_delay_the_publisher(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("large", LARGE)
@@ -277,7 +266,7 @@ def test_a_frozen_subscriber_does_not_hold_up_the_publisher(tmp_path: Path) -> N
             await r.modes("large", talk="normal")
 
             async def received() -> int:
-                return int((await r.link.observe("listener"))["ports"]["in"]["/large"]["count"])
+                return (await r.link("listener", "in", "/large")).count
 
             await until_async(received)
             before = await received()
@@ -287,9 +276,9 @@ def test_a_frozen_subscriber_does_not_hold_up_the_publisher(tmp_path: Path) -> N
 
             await until_async(more)  # a publisher that waits for the frozen one writes 5 at most
             answer = await asyncio.wait_for(r.detach("large", "out", "/large"), 20.0)
-            assert answer["acknowledged"] is None, "nobody can tell what the frozen one will read"
+            assert answer.acknowledged is None, "what the frozen one will read is unknown"
             r.kill("sleeper", signal.SIGCONT)
-            await r.link.observe("sleeper")
+            await r.client.observe("sleeper")
 
     run(scenario())
 
@@ -305,17 +294,17 @@ async def frozen(pid: int) -> AsyncIterator[None]:
         os.kill(pid, signal.SIGCONT)
 
 
-def test_a_frozen_master_holds_up_nobody(tmp_path: Path) -> None:
+def test_a_frozen_master_delays_no_component(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
             await r.attach("talker", "out", "/a", gate="closed")
             await r.modes("talker", talk="normal")
             async with frozen(await r.backend._master.process()):
-                before = (await r.link.observe("talker"))["ports"]["out"]["/a"]["gated"]
-                with pytest.raises(Exception, match="0 of 0"):
-                    await r.link.change("talker", "attach", timeout=1.0, port="out", topic="/b", gate="open", peers=0)
-                after = (await r.link.observe("talker"))["ports"]["out"]["/a"]["gated"]
+                before = (await r.link("talker", "out", "/a")).gated
+                with pytest.raises(CommandRefused, match="0 of 0"):
+                    await r.attach("talker", "out", "/b", timeout=1.0)
+                after = (await r.link("talker", "out", "/a")).gated
                 assert after - before > 10  # of 50
             await r.attach("talker", "out", "/b")
             assert ("/talker", "/b") in (await r.backend.endpoints()).publishers
@@ -344,13 +333,14 @@ while not rospy.is_shutdown():
             with program("sensor", "/range", source=source):
                 await r.attach("listener", "in", "/range", peers=1)
 
-                async def rows() -> list[Any]:
-                    told: list[Any] = (await r.link.read("listener", "records", input="in"))["rows"]
-                    return told if len(told) > 10 else []
+                async def rows() -> list[Receipt]:
+                    found = (await r.client.read("listener", RecordsCommand(input="in"))).rows
+                    return found if len(found) > 10 else []
 
                 await until_async(rows)
                 seen = await rows()
-                assert {(row[1], row[3]) for row in seen} == {(None, "/sensor")}  # when it was sent, nobody tells
-                assert all(later[2] == earlier[2] + 1 for earlier, later in itertools.pairwise(seen))
+                assert {(row.source, row.publisher) for row in seen} == {(None, "/sensor")}
+                numbers = [row.number for row in seen]
+                assert numbers[0] is not None and numbers == list(range(numbers[0], numbers[0] + len(numbers)))
 
     run(scenario())

@@ -1,12 +1,10 @@
-"""The manager's own XML-RPC and TCPROS, and what connection headers say: plain Python, no ROS needed."""
+"""The manager's XML-RPC, connection headers, names and environments: plain Python, no ROS needed."""
 
 from __future__ import annotations
 
 import asyncio
 import os
-import struct
 import threading
-import xmlrpc.client
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,8 +14,8 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from midstride.backends import common
-from midstride.backends.ros1 import connection_headers, launching, names, rpc, tcpros
-from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
+from midstride.backends.ros1 import connection_headers, launching, names, rpc
+from midstride.errors import BackendError, CallTimeout, NodeError, StartFailed, Unreachable
 from midstride.model.contract import QoS
 from tests.backends.ros1_support import free_port
 from tests.backends.ros2_support import run
@@ -53,7 +51,7 @@ def test_a_method_that_is_refused_says_so_and_is_not_unreachable() -> None:
     assert not isinstance(caught.value, (Unreachable, CallTimeout))
 
 
-def test_nobody_there_is_unreachable_at_once() -> None:
+def test_a_port_where_nothing_listens_is_unreachable_at_once() -> None:
     async def scenario() -> None:
         closing = await asyncio.start_server(lambda reader, writer: None, "127.0.0.1")
         port = closing.sockets[0].getsockname()[1]
@@ -66,7 +64,7 @@ def test_nobody_there_is_unreachable_at_once() -> None:
 
 
 def test_a_call_that_is_cancelled_is_cancelled_whenever_that_is() -> None:
-    """At each turn of the loop, the one in which the refusal arrives included: or a manager told to end would go on."""
+    """At each turn of the loop, also the one in which the refusal arrives: else a manager could miss its own end."""
 
     async def ended_before(turns: int) -> bool:
         calling = asyncio.ensure_future(rpc.call(f"http://127.0.0.1:{free_port()}/", "getPid", "/test"))
@@ -87,7 +85,7 @@ def test_a_call_that_is_cancelled_is_cancelled_whenever_that_is() -> None:
 
 
 @pytest.mark.parametrize("said", [b"", b"SSH-2.0-OpenSSH\r\n\r\n", b"HTTP/1.0 404 Not Found\r\n\r\n", b"\0" * 200_000])
-def test_somebody_else_there_is_unreachable(said: bytes) -> None:
+def test_a_server_of_another_protocol_is_unreachable(said: bytes) -> None:
     async def other(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         writer.write(said)
         writer.close()
@@ -102,7 +100,7 @@ def test_somebody_else_there_is_unreachable(said: bytes) -> None:
 
 
 def test_a_frozen_peer_is_given_up() -> None:
-    """It accepts and never answers: rospy's own calls would wait for good."""
+    """It accepts and never answers: rospy's own calls would wait for ever."""
 
     async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         await reader.read()
@@ -113,62 +111,23 @@ def test_a_frozen_peer_is_given_up() -> None:
             port = server.sockets[0].getsockname()[1]
             with pytest.raises(CallTimeout):
                 await rpc.call(f"http://127.0.0.1:{port}/", "getPid", "/node", timeout=0.2)
-            with pytest.raises(CallTimeout):
-                await tcpros.call_service(f"rosrpc://127.0.0.1:{port}", "/s", "x", "/node", timeout=0.2)
 
     run(scenario())
 
 
-def test_the_server_is_understood_by_pythons_own_client() -> None:
-    async def add(caller: str, a: int, b: int) -> Any:
-        return [1, caller, a + b]
-
-    async def scenario() -> None:
-        server = rpc.Server({"add": add})
-        port = await server.open("127.0.0.1")
-
-        def ask() -> None:
-            with xmlrpc.client.ServerProxy(f"http://127.0.0.1:{port}/") as proxy:  # one connection for all of them
-                assert proxy.add("/node", 2, 3) == [1, "/node", 5]
-                with pytest.raises(xmlrpc.client.Fault, match="no method nothing"):
-                    proxy.nothing()
-                with pytest.raises(xmlrpc.client.Fault, match="argument"):
-                    proxy.add("/node")
-                assert proxy.add("/node", 1, 1) == [1, "/node", 2]
-
-        await asyncio.to_thread(ask)
-        await server.close()
-        with pytest.raises(Unreachable):
-            await rpc.call(f"http://127.0.0.1:{port}/", "add", "/node", 1, 1)
-
-    run(scenario())
-
-
-def test_headers_and_strings_are_as_ros_1_packs_them() -> None:
-    packed = tcpros.pack_header({"topic": "/chatter", "note": "a=b"})
-    entries = b"\x0e\0\0\0topic=/chatter\x08\0\0\0note=a=b"
-    assert packed == struct.pack("<I", len(entries)) + entries
-    assert tcpros.unpack_header(packed[4:]) == {"topic": "/chatter", "note": "a=b"}
-    assert tcpros.unpack_string(tcpros.pack_string("grün")) == "grün"
-
-
-@pytest.mark.parametrize("data", [b"\x01", b"\x05\0\0\0ab", b"\x02\0\0\0ab\0"])
-def test_what_is_no_message_of_one_string_is_told(data: bytes) -> None:
-    with pytest.raises(ValueError, match="string"):
-        tcpros.unpack_string(data)
-
-
-def test_what_is_asked_is_a_comment_to_everybody_else() -> None:
-    definition = connection_headers.ask("string data\n", QoS(durability="transient_local", depth=3))
+def test_a_request_is_a_comment_to_other_publishers() -> None:
+    definition = connection_headers.request("string data\n", QoS(durability="transient_local", depth=3))
     assert [line for line in definition.splitlines() if not line.startswith("#")] == ["string data"]
-    assert connection_headers.asked({"message_definition": definition}) == QoS(durability="transient_local", depth=3)
+    assert connection_headers.requested({"message_definition": definition}) == QoS(
+        durability="transient_local", depth=3
+    )
     for plain in ({}, {"message_definition": "string data"}, {"message_definition": "string data\n# midstride: [3]"}):
-        assert connection_headers.asked(plain) is None
+        assert connection_headers.requested(plain) is None
         assert connection_headers.grant(plain, "endpoint", QoS()) == {}
 
 
-def test_what_is_granted_depends_on_what_is_offered() -> None:
-    header = {"message_definition": connection_headers.ask("", QoS(durability="transient_local"))}
+def test_a_grant_depends_on_what_is_offered() -> None:
+    header = {"message_definition": connection_headers.request("", QoS(durability="transient_local"))}
     granted = connection_headers.grant(header, "endpoint", QoS(durability="transient_local"))
     assert connection_headers.publisher_of(granted) == "endpoint" and connection_headers.is_compatible(granted)
     refused = connection_headers.grant(header, "endpoint", QoS())
@@ -183,8 +142,6 @@ def test_names_of_nodes() -> None:
     assert names.split("front/camera") == ("camera", "/front")
     assert names.split("camera", "front") == ("camera", "/front")
     assert names.full("front/camera") == "/front/camera"
-    assert names.command_service("/front/camera") == "/front/camera/midstride/command"
-    assert names.is_ours("/front/camera/midstride/command") and not names.is_ours("/midstride_of_mine")
 
 
 def test_no_process_of_ros_1_sees_ros_2(tmp_path: Path) -> None:
@@ -217,6 +174,37 @@ def test_a_master_elsewhere_needs_an_address_of_this_machine() -> None:
     assert launching.own_host({"ROS_IP": "10.0.0.2"}, "http://robot:11311") == "10.0.0.2"
     with pytest.raises(BackendError, match="ROS_IP"):
         launching.own_host({}, "http://robot:11311")
+    with pytest.raises(BackendError, match="ROS_IP"):
+        launching.environment({}, "http://robot:11311")
+
+
+def test_a_component_listens_where_its_manager_or_its_user_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    folder = tmp_path / "midstride" / "robot" / "components"
+    by_environment = {"MIDSTRIDE_SYSTEM": "robot"}
+    other = {"MIDSTRIDE_SYSTEM": "other"}
+    for environment, arguments in (
+        (by_environment, ()),
+        ({}, ("--standalone", "--system", "robot", "__name:=talker")),
+        (other, ("--system=robot",)),
+        ({**other, "MIDSTRIDE_CONTROL": str(folder)}, ("--system", "other")),
+    ):
+        transport, words = common.control_transport(environment, arguments)
+        assert transport is not None and transport.folder == folder and str(folder) in words
+    transport, words = common.control_transport({}, ("--verbose",))
+    assert transport is None and "--system NAME" in words and "MIDSTRIDE_SYSTEM=NAME" in words
+
+
+@pytest.mark.parametrize("arguments", [("--system",), ("--system=",), ("--system", ""), ("--system", "../other")])
+def test_what_names_no_system_is_refused(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with pytest.raises(NodeError, match="system"):
+        common.control_transport({}, arguments)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_python_in_a_command_is_the_one_that_has_ros_1(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -13,10 +14,24 @@ from pathlib import Path
 import pytest
 
 from midstride.errors import CallTimeout, StartFailed, Unreachable
-from midstride.runtime.backend import Handle, Launch
+from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
-from midstride.wire.messages import ENV_TOKEN, Command
-from tests.backends.ros2_support import LISTENER, TALKER, Bare, alive, rig, run, shared_memory_of, until, until_async
+from midstride.wire.commands import AttachCommand, AwaitWriteCommand, MeetCommand, PingCommand
+from midstride.wire.environment import ENV_SYSTEM
+from midstride.wire.sockets import COMPONENTS, workspace_folder
+from tests.backends.ros2_support import (
+    LISTENER,
+    TALKER,
+    Bare,
+    Rig,
+    alive,
+    rig,
+    run,
+    shared_memory_of,
+    until,
+    until_async,
+    without_midstride,
+)
 
 pytestmark = pytest.mark.ros2
 
@@ -24,10 +39,10 @@ pytestmark = pytest.mark.ros2
 def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            announced = await r.start("talker", TALKER)
-            assert announced.pid == r.pid("talker")
-            assert announced.endpoints == ()
-            assert sorted(announced.declaration["outputs"]) == ["out"]
+            greeting, registration = await r.start("talker", TALKER)
+            assert greeting.pid == r.pid("talker")
+            assert registration.endpoints == []
+            assert sorted(registration.declaration.checked().outputs) == ["out"]
             await r.start("listener", LISTENER)
             await r.attach("talker", "out", "/chatter")
             await r.attach("listener", "in", "/chatter", peers=1)
@@ -37,42 +52,78 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
             assert seen.nodes >= {"/talker", "/listener"}
             assert seen.publishers == (("/talker", "/chatter"),)
             assert seen.subscribers == (("/listener", "/chatter"),)
-            before = (await r.link.observe("listener"))["ports"]["in"]["/chatter"]["count"]
+            before = (await r.link("listener", "in", "/chatter")).count
 
             async def more() -> bool:
-                return bool((await r.link.observe("listener"))["ports"]["in"]["/chatter"]["count"] > before + 20)
+                return (await r.link("listener", "in", "/chatter")).count > before + 20
 
             await until_async(more)
             await r.modes("talker", talk="degraded")
-            assert (await r.detach("talker", "out", "/chatter"))["acknowledged"] is True
+            assert (await r.detach("talker", "out", "/chatter")).acknowledged is True
             assert (await r.backend.endpoints()).publishers == ()
             pid = r.pid("talker")
             await r.backend.end("talker", 5.0)
             assert not alive(pid)
-            assert r.exits == []  # an end that was asked for is no news
+            assert r.exits == []  # an end that was requested is not reported
             assert "/talker" not in (await r.backend.endpoints()).nodes
 
     run(scenario())
 
 
-def test_a_killed_component_is_known_at_once_and_leaves_the_graph_soon(tmp_path: Path) -> None:
+def test_a_killed_component_is_known_at_once_however_long_the_graph_shows_it(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
-            calling = asyncio.ensure_future(r.link.read("talker", "await_write", 30.0, port="out", topic="/none"))
+            waiting = AwaitWriteCommand(timeout=30.0, port="out", topic="/none")
+            calling = asyncio.ensure_future(r.client.read("talker", waiting))
             r.kill("talker")
             await until(lambda: r.exits)
-            assert "/talker" in (await r.backend.endpoints()).nodes, "it was known by the graph alone"
+            assert "/talker" in graph_names(r), "it was known by the graph alone"
+            assert "/talker" not in (await r.backend.endpoints()).nodes
             assert (r.exits[0].instance, r.exits[0].status) == ("talker", -signal.SIGKILL)
             with pytest.raises(Exception, match="talker"):
                 await asyncio.wait_for(calling, 20.0)
-            with pytest.raises(Unreachable, match="has ended"):
-                await r.backend.call("talker", Command("ping", {}, "late", r.token), 5.0)
+            with pytest.raises(Unreachable, match="talker"):
+                await r.client.read("talker", PingCommand())
+            await until(lambda: "/talker" not in graph_names(r), 30.0)
 
-            async def left() -> bool:
-                return "/talker" not in (await r.backend.endpoints()).nodes
+    run(scenario())
 
-            await until_async(left, 15.0)  # a lease that is not tuned lasts 20 s
+
+def graph_names(r: Rig) -> list[str]:
+    """The nodes that the middleware shows, dead ones included."""
+    return [f"{inside.rstrip('/')}/{name}" for name, inside in r.backend._node.get_node_names_and_namespaces()]
+
+
+def test_endpoints_of_the_dead_are_left_out_and_their_readers_are_counted(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("listener", LISTENER)
+            await r.attach("listener", "in", "/chatter")
+            seen = ("/listener", "/chatter")
+            assert await r.backend.lingering_readers("/chatter") == 0
+            await until_async(lambda: r.shows_reader(*seen))
+            r.kill("listener")
+            await until(lambda: r.exits)
+            r.exits.clear()
+            assert await r.backend.lingering_readers("/chatter") == 1
+            assert (await r.backend.endpoints()).subscribers == ()
+
+            # Another one of that name lives, and is not attached: what the graph shows on the topic is the dead one's.
+            await r.start("listener", LISTENER)
+            await until_async(lambda: r.shows_node("/listener"))
+            assert (await r.backend.endpoints()).subscribers == ()
+            assert await r.backend.lingering_readers("/chatter") == 1
+            await r.attach("listener", "in", "/chatter")
+            await until_async(lambda: r.shows_reader(*seen))
+            assert (await r.backend.endpoints()).subscribers == (seen,)
+            assert await r.backend.lingering_readers("/chatter") == 1
+
+            async def forgotten() -> bool:
+                return bool(await r.backend.lingering_readers("/chatter") == 0)
+
+            await until_async(forgotten, 30.0)
+            assert (await r.backend.endpoints()).subscribers == (seen,)
 
     run(scenario())
 
@@ -81,10 +132,10 @@ def test_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             with Bare("talker") as bare:
-                await bare.until(lambda: "/talker" in r.backend._names())
+                await bare.until(lambda: "/talker" in graph_names(r))
                 with pytest.raises(StartFailed, match=r"a node /talker is running already"):
                     await r.launch("talker", TALKER)
-            await until(lambda: "/talker" not in r.backend._names())
+            await until(lambda: "/talker" not in graph_names(r))
             await r.start("talker", TALKER)
 
     run(scenario())
@@ -93,49 +144,53 @@ def test_a_name_that_is_taken_is_refused(tmp_path: Path) -> None:
 def test_a_name_that_the_graph_forgot_to_drop_is_free(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            known = r.backend._names
-            monkeypatch.setattr(r.backend, "_names", lambda: [*known(), "/talker"])
+            node = r.backend._node
+            known = node.get_node_names_and_namespaces
+            monkeypatch.setattr(node, "get_node_names_and_namespaces", lambda: [*known(), ("talker", "/")])
             assert "/talker" not in (await r.backend.endpoints()).nodes
             await r.start("talker", TALKER)
-            assert "/talker" in (await r.backend.endpoints()).nodes
+            await until_async(lambda: r.shows_node("/talker"))
 
     run(scenario())
 
 
 @pytest.mark.full
-def test_the_name_of_a_killed_component_can_be_used_again(tmp_path: Path) -> None:
+def test_the_name_of_a_killed_component_can_be_used_again_at_once(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
+            await until(lambda: "/talker" in graph_names(r))
             r.kill("talker")
             await until(lambda: r.exits)
             r.exits.clear()
             first = r.pid("talker")
-            announced = await r.start("talker", TALKER)
-            assert announced.pid != first
-            assert (await r.link.observe("talker"))["pid"] == announced.pid
+            assert "/talker" in graph_names(r)
+            greeting, _ = await r.start("talker", TALKER)
+            assert "/talker" in graph_names(r)
+            assert greeting.pid == r.pid("talker") != first
+            assert (await r.client.observe("talker")).pid == greeting.pid
 
     run(scenario())
 
 
 @pytest.mark.parametrize(
-    ("source", "status", "told"),
+    ("source", "status", "words"),
     [
         ("import no_such_module_at_all", 1, "No module named 'no_such_module_at_all'"),
         ("raise SystemExit(7)", 7, ""),
         ("from midstride import Component\nComponent('talker').create_output('out', int)", 1, "out"),
     ],
 )
-def test_a_component_that_fails_on_its_way_up_is_told_with_its_log(
-    tmp_path: Path, source: str, status: int, told: str
+def test_a_component_that_fails_on_its_way_up_is_reported_with_its_log(
+    tmp_path: Path, source: str, status: int, words: str
 ) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.launch("talker", source)
             await until(lambda: r.exits)
             assert r.exits[0].status == status
-            assert told in r.exits[0].log_tail
-            assert "talker" not in r.announced
+            assert words in r.exits[0].log_tail
+            assert r.client.greeting("talker") is None
 
     run(scenario())
 
@@ -152,8 +207,8 @@ def test_a_program_that_is_not_there(tmp_path: Path) -> None:
 def test_calling_what_is_not_there(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            with pytest.raises(Unreachable, match="/nobody"):
-                await r.backend.call("nobody", Command("ping", {}, "1", r.token), 0.5)
+            with pytest.raises(Unreachable, match="nobody"):
+                await r.client.read("nobody", PingCommand())
 
     run(scenario())
 
@@ -163,13 +218,36 @@ def test_a_component_that_is_stopped_does_not_answer_in_time_but_answers_later(t
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
+            channel = await r.channel("talker")
             r.kill("talker", signal.SIGSTOP)
             begun = time.monotonic()
             with pytest.raises(CallTimeout, match="talker"):
-                await r.backend.call("talker", Command("ping", {}, "1", r.token), 0.7)
+                await channel.request(PingCommand(), timeout=0.7)
             assert time.monotonic() - begun > 0.6
             r.kill("talker", signal.SIGCONT)
-            assert (await r.backend.call("talker", Command("ping", {}, "2", r.token), 10.0)).ok
+            assert (await channel.request(PingCommand(), timeout=10.0)).ok
+
+    run(scenario())
+
+
+def test_a_component_that_was_paused_answers_and_works_within_a_second(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", TALKER)
+            await r.attach("talker", "out", "/chatter", gate="closed")
+            await r.modes("talker", talk="normal")
+            r.kill("talker", signal.SIGSTOP)
+            await asyncio.sleep(3.0)
+            before = r.client.latest("talker")
+            assert before is not None and r.client.responsive("talker") is None
+            r.kill("talker", signal.SIGCONT)
+            begun = time.monotonic()
+            state = await r.client.observe("talker")
+            await until(lambda: r.client.responsive("talker"), 1.0)
+            assert state.functionalities["talk"].mode == "normal"
+            while (await r.link("talker", "out", "/chatter")).gated <= before.state.ports["out"]["/chatter"].gated + 2:
+                await asyncio.sleep(0.005)
+            assert time.monotonic() - begun < 1.0
 
     run(scenario())
 
@@ -181,18 +259,21 @@ def test_a_command_that_is_sent_again_is_carried_out_once(tmp_path: Path) -> Non
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
-            revision = (await r.link.observe("talker"))["revision"]
+            revision = (await r.client.observe("talker")).revision
+            channels = [await r.channel("talker"), await r.channel("talker")]
             r.kill("talker", signal.SIGSTOP)
-            command = Command("attach", {"port": "out", "topic": "/chatter"}, "once", r.token, revision)
-            first = asyncio.ensure_future(r.backend.call("talker", command, 30.0))
-            second = asyncio.ensure_future(r.backend.call("talker", command, 30.0))
+            command = AttachCommand(port="out", topic="/chatter")
+            first, second = (
+                asyncio.ensure_future(channel.request(command, id="once", revision=revision, timeout=30.0))
+                for channel in channels
+            )
             await asyncio.sleep(1.5)
             r.kill("talker", signal.SIGCONT)
             assert await first == await second
             assert (await first).ok
-            state = await r.link.observe("talker")
-            assert state["revision"] == revision + 1
-            assert list(state["ports"]["out"]) == ["/chatter"]
+            state = await r.client.observe("talker")
+            assert state.revision == revision + 1
+            assert list(state.ports["out"]) == ["/chatter"]
 
     run(scenario())
 
@@ -208,13 +289,13 @@ def test_observing_does_not_wait_for_user_code(tmp_path: Path) -> None:
             await r.modes("talker", talk="normal")
 
             async def busy() -> bool:
-                return (await r.link.observe("talker"))["functionalities"]["talk"]["busy"] is not None
+                return (await r.client.observe("talker")).functionalities["talk"].busy is not None
 
             while not await busy():
                 await asyncio.sleep(0.01)
             for _ in range(20):
-                view = (await r.link.observe("talker"))["functionalities"]["talk"]
-                assert view["mode"] == "normal" and view["busy"] is not None
+                view = (await r.client.observe("talker")).functionalities["talk"]
+                assert view.mode == "normal" and view.busy is not None
 
     run(scenario())
 
@@ -230,15 +311,15 @@ def test_a_later_manager_finds_the_component_again(tmp_path: Path) -> None:
             await r.backend.close()
             assert alive(r.pid("talker"))
 
-            exits = []
-            later = create_backend(logs=tmp_path / "later")
-            await later.open(lambda event: exits.append(event) if not hasattr(event, "uuid") else None)
+            exits: list[Exited] = []
+            later = create_backend(tmp_path / "components", logs=tmp_path / "later")
+            await later.open(exits.append)
             try:
                 assert not await later.adopt(Handle("talker", handle.pid, (handle.started or 0.0) + 1.0, handle.log))
                 assert not await later.adopt(Handle("another", handle.pid, handle.started, handle.log))
                 assert await later.adopt(handle)
-                state = await ComponentClient(later, r.token).observe("talker")
-                assert state["ports"]["out"]["/chatter"]["gate"] == "open"
+                state = await ComponentClient(later.transport, later.clock, r.token).observe("talker")
+                assert state.ports["out"]["/chatter"].gate == "open"
                 r.kill("talker")
                 await until(lambda: exits)
                 assert (exits[0].instance, exits[0].status) == ("talker", None)
@@ -250,19 +331,54 @@ def test_a_later_manager_finds_the_component_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.full
-def test_a_component_that_was_started_elsewhere_is_adopted_by_its_name(tmp_path: Path) -> None:
+@pytest.mark.parametrize("named_by", ["option", "environment"])
+def test_a_component_started_by_hand_is_found_in_the_system_that_it_names(tmp_path: Path, named_by: str) -> None:
     async def scenario() -> None:
-        async with rig(tmp_path) as r:
-            assert not await r.backend.adopt(Handle("talker"))
+        from midstride.backends.ros2 import create_backend
+
+        system = f"by-hand-{os.getpid()}"
+        folder = workspace_folder(system) / COMPONENTS
+        backend = create_backend(folder)
+        await backend.open(lambda _: None)
+        r = Rig(backend, tmp_path, "of-its-manager")
+        try:
+            assert not await backend.adopt(Handle("talker"))
             r.write("talker", TALKER)
-            environment = {**os.environ, ENV_TOKEN: r.token}
-            with subprocess.Popen([sys.executable, "talker.py"], cwd=tmp_path, env=environment) as process:
+            arguments, environment = ["talker.py"], without_midstride()
+            if named_by == "option":
+                arguments += ["--system", system]
+            else:
+                environment[ENV_SYSTEM] = system
+            with subprocess.Popen([sys.executable, *arguments], cwd=tmp_path, env=environment) as process:
                 try:
-                    assert await r.backend.adopt(Handle("talker"))
-                    assert (await r.link.observe("talker"))["pid"] == process.pid
+                    greeting, _ = await r.welcome("talker")
+                    assert (greeting.pid, greeting.start_token) == (process.pid, "")
+                    assert await backend.adopt(Handle("talker"))
+                    assert (await r.client.observe("talker")).pid == process.pid
                 finally:
                     process.terminate()
-                    assert process.wait(10) == 0
+                    assert await asyncio.to_thread(process.wait, 10) == 0
+            assert not await backend.adopt(Handle("talker"))
+        finally:
+            r.client.close()
+            await backend.close()
+            shutil.rmtree(folder.parent)
+
+    run(scenario())
+
+
+def test_a_component_that_belongs_to_no_system_says_how_to_name_one(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        (tmp_path / "talker.py").write_text(TALKER)
+        with subprocess.Popen(
+            [sys.executable, "talker.py"], cwd=tmp_path, env=without_midstride(), stderr=subprocess.PIPE, text=True
+        ) as process:
+            assert process.stderr is not None
+            line = await asyncio.to_thread(process.stderr.readline)
+            process.terminate()
+            assert await asyncio.to_thread(process.wait, 10) == 0
+        assert "waits for a manager" in line
+        assert "--system NAME" in line and ENV_SYSTEM in line
 
     run(scenario())
 
@@ -271,25 +387,25 @@ def test_a_component_that_was_started_elsewhere_is_adopted_by_its_name(tmp_path:
 def test_namespaces(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            announced = await r.start("front/talker", TALKER, namespace="front")
-            assert announced.instance == "front/talker"
+            greeting, _ = await r.start("front/talker", TALKER, namespace="front")
+            assert greeting.instance == "front/talker"
             await r.attach("front/talker", "out", "/chatter")
             await r.start("listener", LISTENER)
-            await r.link.change("front/talker", "meet", timeout=5.0, peer="listener")
+            await r.client.change("front/talker", MeetCommand(peer="listener", address=r.client.address("listener")))
+            await until_async(lambda: r.shows_node("/front/talker"))
             seen = await r.backend.endpoints()
-            assert "/front/talker" in seen.nodes
             assert seen.publishers == (("/front/talker", "/chatter"),)
 
     run(scenario())
 
 
 def test_components_use_sockets_alone(tmp_path: Path) -> None:
-    """Shared memory loses first replies and leaves files behind when a process is killed (tuning.py)."""
+    """Shared memory loses first messages and leaves files behind when a process is killed (dds_profiles.py)."""
 
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            assert r.backend.tuning.middleware == "rmw_fastrtps_cpp"
-            assert r.backend.tuning.untuned == ()
+            assert r.backend.settings.middleware == "rmw_fastrtps_cpp"
+            assert r.backend.warnings == []
             await r.start("talker", TALKER)
             assert shared_memory_of(r.pid("talker")) == []
             assert shared_memory_of(os.getpid()) == []
@@ -302,15 +418,15 @@ import asyncio, sys
 from pathlib import Path
 from midstride.backends.ros2 import create_backend
 from midstride.runtime.backend import Launch
+from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.reaper import Reaper
-from midstride.wire.messages import ENV_TOKEN
+from midstride.wire.environment import ENV_TOKEN
 
 async def main(token):
-    heard = asyncio.Event()
-    backend = create_backend(logs=Path("logs"), guardian=Reaper(ENV_TOKEN, token))
-    await backend.open(lambda event: heard.set())
+    backend = create_backend(Path("components"), logs=Path("logs"), guardian=Reaper(ENV_TOKEN, token))
+    await backend.open(lambda event: None)
     handle = await backend.start(Launch("talker", "", ("python3", "talker.py"), token, Path.cwd()))
-    await heard.wait()
+    await ComponentClient(backend.transport, backend.clock, token).registered("talker")
     print(handle.pid, flush=True)
     await asyncio.sleep(600)
 

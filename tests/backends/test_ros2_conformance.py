@@ -26,7 +26,7 @@ def held(check: Check, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     this = uuid.uuid4().hex
     monkeypatch.setenv(OURS, this)
     with Reaper(OURS, this) as guarding:
-        backend = create_backend(logs=folder / "logs", guardian=guarding)
+        backend = create_backend(folder / "components", logs=folder / "logs", guardian=guarding)
         run(check(backend, folder), 100)
         assert reaper.remaining_groups({}, OURS, this) - {guarding.pid} == set()
 

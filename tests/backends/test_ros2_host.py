@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -15,10 +14,20 @@ from typing import Any
 
 import pytest
 
-from midstride.backends.ros2 import dds_profiles
-from midstride.errors import BackendError
-from midstride.wire.messages import ENV_TOKEN, Command
-from tests.backends.ros2_support import LISTENER, TALKER, Bare, Rig, alive, rig, run, until
+from midstride.errors import BackendError, CommandRefused
+from midstride.wire.commands import (
+    AwaitWriteCommand,
+    GridCommand,
+    MeetCommand,
+    RecordCommand,
+    Records,
+    RecordsCommand,
+    SetParametersCommand,
+    WelcomeCommand,
+)
+from midstride.wire.environment import ENV_CONTROL, ENV_TOKEN
+from midstride.wire.state import ComponentState, Endpoint
+from tests.backends.ros2_support import LISTENER, TALKER, Bare, alive, rig, run, until, without_midstride
 
 pytestmark = pytest.mark.ros2
 
@@ -109,25 +118,28 @@ def test_every_ros_tool_reads_the_state_and_none_can_set_it(tmp_path: Path) -> N
                 assert await tools.get("midstride.mode.work", "midstride.gate.out") == ["degraded", "/told: closed"]
                 await r.modes("tuned", work="normal")
                 assert await tools.get("midstride.mode.work", "gain") == ["normal", 1.5]
+                before = await r.client.observe("tuned")
                 (text,) = await tools.get("midstride.state")
-                assert json.loads(text)["revision"] == (await r.link.observe("tuned"))["revision"]
+                assert json.loads(text)["revision"] == before.revision
                 assert await tools.get("midstride.mode.work", "no_such") == []
 
                 for atomically in (False, True):
-                    ((done, reason),) = await tools.set(atomically, midstride__mode__work="degraded")
-                    assert not done
-                    assert "midstride.mode.work" in reason
-                    assert "cannot be set" in reason
-                ((done, reason),) = await tools.set(True, midstride__command="{}", gain=2.0)
-                assert (done, reason) == (False, "midstride.command must be set alone")
-                ((done, reason),) = await tools.set(True, midstride__command="turn left")
+                    for name, value in {"mode__work": "degraded", "gate__out": "/told: open", "state": "{}"}.items():
+                        ((done, reason),) = await tools.set(atomically, **{f"midstride__{name}": value})
+                        assert not done
+                        assert f"midstride.{name.replace('__', '.')}" in reason
+                        assert "cannot be set" in reason
+                ((done, reason),) = await tools.set(True, midstride__revision=7, gain=2.0)
                 assert not done
-                assert "not a Midstride command" in reason
-                forged = Command("modes", {"modes": {"work": "degraded"}}, "forged", "guessed", 2).to_json()
-                ((done, reason),) = await tools.set(True, midstride__command=forged)
+                command = {"command": "modes", "modes": {"work": "degraded"}}
+                ((done, reason),) = await tools.set(True, midstride__command=json.dumps(command))
                 assert not done
-                assert "token" in json.loads(reason)["refused"]
-                assert await tools.get("midstride.mode.work") == ["normal"]
+                assert await tools.get("midstride.command") == []
+                assert await tools.get("midstride.mode.work", "gain") == ["normal", 1.5]
+                after = await r.client.observe("tuned")
+                assert (after.revision, after.parameters) == (before.revision, before.parameters)
+                assert after.functionalities["work"].mode == "normal"
+                assert after.ports["out"]["/told"].gate == "closed"
 
                 names = await tools.names()
                 assert {"gain", "label", "use_sim_time", "midstride.state", "midstride.mode.work"} <= set(names)
@@ -140,15 +152,58 @@ def test_every_ros_tool_reads_the_state_and_none_can_set_it(tmp_path: Path) -> N
     run(scenario())
 
 
+def test_the_state_is_read_while_user_code_runs(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", STUCK)
+            await r.modes("talker", talk="normal")
+            await until(lambda: "stuck" in r.log("talker"))
+            with Bare() as bare:
+                assert await Tools(bare, "/talker").get("midstride.mode.talk") == ["normal"]
+
+    run(scenario())
+
+
+def test_no_secret_is_in_the_graph(tmp_path: Path) -> None:
+    """Every parameter under ``midstride.`` and every event is public, so the token is in none of them."""
+
+    async def scenario() -> None:
+        from rcl_interfaces.msg import ParameterEvent
+
+        async with rig(tmp_path) as r:
+            with Bare() as bare:
+                events: list[Any] = []
+                bare.node.create_subscription(ParameterEvent, "/parameter_events", events.append, 1000)
+                await r.launch("tuned", TUNED)
+                tools = Tools(bare, "/tuned")
+                await r.client.registered("tuned")
+                await bare.until(lambda: events)  # also what it says before it is welcomed
+                await r.client.change("tuned", WelcomeCommand(manager="a test"))
+                await r.attach("tuned", "out", "/told")
+                await r.modes("tuned", work="normal")
+                names = [name for name in await tools.names() if name.startswith("midstride.")]
+                assert {"midstride.state", "midstride.mode.work", "midstride.gate.out"} <= {*names}
+                values = await tools.get(*names)
+                await bare.until(lambda: "normal" in str(events))
+                for public in (str(names), str(values), str(events), str(await tools.describe(*names))):
+                    assert r.token not in public
+
+    run(scenario())
+
+
 def test_own_parameters_are_set_by_tools_and_by_the_manager_alike(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("tuned", TUNED, parameters={"gain": 3, "label": "given"})
+
+            async def declared() -> Any:
+                return (await r.client.observe("tuned")).parameters
+
             with Bare() as bare:
                 tools = Tools(bare, "/tuned")
                 assert await tools.get("gain", "label") == [3.0, "given"]
                 assert await tools.set(gain=4.0) == [(True, "")]
-                assert (await r.link.observe("tuned"))["parameters"] == {"gain": 4.0, "label": "given"}
+                assert await declared() == {"gain": 4.0, "label": "given"}
                 ((done, reason),) = await tools.set(gain=-1.0)
                 assert (done, reason) == (False, "gain: a gain below zero turns the robot over")
                 ((done, reason),) = await tools.set(True, label="other", gain=-1.0)
@@ -156,37 +211,37 @@ def test_own_parameters_are_set_by_tools_and_by_the_manager_alike(tmp_path: Path
                 ((done, _),) = await tools.set(no_such=1)
                 assert not done
                 assert await tools.get("gain", "label") == [4.0, "given"]
-                assert (await r.link.observe("tuned"))["parameters"] == {"gain": 4.0, "label": "given"}
+                assert await declared() == {"gain": 4.0, "label": "given"}
 
-                assert await r.link.change("tuned", "set", parameters={"gain": 5}) == {"from": {"gain": 4.0}}
+                replied = await r.client.change("tuned", SetParametersCommand(parameters={"gain": 5}))
+                assert replied.before == {"gain": 4.0}
                 assert await tools.get("gain") == [5.0]
-                with pytest.raises(Exception, match="turns the robot over"):
-                    await r.link.change("tuned", "set", parameters={"label": "x", "gain": -2.0})
+                with pytest.raises(CommandRefused, match="turns the robot over"):
+                    await r.client.change("tuned", SetParametersCommand(parameters={"label": "x", "gain": -2.0}))
                 assert await tools.get("gain", "label") == [5.0, "given"]
 
     run(scenario())
 
 
-def test_changes_are_told_on_parameter_events(tmp_path: Path) -> None:
+def test_changes_are_published_on_parameter_events(tmp_path: Path) -> None:
     async def scenario() -> None:
         from rcl_interfaces.msg import ParameterEvent
 
         async with rig(tmp_path) as r:
             with Bare() as bare:
-                told: dict[str, list[Any]] = {}
+                heard: dict[str, list[Any]] = {}
 
-                def heard(event: Any) -> None:
+                def on_parameters(event: Any) -> None:
                     for parameter in event.changed_parameters:
-                        told.setdefault(f"{event.node} {parameter.name}", []).append(parameter.value.string_value)
+                        heard.setdefault(f"{event.node} {parameter.name}", []).append(parameter.value.string_value)
 
-                bare.node.create_subscription(ParameterEvent, "/parameter_events", heard, 100)
-                await r.launch("tuned", TUNED)  # and nobody welcomes it until it was heard here
-                await bare.until(lambda: "/tuned midstride.announcement" in told)
-                await r.link.change("tuned", "welcome", manager="a test")
+                bare.node.create_subscription(ParameterEvent, "/parameter_events", on_parameters, 100)
+                starting = asyncio.ensure_future(r.start("tuned", TUNED))
+                await bare.until(starting.done)
+                await bare.until(lambda: bare.node.count_publishers("/parameter_events") > 2)
                 await r.modes("tuned", work="normal")
-                await bare.until(lambda: "normal" in told.get("/tuned midstride.mode.work", []))
-                announced = json.loads(told["/tuned midstride.announcement"][0])
-                assert (announced["instance"], announced["start_token"]) == ("tuned", r.token)
+                await bare.until(lambda: "normal" in heard.get("/tuned midstride.mode.work", []))
+                assert json.loads(heard["/tuned midstride.state"][-1])["instance"] == "tuned"
 
     run(scenario())
 
@@ -285,26 +340,31 @@ def test_a_component_that_shuts_ros_down_says_so_and_ends(tmp_path: Path) -> Non
 
 
 @pytest.mark.full
-def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path) -> None:
+@pytest.mark.parametrize("started_by", ["hand", "a manager of another system", "a manager of this system"])
+def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path, started_by: str) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
-            environment = dds_profiles.tuned_environment(os.environ)
-            for token in ({}, {ENV_TOKEN: r.token}):  # by hand, and as a manager would that knows no better
-                second = await asyncio.to_thread(
-                    subprocess.run,
-                    [sys.executable, "talker.py"],
-                    cwd=tmp_path,
-                    env={**environment, **token},
-                    capture_output=True,
-                    text=True,
-                    timeout=30,
-                    check=False,
-                )
-                assert second.returncode == 1
-                assert "a node /talker is running already" in second.stderr
+            environment, words = without_midstride(), "a node /talker is running already"
+            if started_by != "hand":
+                environment |= {ENV_TOKEN: r.token, ENV_CONTROL: str(tmp_path / "another")}
+            if started_by == "a manager of this system":
+                environment |= {ENV_CONTROL: str(tmp_path / "components")}
+                words = "a component talker is running already"
+            second = await asyncio.to_thread(
+                subprocess.run,
+                [sys.executable, "talker.py"],
+                cwd=tmp_path,
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=30,
+                check=False,
+            )
+            assert second.returncode == 1
+            assert words in second.stderr
             assert alive(r.pid("talker"))
-            assert (await r.link.observe("talker"))["pid"] == r.pid("talker")
+            assert (await r.client.observe("talker")).pid == r.pid("talker")
 
     run(scenario())
 
@@ -323,13 +383,13 @@ def test_the_clock_of_a_simulation_drives_the_modes(tmp_path: Path) -> None:
                 await r.modes("talker", talk="normal")
                 await bare.until(lambda: clock.get_subscription_count() > 0)
 
-                async def state() -> Any:
-                    return await r.link.observe("talker")
+                async def state() -> ComponentState:
+                    return await r.client.observe("talker")
 
                 async def gated() -> int:
-                    return int((await state())["ports"]["out"]["/chatter"]["gated"])
+                    return (await r.link("talker", "out", "/chatter")).gated
 
-                assert "/clock" in (await state())["waiting"]
+                assert "/clock" in ((await state()).waiting or "")
                 assert await gated() == 0
 
                 def at(seconds: float) -> None:
@@ -340,9 +400,9 @@ def test_the_clock_of_a_simulation_drives_the_modes(tmp_path: Path) -> None:
                 at(100.0)
                 while await gated() < 1:
                     await asyncio.sleep(0.01)
-                assert (await state())["waiting"] is None
-                grid = await r.link.read("talker", "grid", port="out")
-                assert (grid["epoch"], grid["period"], grid["now"]) == (100_000_000_000, 0.02, 100_000_000_000)
+                assert (await state()).waiting is None
+                grid = await r.client.read("talker", GridCommand(port="out"))
+                assert (grid.epoch, grid.period, grid.now) == (100_000_000_000, 0.02, 100_000_000_000)
                 await asyncio.sleep(0.2)
                 assert await gated() == 1  # time stands still
                 for step in range(1, 6):
@@ -350,7 +410,7 @@ def test_the_clock_of_a_simulation_drives_the_modes(tmp_path: Path) -> None:
                     while await gated() < 1 + step:
                         await asyncio.sleep(0.005)
                 at(50.0)  # the recording starts again
-                while (await r.link.read("talker", "grid", port="out"))["now"] != 50_000_000_000:
+                while (await r.client.read("talker", GridCommand(port="out"))).now != 50_000_000_000:
                     await asyncio.sleep(0.005)
                 at(50.021)
                 while await gated() < 7:
@@ -387,8 +447,8 @@ comp.start()
 def test_endpoints_that_are_no_ports_are_listed(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            announced = await r.start("talker", OWN_ENDS)
-            assert [(endpoint["kind"], endpoint["name"]) for endpoint in announced.endpoints] == [
+            _, registration = await r.start("talker", OWN_ENDS)
+            assert [(endpoint.kind, endpoint.name) for endpoint in registration.endpoints] == [
                 ("service", "/elsewhere/list"),
                 ("service", "/own/list"),
                 ("topic", "/poke"),
@@ -417,8 +477,8 @@ def test_ros_actions_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(action, "get_action_server_names_and_types_by_node", planted("/acting/dock"))
         monkeypatch.setattr(action, "get_action_client_names_and_types_by_node", planted("/go"))
         assert endpoints(bare.node, set()) == [
-            {"kind": "ROS action", "name": "/acting/dock"},
-            {"kind": "ROS action", "name": "/go"},
+            Endpoint(kind="ROS action", name="/acting/dock"),
+            Endpoint(kind="ROS action", name="/go"),
         ]
 
 
@@ -438,7 +498,7 @@ def test_what_the_authors_own_callbacks_raise_does_not_take_the_component_down(t
                     await asyncio.sleep(0.05)
 
             async def gated() -> int:
-                return int((await r.link.observe("talker"))["ports"]["out"]["/chatter"]["gated"])
+                return (await r.link("talker", "out", "/chatter")).gated
 
             before = await gated()
             while await gated() == before:
@@ -455,28 +515,28 @@ def test_an_input_records_what_the_middleware_tells(tmp_path: Path) -> None:
             await r.start("listener", LISTENER)
             await r.attach("listener", "in", "/chatter")
             await r.attach("talker", "out", "/chatter", peers=1)
-            await r.link.change("listener", "record", inputs=["in"], on=True)
+            await r.client.change("listener", RecordCommand(inputs=["in"], on=True))
             await r.modes("talker", talk="normal")
             begun = time.time_ns()
 
-            async def rows() -> Any:
-                return await r.link.read("listener", "records", input="in")
+            async def recorded() -> Records:
+                return await r.client.read("listener", RecordsCommand(input="in"))
 
-            while len((await rows())["rows"]) < 20:
+            while len((await recorded()).rows) < 20:
                 await asyncio.sleep(0.02)
-            records = await rows()
+            records = await recorded()
             from rclpy import subscription  # kilted tells the publisher's identity, jazzy does not
 
-            told = getattr(subscription, "MessageInfo", None)
-            identity = told is not None and "publisher_gid" in told.__annotations__
-            assert records["publisher_identity"] is identity
-            numbers = [row[2] for row in records["rows"]]
+            info = getattr(subscription, "MessageInfo", None)
+            identity = info is not None and "publisher_gid" in info.__annotations__
+            assert records.publisher_identity is identity
+            numbers = [row.number or 0 for row in records.rows]
             assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
             assert numbers[0] == 1
-            sources = [row[1] for row in records["rows"]]
+            sources = [row.source or 0 for row in records.rows]
             assert sources == sorted(sources)
             assert abs(sources[0] - begun) < 5_000_000_000
-            publishers = {row[3] for row in records["rows"]}
+            publishers = {row.publisher for row in records.rows}
             assert len(publishers) == 1
             assert (None in publishers) is not identity
 
@@ -515,8 +575,8 @@ def test_an_async_mode_awaits_a_service(tmp_path: Path) -> None:
             await r.start("other", TALKER)
             await r.attach("talker", "out", "/counted", gate="closed")
             await r.modes("talker", talk="normal")
-            reply = await r.link.read("talker", "await_write", 10.0, port="out", topic="/counted")
-            assert reply["gated"] >= 1
+            written = await r.client.read("talker", AwaitWriteCommand(timeout=10.0, port="out", topic="/counted"))
+            assert written.gated >= 1
             await r.modes("talker", talk="degraded")
 
     run(scenario())
@@ -575,15 +635,10 @@ def test_attaching_waits_for_compatible_peers_alone(tmp_path: Path) -> None:
                 demanding = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
                 bare.node.create_subscription(String, "/chatter", lambda message: None, demanding)
 
-                async def attach() -> None:
-                    await r.link.change(
-                        "talker", "attach", timeout=1.0, port="out", topic="/chatter", gate="open", peers=1
-                    )
-
-                with pytest.raises(Exception, match="0 of 1"):
-                    await attach()
+                with pytest.raises(CommandRefused, match="0 of 1"):
+                    await r.attach("talker", "out", "/chatter", peers=1, timeout=1.0)
                 bare.node.create_subscription(String, "/chatter", lambda message: None, 10)
-                await attach()
+                await r.attach("talker", "out", "/chatter", peers=1, timeout=1.0)
 
     run(scenario())
 
@@ -600,12 +655,10 @@ def test_acknowledgement_is_unknown_where_a_reader_has_frozen(tmp_path: Path) ->
             await asyncio.sleep(0.2)
             r.kill("listener", signal.SIGSTOP)
             await asyncio.sleep(0.1)
-            detaching = asyncio.ensure_future(
-                r.link.change("talker", "detach", timeout=1.0, port="out", topic="/chatter")
-            )
-            await r.link.peek("talker")
-            assert not detaching.done(), "all stood still until the acknowledgement was given up"
-            assert (await detaching)["acknowledged"] is None
+            detaching = asyncio.ensure_future(r.detach("talker", "out", "/chatter", timeout=1.0))
+            await r.client.peek("talker")
+            assert not detaching.done(), "everything stopped until the acknowledgement was given up"
+            assert (await detaching).acknowledged is None
             r.kill("listener", signal.SIGCONT)
 
     run(scenario())
@@ -617,13 +670,15 @@ def test_standalone(tmp_path: Path) -> None:
 
         (tmp_path / "talker.py").write_text(TALKER)
         command = [sys.executable, "talker.py", "--standalone", "out:=/alone", "--ros-args", "-r", "__node:=soloist"]
-        environment = dds_profiles.tuned_environment(
-            {k: v for k, v in os.environ.items() if not k.startswith("MIDSTRIDE_")}
-        )
         with (
             Bare() as bare,
             subprocess.Popen(
-                command, cwd=tmp_path, env=environment, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True
+                command,
+                cwd=tmp_path,
+                env=without_midstride(),
+                stderr=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                text=True,
             ) as process,
         ):
             heard: list[str] = []
@@ -633,8 +688,8 @@ def test_standalone(tmp_path: Path) -> None:
                 assert "soloist" in bare.node.get_node_names()
             finally:
                 process.terminate()
-            _, told = process.communicate(timeout=20)
-            assert "runs alone, managed by nobody" in told
+            _, words = process.communicate(timeout=20)
+            assert "runs without a manager" in words
             assert process.returncode == 0
 
     run(scenario())
@@ -642,15 +697,17 @@ def test_standalone(tmp_path: Path) -> None:
 
 @pytest.mark.full
 def test_peers_call_each_other(tmp_path: Path) -> None:
-    async def scenario(r: Rig) -> None:
-        await r.start("talker", TALKER)
-        await r.start("listener", LISTENER)
-        await r.link.change("talker", "meet", timeout=20.0, peer="listener")
-        with pytest.raises(Exception, match="nobody"):
-            await r.link.change("talker", "meet", timeout=0.5, peer="nobody")
-
-    async def rigged() -> None:
+    async def scenario() -> None:
         async with rig(tmp_path) as r:
-            await scenario(r)
+            await r.start("talker", TALKER)
+            await r.start("listener", LISTENER)
 
-    run(rigged())
+            async def meet(peer: str) -> None:
+                command = MeetCommand(peer=peer, address=r.client.address(peer), timeout=0.5)
+                await r.client.change("talker", command)
+
+            await meet("listener")
+            with pytest.raises(CommandRefused, match="nobody"):
+                await meet("nobody")
+
+    run(scenario())

@@ -11,7 +11,7 @@ import pytest
 
 from midstride.backends import common
 from midstride.backends.ros2 import launching, names
-from midstride.backends.ros2.dds_profiles import PROFILES, RANGE, TRANSPORTS, Tuning, choose
+from midstride.backends.ros2.dds_profiles import PROFILES, RANGE, TRANSPORTS, DdsSettings, choose
 from midstride.errors import StartFailed
 from midstride.runtime.backend import Launch
 
@@ -22,8 +22,12 @@ def command(arguments: list[str], directory: Path, environment: dict[str, str]) 
     return common.command(arguments, directory, environment, lambda: sys.executable)
 
 
-UNTUNED = Tuning("rmw_fastrtps_cpp")
-TUNED = choose({RANGE: "LOCALHOST"}, "rmw_fastrtps_cpp", 3)
+DEFAULTS = DdsSettings("rmw_fastrtps_cpp")
+CHOSEN = choose({RANGE: "LOCALHOST"}, "rmw_fastrtps_cpp", 3)
+
+
+def environment(launch: Launch, program: str, settings: DdsSettings, base: dict[str, str]) -> dict[str, str]:
+    return launching.environment(launch, HERE / "components", program, settings, base)
 
 
 def launch(**fields: object) -> Launch:
@@ -54,14 +58,15 @@ def test_another_program_is_found_on_the_path_or_in_the_folder(tmp_path: Path) -
         command(["./camera"], tmp_path, {"PATH": str(program.parent)})
 
 
-def test_a_component_is_told_who_it_is() -> None:
-    told = launching.environment(launch(parameters={"gain": 2.0}), sys.executable, UNTUNED, {"HOME": "/home/me"})
-    assert told == {
+def test_a_component_is_given_its_identity() -> None:
+    given = environment(launch(parameters={"gain": 2.0}), sys.executable, DEFAULTS, {"HOME": "/home/me"})
+    assert given == {
         "HOME": "/home/me",
         "MIDSTRIDE_BACKEND": "ros2",
         "MIDSTRIDE_INSTANCE": "front/camera",
         "MIDSTRIDE_NAMESPACE": "front",
         "MIDSTRIDE_TOKEN": "the-token",
+        "MIDSTRIDE_CONTROL": str(HERE / "components"),
         "MIDSTRIDE_PARAMETERS": json.dumps({"gain": 2.0}),
         "PYTHONUNBUFFERED": "1",
     }
@@ -70,36 +75,36 @@ def test_a_component_is_told_who_it_is() -> None:
 def test_the_same_interpreter_keeps_its_libraries_and_another_one_finds_its_own() -> None:
     own = os.path.join(sys.prefix, "lib")
     base = {"_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1", "LD_LIBRARY_PATH": f"{own}:/opt/ros/lib"}
-    same = launching.environment(launch(), sys.executable, UNTUNED, base)
+    same = environment(launch(), sys.executable, DEFAULTS, base)
     assert (same["_ROS_WHEELS_BOOTSTRAP_COMPLETE"], same["LD_LIBRARY_PATH"]) == ("1", f"{own}:/opt/ros/lib")
-    other = launching.environment(launch(), "/usr/bin/python3", UNTUNED, base)
+    other = environment(launch(), "/usr/bin/python3", DEFAULTS, base)
     assert "_ROS_WHEELS_BOOTSTRAP_COMPLETE" not in other
     assert other["LD_LIBRARY_PATH"] == "/opt/ros/lib"
-    alone = launching.environment(launch(), "/usr/bin/python3", UNTUNED, {**base, "LD_LIBRARY_PATH": own})
+    alone = environment(launch(), "/usr/bin/python3", DEFAULTS, {**base, "LD_LIBRARY_PATH": own})
     assert "LD_LIBRARY_PATH" not in alone
-    sourced = launching.environment(launch(), "/usr/bin/python3", UNTUNED, {"LD_LIBRARY_PATH": own})
+    sourced = environment(launch(), "/usr/bin/python3", DEFAULTS, {"LD_LIBRARY_PATH": own})
     assert sourced["LD_LIBRARY_PATH"] == own  # not of the wheels: a distribution's own setting
 
 
 def test_ros_1_is_taken_off_the_path(tmp_path: Path) -> None:
     (tmp_path / "noetic" / "rospy").mkdir(parents=True)
     base = {"PYTHONPATH": f"{tmp_path}/noetic{os.pathsep}{tmp_path}/humble"}
-    assert launching.environment(launch(), sys.executable, UNTUNED, base)["PYTHONPATH"] == f"{tmp_path}/humble"
+    assert environment(launch(), sys.executable, DEFAULTS, base)["PYTHONPATH"] == f"{tmp_path}/humble"
 
 
-def test_the_tuning_goes_along_and_suits_the_interpreter(tmp_path: Path) -> None:
+def test_the_settings_of_the_middleware_go_along_and_suit_the_interpreter(tmp_path: Path) -> None:
     base = {RANGE: "LOCALHOST"}
-    same = launching.environment(launch(), sys.executable, TUNED, base)
+    same = environment(launch(), sys.executable, CHOSEN, base)
     assert same["FASTDDS_DEFAULT_PROFILES_FILE"] == str(PROFILES / "fastdds3_localhost.xml")
     assert same[RANGE] == "SYSTEM_DEFAULT"
     (tmp_path / "lib").mkdir()
     (tmp_path / "lib" / "libfastrtps.so").touch()
-    other = launching.environment(launch(), str(tmp_path / "bin" / "python3"), TUNED, base)
+    other = environment(launch(), str(tmp_path / "bin" / "python3"), CHOSEN, base)
     assert other["FASTRTPS_DEFAULT_PROFILES_FILE"] == str(PROFILES / "fastdds2_localhost.xml")
     assert "FASTDDS_DEFAULT_PROFILES_FILE" not in other
-    untuned = launching.environment(launch(), str(tmp_path / "bin" / "python3"), UNTUNED, base)
-    assert untuned[RANGE] == "LOCALHOST"
-    assert TRANSPORTS not in untuned
+    defaults = environment(launch(), str(tmp_path / "bin" / "python3"), DEFAULTS, base)
+    assert defaults[RANGE] == "LOCALHOST"
+    assert TRANSPORTS not in defaults
 
 
 @pytest.mark.parametrize(

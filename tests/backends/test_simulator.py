@@ -21,7 +21,7 @@ from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
 from midstride.runtime.backend import Exited, Launch
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import TOKEN, Lab
-from midstride.wire.messages import Announcement, Command
+from midstride.wire.frames import Reply
 
 Main = Callable[[Lab], Awaitable[None]]
 
@@ -175,7 +175,7 @@ def test_exits_as_a_process_would(tmp_path: Path, source: str, status: int, word
         await start_script(lab, tmp_path, "node", source, "a", "b")
         exited = await lab.exited("node")
         assert exited.status == status and words in exited.log_tail, exited
-        assert "fibre.py" not in exited.log_tail and "process.py" not in exited.log_tail, exited.log_tail
+        assert "cooperative_thread.py" not in exited.log_tail and "process.py" not in exited.log_tail, exited.log_tail
 
     in_lab(tmp_path, main)
 
@@ -263,15 +263,16 @@ def test_nothing_is_left_behind(tmp_path: Path) -> None:
 def test_it_runs_on_any_loop_in_real_time(tmp_path: Path) -> None:
     async def main() -> float:
         simulator = Simulator()
-        events: list[Announcement | Exited] = []
-        await simulator.open(events.append)
+        exits: list[Exited] = []
+        await simulator.open(exits.append)
         try:
             arguments = puppets.command_of(sys.executable, puppets.talker())
             await simulator.start(Launch("talker", "", arguments, TOKEN, tmp_path))
             begun = time.monotonic()
-            while not events:
+            while not simulator.transport.present():
                 await simulator.clock.sleep(0.01)
             await simulator.clock.sleep(0.1)
+            assert not exits
             return time.monotonic() - begun
         finally:
             await simulator.shutdown()
@@ -320,7 +321,7 @@ def test_a_frozen_component_does_nothing_and_misses_nothing(tmp_path: Path) -> N
         await lab.sleep(0.2)
         simulator.faults.freeze("talker", 0.3)
         with pytest.raises(CallTimeout):
-            await lab.send("talker", Command("ping", {}, "", TOKEN), 0.1)
+            await lab.send("talker", "ping", {}, timeout=0.1)
         await lab.sleep(0.5)
         received = [row[0] for row in await lab.rows("sink")]
         gaps = sorted((later - earlier) / 1e9 for earlier, later in itertools.pairwise(received))
@@ -362,25 +363,29 @@ def test_calls_fail_as_told(tmp_path: Path) -> None:
         assert isinstance(simulator, Simulator)
         await lab.start("talker", puppets.talker())
         revision = (await lab.read("talker", "observe"))["revision"]
-        attach = Command("attach", {"port": "out", "topic": "/chatter"}, "once", TOKEN, revision)
+
+        async def attach(timeout: float = 1.0) -> Reply:
+            arguments = {"port": "out", "topic": "/chatter"}
+            return await lab.send("talker", "attach", arguments, id="once", revision=revision, timeout=timeout)
+
         simulator.faults.fail_next("talker", "attach", "lost_request")
         begun = lab.clock.steady()
         with pytest.raises(CallTimeout):
-            await lab.send("talker", attach, 0.5)
+            await attach(0.5)
         assert lab.clock.steady() - begun == pytest.approx(0.5)
         assert (await lab.read("talker", "observe"))["revision"] == revision
         simulator.faults.fail_next("talker", "attach", "lost_reply")
         with pytest.raises(CallTimeout):
-            await lab.send("talker", attach, 0.5)
+            await attach(0.5)
         assert (await lab.read("talker", "observe"))["revision"] == revision + 1
-        assert (await lab.send("talker", attach)).ok, "the repeat is answered as the first would have been"
+        assert (await attach()).ok, "the repeat is answered as the first would have been"
         simulator.faults.fail_next("talker", how="refused", after=1)
         assert (await lab.read("talker", "ping")) == {}
-        assert (await lab.send("talker", Command("ping", {}, "", TOKEN))).refused is not None
+        assert (await lab.send("talker", "ping", {})).refused is not None
         simulator.faults.fail_next("talker", "ping", "unreachable", times=2)
         for _ in range(2):
             with pytest.raises(Unreachable):
-                await lab.send("talker", Command("ping", {}, "", TOKEN))
+                await lab.send("talker", "ping", {})
         assert (await lab.read("talker", "ping")) == {}
 
     in_lab(tmp_path, main)
@@ -395,7 +400,7 @@ def test_a_component_killed_during_a_call_cannot_be_reached(tmp_path: Path) -> N
         call = asyncio.ensure_future(lab.read("talker", "await_write", port="out", topic="/chatter", timeout=10.0))
         await lab.sleep(0.1)
         simulator.faults.kill("talker")
-        with pytest.raises(Unreachable, match="ended during the call"):
+        with pytest.raises(Unreachable, match="talker is gone: it has closed its control connection"):
             await call
 
     in_lab(tmp_path, main)
@@ -465,7 +470,7 @@ comp.start()
     async def main(lab: Lab) -> None:
         await lab.start("sink", puppets.sink())
         await start_script(lab, tmp_path, "reuser", source)
-        await lab.announced("reuser")
+        await lab.registered("reuser")
         await lab.welcome("reuser")
         await lab.attach("sink", "in", "/chatter")
         await lab.attach("reuser", "out", "/chatter", peers=1)

@@ -18,7 +18,8 @@ import pytest
 
 from midstride.cli import main
 from midstride.runtime.reaper import process_info
-from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
+from midstride.runtime.state_store import SavedState, StateStore
+from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = ROOT / "examples"
@@ -82,12 +83,19 @@ class Midstride:
 
     def components(self, system: str) -> list[int]:
         """The processes of a running system's components, by what its manager has written."""
-        state = json.loads((self.runtime / "midstride" / system / "state.json").read_text())
-        return [entry["handle"]["pid"] for entry in state["instances"]]
+        pids = [entry.handle and entry.handle.pid for entry in self.saved(system).instances]
+        assert all(pids)
+        return [pid for pid in pids if pid]
+
+    def saved(self, system: str) -> SavedState:
+        """What the manager of a system has written for the next one."""
+        state = StateStore(self.runtime / "midstride" / system / "state.db").load()
+        assert state is not None
+        return state
 
     def down(self) -> None:
         """End whatever runs here."""
-        for state in self.runtime.glob("midstride/*/state.json"):
+        for state in self.runtime.glob("midstride/*/state.db"):
             done = self("down", "--system", state.parent.name)
             assert done.status == 0, done.err
 
@@ -95,7 +103,7 @@ class Midstride:
 @contextmanager
 def unwritten(midstride: Midstride) -> Iterator[subprocess.Popen[bytes]]:
     """A component of the talker's system that a manager started right before it was killed."""
-    token = json.loads((midstride.runtime / "midstride" / "talker" / "state.json").read_text())["token"]
+    token = midstride.saved("talker").token
     environment = {**os.environ, ENV_TOKEN: token, ENV_INSTANCE: "late"}
     with subprocess.Popen(["sleep", "600"], env=environment, start_new_session=True) as process:
         try:

@@ -58,8 +58,8 @@ def test_components_outlive_their_manager_and_are_found_again(midstride: Midstri
         up = midstride("up", TALKER, "-d")
         assert up.status == 0, up.err
         assert late.wait(20) == -signal.SIGTERM
-    assert "late had just been started by an earlier manager, and is ended" in up.out
-    assert "talker_2 was found again" in up.out
+    assert "ended late, which an earlier manager had just started" in up.out
+    assert "talker_2 was reattached unchanged" in up.out
     assert "was running, and is not as" in up.err  # the file says Talker, a NewTalker runs
     assert midstride.components("talker") == components
     assert midstride("status", "--json").json["valid"]

@@ -288,7 +288,7 @@ def test_a_component_that_does_not_come_up(
     assert "midstride/cli" not in done.err
     told_json = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "--json")
     assert (told_json.status, told_json.json["error"]["kind"]) == (1, "StepFailed")
-    assert not (midstride.runtime / "midstride" / "talker" / "state.json").exists()
+    assert not (midstride.runtime / "midstride" / "talker" / "state.db").exists()
 
 
 def test_the_api_over_tcp_where_it_is_asked_for(midstride: Midstride) -> None:

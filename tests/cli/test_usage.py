@@ -16,6 +16,8 @@ from midstride.backends import NAMES
 from midstride.cli import main, render
 from midstride.cli.app import COMMANDS
 from midstride.cli.output import console
+from midstride.model.specification import Specification
+from midstride.runtime.state_store import StateStore
 from tests.cli.conftest import EXAMPLES, Midstride
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
@@ -140,10 +142,11 @@ def test_without_a_manager_it_is_said_how_to_start_one(words: list[str], capsys:
 def test_of_several_whose_managers_have_ended_one_must_be_named(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    state = '{"version": 1, "backend": "sim", "token": "nobody-bears-it", "instances": []}'
     for name in ("talker", "filter"):
         (tmp_path / "midstride" / name).mkdir(parents=True)
-        (tmp_path / "midstride" / name / "state.json").write_text(state)
+        store = StateStore(tmp_path / "midstride" / name / "state.db")
+        store.begin("sim", "no process bears it", Specification(name))
+        store.close()
     status, out, err = run(capsys, command)
     assert (status, out) == (1, "")
     assert "may still run: filter, talker. Say which is meant with --system NAME" in err
@@ -383,7 +386,7 @@ def test_a_runtime_folder_that_cannot_be_made(
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/dev/null")
     status, out, err = run(capsys, "up", TALKER)
     assert (status, out, err.count("\n")) == (1, "", 1)
-    assert "cannot make the folder /dev/null/midstride" in err
+    assert "cannot create the folder /dev/null/midstride" in err
 
 
 def test_what_the_terminal_cannot_show_stops_nothing(midstride: Midstride) -> None:

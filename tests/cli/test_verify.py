@@ -10,6 +10,7 @@ from typing import Any
 
 import pytest
 
+from midstride.plan.forms import encode_plan
 from tests.cli.conftest import EXAMPLES, Midstride, nothing_lost
 from tests.verify.systems import ROVER, TALKER, plan, specification
 
@@ -17,7 +18,7 @@ from tests.verify.systems import ROVER, TALKER, plan, specification
 @pytest.fixture
 def spoilt(tmp_path: Path) -> Path:
     """A plan of the talker without its first step."""
-    document = plan(specification(TALKER), talker="NewTalker").to_document()
+    document = encode_plan(plan(specification(TALKER), talker="NewTalker"))
     document["steps"].pop(0)
     path = tmp_path / "plan.json"
     path.write_text(json.dumps(document), encoding="utf-8")
@@ -59,7 +60,7 @@ def test_a_plan_of_another_system_is_none_of_this_one(run: Any, spoilt: Path) ->
     [
         ('{"outcome": "refused", "because": "no"}', "there is no plan in PLAN, it was refused: no"),
         ("[]", "PLAN is not a plan: `midstride plan … --json` prints one"),
-        ("{}", "not a plan: `start` is missing"),
+        ("{}", "/: a plan needs the key `start`"),
         ("{", "not JSON: Expecting property name"),
     ],
 )

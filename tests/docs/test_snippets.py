@@ -123,7 +123,7 @@ class Session:
 
     def close(self) -> list[str]:
         """End the systems that still run, and return their names."""
-        left = [state.parent.name for state in self.folder.glob("midstride/*/state.json")]
+        left = [state.parent.name for state in self.folder.glob("midstride/*/state.db")]
         for system in left:
             command = [sys.executable, "-m", "midstride", "down", "--system", system]
             subprocess.run(command, env=self.environment, capture_output=True, check=True)

@@ -1,4 +1,4 @@
-"""The component-and-connector view: what it shows, and that Graphviz takes it."""
+"""The component-and-connector view: its contents, and that Graphviz accepts it."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_the_papers_figure_1() -> None:
     assert {topic.name for topic in drawn.topics} == {"/scan", "/obstacles", "/cmd_vel", "/odom"}
     assert Edge("node detector", "topic /obstacles", start_port="out") in drawn.edges
     assert Edge("topic /obstacles", "node controller", end_port="obstacles") in drawn.edges
-    assert Edge("environment camera_device", "node detector", relies=True) in drawn.edges
+    assert Edge("environment camera_device", "node detector", assumed=True) in drawn.edges
     assert Edge("environment localization", "topic /odom") in drawn.edges
     assert len(drawn.edges) == 7
 
@@ -75,15 +75,15 @@ def test_many_nodes_are_drawn_by_namespace() -> None:
     drawn = view(fleet(10, 15))
     groups = [box for box in drawn.boxes if box.kind == "group"]
     assert [box.title for box in groups] == [f"g{n}" for n in range(10)]
-    assert groups[0].lines == ("15 nodes", "14 topics inside")
-    assert groups[9].lines == ("15 nodes", "15 topics inside")
+    assert groups[0].lines == ("15 nodes", "14 internal topics")
+    assert groups[9].lines == ("15 nodes", "15 internal topics")
     assert {topic.name for topic in drawn.topics} == {"/source", *(f"/g{n}/t14" for n in range(9))}
     assert len(view(fleet(10, 15), collapse=False).boxes) == 151
     assert len(view(fleet(2, 3)).boxes) == 7
 
 
 def test_a_namespace_around_everything_is_no_group() -> None:
-    """A robot's own namespace: what is inside of it is grouped by the namespaces inside of it, or drawn."""
+    """Inside a robot's namespace, nodes are grouped by the namespaces within it."""
     text = ["system fleet\ncontract D = std_msgs/msg/String\n"]
     text += [
         "component S { output out   functionality f { produces out   mode on { guarantee out : D }   mode off { } } }\n"
@@ -96,7 +96,7 @@ def test_a_namespace_around_everything_is_no_group() -> None:
 
 
 def loop(length: int) -> Specification:
-    """A control loop of so many nodes, fed by a sensor outside of it at each of them."""
+    """A control loop of so many nodes, each fed by a sensor outside the loop."""
     text = ["system loop\ncontract D = std_msgs/msg/String\n"]
     text += [
         "component C { input in : D   input fed : D   output out   functionality f { uses in, fed   produces out\n"
@@ -123,7 +123,7 @@ def test_one_arrow_of_a_loop_goes_back_and_long_ones_go_down_the_page() -> None:
 
 
 @given(specifications())
-def test_what_goes_back_is_all_that_goes_against_the_order(specification: Specification) -> None:
+def test_back_edges_are_the_edges_against_the_order(specification: Specification) -> None:
     drawn = view(specification)
     laid = layout(drawn)
     assert sorted(laid.order) == sorted([*(box.id for box in drawn.boxes), *(topic.id for topic in drawn.topics)])
@@ -135,9 +135,15 @@ def test_what_goes_back_is_all_that_goes_against_the_order(specification: Specif
 
 
 def test_names_of_any_kind_are_quoted() -> None:
-    """No name can break the drawing's language."""
-    text = to_dot(view(load_text("system graph\nresource r\ncomponent end { }\nnode node_1 : end").require()))
+    """No name is taken for a keyword of the drawing language."""
+    drawn = view(load_text("system graph\nresource r\ncomponent end { }\nnode subgraph : end").require())
+    text = to_dot(drawn)
     assert text.startswith('digraph "graph" {\n')
+    assert "<b>subgraph : end</b>" in text
+    bare = re.sub(r'label=<.*>|"[^"]*"', "", text)
+    assert set(re.findall(r"\w+", bare)) & {"end", "subgraph", "n0"} == {"n0"}
+    bare = re.sub(r'"[^"]*"', "", to_mermaid(drawn))
+    assert set(re.findall(r"\w+", bare)) & {"end", "subgraph", "n0"} == {"n0"}
 
 
 @pytest.mark.graphviz
@@ -167,5 +173,8 @@ def test_any_system_can_be_drawn(specification: Specification) -> None:
         drawn = view(specification, annotate=annotate)
         ends = {box.id for box in drawn.boxes} | {topic.id for topic in drawn.topics}
         assert all({edge.start, edge.end} <= ends for edge in drawn.edges)
-        to_dot(drawn)
-        to_mermaid(drawn)
+        count = len(drawn.boxes) + len(drawn.topics)
+        dot, mermaid = to_dot(drawn), to_mermaid(drawn)
+        assert len(re.findall(r"^  n\d+ \[", dot, re.MULTILINE)) == mermaid.count(":::") == count
+        assert len(re.findall(r"^  n\d.* -> n\d", dot, re.MULTILINE)) == len(drawn.edges)
+        assert len(re.findall(r"-->|-\.->", mermaid)) == len(drawn.edges)

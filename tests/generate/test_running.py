@@ -1,4 +1,4 @@
-"""What is generated runs at once, without an edit, and is edited and generated again by the command line."""
+"""Generated projects run without an edit, and edits survive regeneration, through the command line."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_the_sample_is_generated_runs_and_is_changed(
         whole = {"lidar.sense": "normal", "detector.detect": "normal", "controller.control": "normal"}
         played = {"lidar": "Lidar", "detector": "ObstacleDetector", "controller": "MotorController"}
         assert modes(midstride) == whole | played
-        # Both detectors hold the camera, so the old one must go first; and the controller is to be kept at normal.
+        # Both detectors use the camera, so the old one must be removed first, but the controller must stay at normal.
         refused = midstride("replace", "detector", "StereoDetector", "--yes", "--json")
         assert (refused.status, refused.json["outcome"]) == (1, "refused")
         assert "keep controller.control at normal" in refused.json["because"]
@@ -81,7 +81,7 @@ def test_the_sample_is_generated_runs_and_is_changed(
         assert replaced.status == 0, replaced.out + replaced.err
         assert set(replaced.json["fallen"]) == {"detector.detect", "controller.control"}
         assert modes(midstride) == whole | played | {"detector": "StereoDetector"}
-        # A lidar holds nothing: another one comes beside it, and nothing falls.
+        # A lidar uses no resource: the new one starts beside the old one, and nothing is degraded.
         more = 'component SecondLidar like Lidar { run "python3 -m patrol.second" }\n'
         calm.write_text(calm.read_text() + more)
         again = midstride("generate", str(calm), "-o", str(folder), *(["--ros", "1"] if backend == "ros1" else []))
@@ -140,7 +140,7 @@ node sink   : Sink   { in <- /neat }
 """
 
 
-def test_generated_again_what_was_written_is_still_there(midstride: Midstride, tmp_path: Path) -> None:
+def test_edits_survive_regeneration(midstride: Midstride, tmp_path: Path) -> None:
     specification = tmp_path / "chain.stride"
     specification.write_text(CHAIN, encoding="utf-8")
     folder = tmp_path / "made"
@@ -158,7 +158,7 @@ def test_generated_again_what_was_written_is_still_there(midstride: Midstride, t
     states = {entry["file"]: (entry["state"], entry["note"]) for entry in done["files"]}
     assert states["source.py"] == ("written", "new: make_low")
     assert states["chain.stride"] == ("written", None)
-    assert states["setup.py"] == ("kept", "edited, left as it is")
+    assert states["setup.py"] == ("kept", "edited, left unchanged")
     assert states["sink.py"] == ("kept", None)
     assert "MINE = 1" in source.read_text()
     assert (folder / "setup.py").read_text() == "# all mine\n"
@@ -170,7 +170,7 @@ def test_generated_again_what_was_written_is_still_there(midstride: Midstride, t
 
 @pytest.mark.skipif(importlib.util.find_spec("setuptools") is None, reason="setuptools is not installed here")
 def test_what_colcon_installs_runs(midstride: Midstride, tmp_path: Path) -> None:
-    """Programs run by their place and programs run as modules, from the folder that colcon installs them to."""
+    """Programs run by path and programs run as modules, from the folder where colcon installs them."""
     specification = tmp_path / "chain.stride"
     specification.write_text(CHAIN, encoding="utf-8")
     folder, prefix = tmp_path / "made", tmp_path / "install"
@@ -206,7 +206,7 @@ def test_for_ros_1_there_are_catkins_files(midstride: Midstride, tmp_path: Path)
         compile(path.read_text(), str(path), "exec")
 
 
-def test_what_cannot_be_generated_is_said(midstride: Midstride, tmp_path: Path) -> None:
+def test_a_component_that_cannot_be_generated_is_reported(midstride: Midstride, tmp_path: Path) -> None:
     specification = tmp_path / "s.stride"
     specification.write_text(
         'system s\ncomponent C { run "python3 c.py"   output out\n'

@@ -1,4 +1,4 @@
-"""Skeletons: what they declare is what the specification says, and what users write in them survives."""
+"""Skeletons: they declare what the specification states, and regeneration keeps the user's code."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SAMPLE = load(SEEDS / "patrol.stride").require()
 
 
 def message_module(package: str, *names: str) -> types.ModuleType:
-    """Message classes with whatever fields they are asked for."""
+    """Message classes with any field that is accessed."""
 
     def attributes(self: object, name: str) -> Any:
         if name.startswith("_"):
@@ -62,7 +62,7 @@ def skeletons(specification: Specification) -> dict[str, str]:
 
 
 def registered(text: str, name: str) -> ComponentSpec:
-    """What a program of that text would register: the user's class, wired."""
+    """The declaration that a program with that text would register."""
     namespace: dict[str, Any] = {"__name__": "generated"}
     exec(compile(text, "generated.py", "exec"), namespace)
     made = namespace[name]()
@@ -79,7 +79,7 @@ def registered(text: str, name: str) -> ComponentSpec:
 
 @pytest.mark.usefixtures("messages")
 @pytest.mark.parametrize("name", sorted(SAMPLE.components))
-def test_the_samples_skeletons_keep_its_promises(name: str) -> None:
+def test_the_skeletons_of_the_sample_match_its_declarations(name: str) -> None:
     paths = {
         "Lidar": "lidar",
         "ObstacleDetector": "detector",
@@ -93,7 +93,7 @@ def test_the_samples_skeletons_keep_its_promises(name: str) -> None:
 @pytest.mark.usefixtures("messages")
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(components())
-def test_any_components_skeleton_keeps_its_promises(component: ComponentSpec) -> None:
+def test_the_skeleton_of_any_component_matches_its_declaration(component: ComponentSpec) -> None:
     if any(component.output_endpoint(output) is None for output in component.outputs):
         with pytest.raises(SpecificationError, match="has no type"):
             skeletons(of(component))
@@ -191,19 +191,19 @@ def test_names_in_snake_case() -> None:
     ]
 
 
-def test_components_that_get_no_skeleton_are_told_why() -> None:
+def test_components_without_a_skeleton_have_a_reason() -> None:
     text = (
         'system s\ncomponent A { }\ncomponent B { run "./b" }\ncomponent C { run "python3 c.py" }\ncomponent D like C\n'
     )
     made = project(load_text(text).require(), "s.stride", {})
     assert made.skipped == {
-        "A": "it has no `run`: it is started elsewhere",
-        "B": "`./b` runs no Python file of this folder",
-        "D": "it runs c.py, as C does",
+        "A": "it has no `run` command: it is started elsewhere",
+        "B": "`./b` does not run a Python file in this folder",
+        "D": "it runs c.py, which is the program of C",
     }
 
 
-# -- what the user wrote -----------------------------------------------------------------------------------
+# -- the user's code -----------------------------------------------------------------------------------
 
 OLD = load_text(
     """system s
@@ -227,7 +227,7 @@ NEW = load_text(
 ).require()
 
 
-def test_the_block_is_written_anew_and_the_rest_survives() -> None:
+def test_the_block_is_rewritten_and_the_rest_kept() -> None:
     (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
     mine = old.replace(
         'assumes nothing."""\n        self.out.write(String())\n\n    def talk_silent',
@@ -235,7 +235,8 @@ def test_the_block_is_written_anew_and_the_rest_survives() -> None:
         "        return 1  # kept\n\n    def talk_silent",
     )
     head, _, tail = mine.partition(END)
-    mine = "# a header of mine\n" + head + END + tail.replace('"""Yours', '# a note\n    """Yours') + "\nprint('bye')\n"
+    tail = tail.replace('"""Your code', '# a note\n    """Your code')
+    mine = "# a header of mine\n" + head + END + tail + "\nprint('bye')\n"
     assert mine.count("mine") >= 2
     merged = merge_component(mine, new)
     assert merged.text is not None
@@ -249,7 +250,7 @@ def test_the_block_is_written_anew_and_the_rest_survives() -> None:
     compile(merged.text, "merged.py", "exec")
 
 
-def test_a_file_without_marks_or_that_is_no_python_is_left_to_the_user() -> None:
+def test_a_file_without_marks_or_valid_python_is_left_to_the_user() -> None:
     (new,) = skeletons(NEW).values()
     (old,) = skeletons(OLD).values()
     assert merge_component("print('all mine')\n", new) == merge_component(new.replace(BEGIN, ""), new)
@@ -257,9 +258,19 @@ def test_a_file_without_marks_or_that_is_no_python_is_left_to_the_user() -> None
     broken = merge_component(old + "def (:\n", new)
     assert broken.text is not None
     assert broken.text.endswith("def (:\n")
-    assert "no methods were added" in broken.note
+    assert "no methods added" in broken.note
     renamed = merge_component(old.replace("class Talker(", "class Mine("), new)
     assert "no class Talker" in renamed.note
+
+
+def test_the_block_of_an_earlier_version_is_recognised() -> None:
+    """The marks are found by their beginnings, because their wording has changed before."""
+    (old,), (new,) = skeletons(OLD).values(), skeletons(NEW).values()
+    earlier = old.replace(BEGIN, "# >>> midstride: written anew each time").replace(END, "# <<< midstride: yours")
+    merged = merge_component(earlier, new)
+    assert merged == merge_component(old, new)
+    assert merged.text is not None
+    assert (merged.text.count(BEGIN), merged.text.count(END), merged.text.count("# >>>")) == (1, 1, 1)
 
 
 def test_other_files_are_the_users_once_edited() -> None:
@@ -269,7 +280,7 @@ def test_other_files_are_the_users_once_edited() -> None:
     assert merge_whole(old, old).text is None
     assert merge_whole(old, new).text == new
     edited = merge_whole(old.replace("0.1.0", "0.2.0"), new)
-    assert (edited.text, edited.note) == (None, "edited, left as it is")
+    assert (edited.text, edited.note) == (None, "edited, left unchanged")
     assert merge_copy("a", "b", None).text is None
 
 

@@ -1,5 +1,5 @@
-"""Errors: every independent one, once, exactly placed, and nothing else; whatever the text holds, an answer in
-bounds."""
+"""Errors: every independent one is reported once at its exact place, and nothing else; hostile input takes limited time
+and space."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def places(text: str) -> list[tuple[str, int, int]]:
 
 
 def marked(text: str) -> tuple[str, list[tuple[str, int, int]]]:
-    """A text without its marks `‹E012›`, and where they stood."""
+    """A text without its marks `‹E012›`, and their places."""
     expected, plain = [], []
     for number, line in enumerate(text.split("\n"), 1):
         while "‹" in line:
@@ -35,7 +35,7 @@ def marked(text: str) -> tuple[str, list[tuple[str, int, int]]]:
     return "\n".join(plain), sorted(expected, key=lambda place: (place[1], place[2], place[0]))
 
 
-# Marks stand where the diagnostic must: a syntax error, a unit, a name, M2, an attachment, and so on.
+# The marks are where diagnostics are expected: a syntax error, a unit, a name, M2, an attachment, and so on.
 FIVE = """system five
 
 topic /scan : sensor_msgs/msg/LaserScan @ 10 ‹E127›hz
@@ -67,7 +67,7 @@ node filter : Filter { scan <- ‹E008›/scann   out -> ‹E020›/out }
 """
 
 OTHERS = [
-    # a forgotten brace is one error, and does not hide others
+    # a missing brace is one error, and does not hide others
     """system s
 component A {
   functionality f {
@@ -76,7 +76,7 @@ component A {
   }
 }
 """,
-    # what is declared in a statement that cannot be read is not undefined
+    # a name declared in a statement that cannot be parsed is not unknown
     """system s
 topic /a ‹E120›= std_msgs/msg/String
 contract K = ‹E120›{ }
@@ -85,20 +85,20 @@ node n : C { out -> /a }
 topic /b : K
 keep n.f at a
 """,
-    # a misspelt keyword is told once, and what follows it is read
+    # a misspelt keyword is reported once, and its statement is parsed
     """system s
 ‹E121›topc /a : std_msgs/msg/String { publishers <= 1 }
 ‹E121›componnent C { output out   ‹E121›functionalty f { produces out   ‹E121›mod a { guarantee out : std_msgs/String }
 mode b { } } } node n : C { out -> /a }
 node m : C { out -> ‹E008›/c }
 """,
-    # an unknown type is told at each place, and nothing is concluded from it
+    # an unknown type is reported at each place, and no other error is derived from it
     """system s
 topic /a : sensor_msgs/msg/‹›Imag @ 5 Hz
 component C { input in : sensor_msgs/msg/Image   functionality f { uses in   mode a { assume in }   mode b { } } }
 node n : C { in <- /a }
 """.replace("sensor_msgs/msg/‹›Imag", "‹E130›sensor_msgs/msg/Imag"),
-    # a missing part at the end of a line is told behind it
+    # a missing part at the end of a line is reported after it
     """system s
 topic /a :‹E120›
 topic /b : std_msgs/msg/String @‹E120›
@@ -106,14 +106,14 @@ topic /c : std_msgs/msg/String @ ‹E127›5
 contract K =‹E120›
 include‹E120›
 """,
-    # commas, arrows and colons forgotten or wrong
+    # missing or wrong commas, arrows and colons
     """system s
 topic /a ‹E120›std_msgs/msg/String
 component C { input in : std_msgs/String   functionality f { uses in   mode a { assume in }   mode b { } } }
 node n ‹E120›C { ‹E144›in -> /a }
 node m : C { in ‹E120›/a }
 """,
-    # inheritance from nobody: what may be inherited is not undefined
+    # inheritance from an unknown component: what may be inherited is not unknown
     """system s
 topic /a : std_msgs/msg/String
 component C like ‹E008›B { functionality f { uses in   mode a { assume in }   mode b { } } }
@@ -124,23 +124,23 @@ keep n.g at normal
 
 
 @pytest.mark.parametrize("text", [FIVE, *OTHERS])
-def test_every_independent_error_once_and_exactly_placed(text: str) -> None:
+def test_every_independent_error_is_reported_once_at_its_place(text: str) -> None:
     plain, expected = marked(text)
     found = [place for place in places(plain) if place[0].startswith("E")]
     assert found == expected, render(load_text(plain, messages=Known()).diagnostics)
 
 
-def test_five_independent_errors_are_all_that_is_said() -> None:
+def test_five_independent_errors_and_nothing_else_are_reported() -> None:
     plain, expected = marked(FIVE)
     assert places(plain) == expected
     assert len({code for code, _, _ in expected}) == 5
 
 
-def test_each_line_of_the_sample_damaged_is_few_errors_near_that_line() -> None:
-    """No cascade: a line cut in half, anywhere in the sample, leads to few errors, the first of them there or
-    behind."""
+def test_a_damaged_line_of_the_sample_causes_few_errors_one_of_them_near_it() -> None:
+    """No cascade: half of a line is missing, for each line of the sample in turn."""
     lines = (SEEDS / "patrol.stride").read_text(encoding="utf-8").split("\n")
     sensors = (SEEDS / "sensors.stride").read_text(encoding="utf-8")
+    counts, near = [], 0
     for number, line in enumerate(lines):
         code = line.partition("#")[0].rstrip()
         if not code.strip() or code.strip() in {"}", "{"}:
@@ -152,7 +152,11 @@ def test_each_line_of_the_sample_damaged_is_few_errors_near_that_line() -> None:
         ]
         loaded = load_text("\n".join(damaged), "t.stride", read=lambda path: sensors)
         errors = [d for d in loaded.diagnostics if d.severity == "error"]
-        assert len(errors) <= 4, (line, render(errors))
+        assert len(errors) <= 3, (line, render(errors))
+        counts.append(len(errors))
+        near += any(abs(error.position[0] - (number + 1)) <= 1 for error in errors)
+    assert (len(counts), counts.count(0)) == (49, 2)
+    assert near >= 45
 
 
 def test_a_near_miss_is_suggested() -> None:
@@ -160,14 +164,14 @@ def test_a_near_miss_is_suggested() -> None:
     assert fault.help == "did you mean `Scan`?"
 
 
-def test_carets_stand_under_wide_and_combining_characters() -> None:
+def test_carets_are_under_wide_and_combining_characters() -> None:
     text = 'system s\n# x\ncomponent C { run "日本\u0301" bad }\n'
     (fault,) = load_text(text).diagnostics
     shown = fault.render().split("\n")
     assert shown[4].index("^") - shown[3].index("component") == len('component C { run "') + 4 + len('" ')
 
 
-def test_a_fault_in_an_included_file_is_told_there() -> None:
+def test_an_error_in_an_included_file_is_reported_there() -> None:
     def read(path: Path) -> str:
         return "topic /a : Nope\n"
 
@@ -189,10 +193,10 @@ def test_the_json_form_of_a_diagnostic() -> None:
         "column": 8,
         "end_line": 2,
         "end_column": 9,
-        "message": "a file names its system once",
+        "message": "a file can name only one system",
         "help": None,
         "follows": None,
-        "notes": [{"message": "the first one is here", "file": "t.stride", "line": 1, "column": 8}],
+        "notes": [{"message": "first named here", "file": "t.stride", "line": 1, "column": 8}],
     }
 
 
@@ -215,6 +219,8 @@ HOSTILE = {
     "many constraints": "system s\ncontract C = std_msgs/msg/String where " + "a = 1, " * 30_000 + "a = 2",
     "unknown names": "system s\ncomponent C { output out }\n"
     + "".join(f"topic /t{n} : p/T\nnode n{n} : C {{ out -> /u{n} }}\n" for n in range(5_000)),
+    "unknown contracts": "system s\n"
+    + "".join(f"contract Contract{n} = p/T\ntopic /t{n} : Kontract{n}\n" for n in range(5_000)),
     "many outputs": "system s\ncomponent C {\n" + "".join(f"output a{n}\n" for n in range(20_000)) + "}\n",
     "many guarantees": "system s\n"
     + "".join(f"topic /t{n} : p/T\nenvironment {{ guarantee g{n} on /t{n} : p/T }}\n" for n in range(20_000)),
@@ -225,7 +231,7 @@ HOSTILE = {
 
 @pytest.mark.parametrize("name", HOSTILE)
 @pytest.mark.timeout(60)
-def test_hostile_texts_are_answered_in_bounds(name: str) -> None:
+def test_hostile_texts_take_limited_time_and_space(name: str) -> None:
     start = time.process_time()
     loaded = load_text(HOSTILE[name], "t.stride")
     text = render(loaded.diagnostics)
@@ -235,7 +241,7 @@ def test_hostile_texts_are_answered_in_bounds(name: str) -> None:
     assert time.process_time() - start < 10
 
 
-def test_an_include_bomb_is_bounded(tmp_path: Path) -> None:
+def test_an_include_bomb_is_limited(tmp_path: Path) -> None:
     for level in range(12):
         inside = "".join(f'namespace n{n} {{ include "f{level + 1}.stride" }}\n' for n in range(10))
         (tmp_path / f"f{level}.stride").write_text(inside if level < 11 else "contract K = std_msgs/msg/String\n")
@@ -252,7 +258,7 @@ def test_a_cycle_of_includes_through_a_link_ends(tmp_path: Path) -> None:
     assert {d.code for d in load(tmp_path / "s.stride").diagnostics} == {"E104"}
 
 
-def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
+def test_a_path_that_is_not_a_file_is_refused_without_waiting(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.stride")
     for path in (tmp_path / "pipe.stride", tmp_path, tmp_path / "missing.stride", Path("/dev/zero")):
         (fault,) = load(path).diagnostics
@@ -260,7 +266,7 @@ def test_what_is_no_file_is_refused_without_waiting(tmp_path: Path) -> None:
         assert str(path) in str(fault)
 
 
-def test_a_yaml_bomb_is_bounded() -> None:
+def test_a_yaml_bomb_is_limited() -> None:
     bomb = "a: &a [1,1,1,1,1,1,1,1,1,1]\n" + "".join(
         f"{chr(98 + n)}: &{chr(98 + n)} [{','.join(['*' + chr(97 + n)] * 10)}]\n" for n in range(9)
     )

@@ -40,7 +40,7 @@ def test_with_the_vehicles_figure_it_is_said_what_breaks_where_and_what_follows(
         )
         line, column = diagnostic.position
         assert lines[line - 1][column - 1 :] == f"/localization/{what}"
-        assert [note.message for note in diagnostic.notes] == ["the contract of the topic", "what the port states"]
+        assert [note.message for note in diagnostic.notes] == ["contract of the topic", "contract of the port"]
         assert diagnostic.follows is not None
         assert diagnostic.follows.startswith("controller.follow will be in mode silent, ")
         assert "vehicle_cmd_gate.pass_on will be in mode closed" in diagnostic.follows

@@ -1,27 +1,31 @@
-"""The byte-level fuzzer: a few thousand inputs each time, a million with `make test-long`."""
+"""The byte-level fuzzer: a few thousand inputs in every run, a million with `make test-long`."""
 
 from __future__ import annotations
 
 import resource
 import time
+from collections import Counter
 
 import pytest
 
 from .fuzz import MEGABYTES, SECONDS_PER_INPUT, check, inputs
 
-# A million in all, in parts that can be run one by one (`-k 'million and 107'`) or side by side.
+# A million in all, in parts that can be run one by one (`-k 'million and 107'`) or in parallel.
 PART = 50_000
 SEEDS = range(100, 120)
 
 
 def _run(count: int, seed: int) -> None:
+    reached: Counter[str] = Counter()
     for number, data in enumerate(inputs(count, seed)):
         start = time.process_time()
         try:
-            check(data)
+            reached[check(data)] += 1
         except Exception as error:
             raise AssertionError(f"input {number} of seed {seed}: {data!r}") from error
         assert time.process_time() - start < SECONDS_PER_INPUT, data
+    assert reached.total() == count
+    assert all(reached[stage] >= count / 100 for stage in ("not text", "not parsed", "parsed", "loaded")), reached
 
 
 def test_some_thousand_mutated_inputs() -> None:

@@ -1,4 +1,4 @@
-"""What the language says: the sample of its definition, and each construct's meaning in the model."""
+"""The meaning of the language: the sample of its definition, and each construct as a value of the model."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from immutables import Map
 
+from midstride.codec.specification import decode_specification, encode_specification
 from midstride.lang import Loaded, load, load_text, render
 from midstride.model.component import Endpoint, InputAlternatives, ParameterSpec
 from midstride.model.contract import Interval, OneOf, Predicate, QoS
-from midstride.model.document import specification_from_document, specification_to_document
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 
 from .known import Known
@@ -33,7 +33,7 @@ def loading(text: str, files: dict[str, str] | None = None) -> Loaded:
     return load_text(text, "t.stride", read=read, messages=Known())
 
 
-def test_the_sample_means_what_it_says() -> None:
+def test_the_sample_is_resolved() -> None:
     loaded = load(SEEDS / "patrol.stride")
     assert loaded.diagnostics == ()
     patrol = loaded.specification
@@ -83,7 +83,7 @@ def test_the_sample_means_what_it_says() -> None:
 
 def test_the_sample_in_json_is_the_same_system() -> None:
     patrol = load(SEEDS / "patrol.stride").require()
-    again = specification_from_document(specification_to_document(patrol))
+    again = decode_specification(encode_specification(patrol))
     assert again == patrol
 
 
@@ -131,7 +131,7 @@ def test_namespaces_resolve_as_in_ros() -> None:
     assert isinstance(found.constraints[2], Order)
 
 
-def test_a_fragment_included_in_two_namespaces_is_there_twice() -> None:
+def test_a_fragment_included_in_two_namespaces_is_instantiated_twice() -> None:
     robot = BODY + "topic chatter : std_msgs/msg/String @ 5 Hz\nnode talker : Talker { out -> chatter }\n"
     text = 'system s\nnamespace a { include "robot.stride" }\nnamespace b { include "robot.stride" }\n'
     found = meant(text, {"robot.stride": robot})
@@ -140,7 +140,7 @@ def test_a_fragment_included_in_two_namespaces_is_there_twice() -> None:
     assert set(found.components) == {"Talker", "Listener"}
 
 
-def test_includes_are_relative_to_the_file_and_taken_once() -> None:
+def test_includes_are_relative_to_the_file_and_read_once() -> None:
     files = {
         "parts/a.stride": 'include "b.stride"\ninclude "../parts/b.stride"\n',
         "parts/b.stride": "contract Text = std_msgs/msg/String\n",
@@ -149,7 +149,7 @@ def test_includes_are_relative_to_the_file_and_taken_once() -> None:
     assert found.connectors["/t"].guarantee == Predicate("std_msgs/msg/String")
 
 
-def test_like_takes_over_and_overrides_part_by_part() -> None:
+def test_like_inherits_and_overrides_part_by_part() -> None:
     found = meant(
         """system s
         resource memory = 10
@@ -231,7 +231,7 @@ def test_assumptions_by_name_alternatives_and_predicates() -> None:
     )
 
 
-def test_words_of_the_language_may_be_fields_and_parameters() -> None:
+def test_keywords_can_be_fields_and_parameters() -> None:
     found = meant(
         """system s
         component C { parameters { mode = "fast", node.input = 1, changeable = false, at = [1, 2.5] }
@@ -284,13 +284,13 @@ def test_parameter_files_are_matched_by_role() -> None:
         {"volume": 5, "use_sim_time": True, "names": ["a", "b"], "plugin.name": "x", "plugin.gains": [1.0, 2.5]}
     )
     assert found.parameters_of("robot1/talker")["volume"] == 4
-    # What the file alone gives is declared with the component, and with those that are like it.
+    # Parameters that only the file sets are added to the component, and to those that are like it.
     assert found.components["Singer"].parameters["plugin.name"] == ParameterSpec("x")
-    assert specification_from_document(specification_to_document(found)) == found
+    assert decode_specification(encode_specification(found)) == found
 
 
-def test_parameters_may_be_named_in_any_words_as_ros_allows() -> None:
-    """Autoware's diagnostics are named so."""
+def test_parameters_can_have_any_name_that_ros_allows() -> None:
+    """The diagnostics of Autoware have such names."""
     text = (
         "system s\n"
         + BODY
@@ -298,23 +298,23 @@ def test_parameters_may_be_named_in_any_words_as_ros_allows() -> None:
     )
     found = meant(text, {"p.yaml": 'talker: {ros__parameters: {required: {"localization: ekf": 1, "": 2}}}\n'})
     assert found.parameters_of("talker") == Map({"required.localization: ekf": 1, "required.": 2})
-    assert specification_from_document(specification_to_document(found)) == found
+    assert decode_specification(encode_specification(found)) == found
 
 
-def test_what_only_some_nodes_are_given_is_told_once_for_all_parameters() -> None:
+def test_parameters_set_for_some_nodes_are_reported_once() -> None:
     text = "system s\n" + BODY + 'topic /t : std_msgs/msg/String\nparameters "p.yaml"\n'
     text += "".join(f"node {name} : Talker {{ out -> /t }}\n" for name in "abc")
     found = loading(text, {"p.yaml": "a: {ros__parameters: {x: 1, y: 2, z: 3}}\nb: {ros__parameters: {y: 1}}\n"})
     assert [diagnostic.message for diagnostic in found.diagnostics] == [
-        "parameter `x` (and 1 more) is given for a, but not for b, and Talker declares no value for them",
-        "parameter `y` is given for a, but not for c, and Talker declares no value for it",
+        "parameter `x` (and 1 more) is set for a but not for b, and Talker declares no value for them",
+        "parameter `y` is set for a but not for c, and Talker declares no value for it",
     ]
 
 
-def test_json_is_taken_where_the_name_says_so(tmp_path: Path) -> None:
+def test_files_named_json_are_read_as_json(tmp_path: Path) -> None:
     import json
 
-    document = specification_to_document(load(SEEDS / "patrol.stride").require())
+    document = encode_specification(load(SEEDS / "patrol.stride").require())
     path = tmp_path / "patrol.json"
     path.write_text(json.dumps(document, indent=2))
     assert load(path).require() == load(SEEDS / "patrol.stride").require()

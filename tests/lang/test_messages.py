@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from midstride.lang.message_types import (
-    Installed,
+    InstalledTypes,
     MessageDefinition,
-    Missing,
+    MissingField,
     field_kind,
     installed,
     parse_fields,
@@ -44,8 +44,8 @@ def test_fields_of_an_interface_file() -> None:
         ("header", "std_msgs/msg/Header"),
         ("header.frame_id", "text"),
         ("header.stamp.sec", "unknown"),
-        ("header.frame", Missing("std_msgs/msg/Header", "frame", ("stamp", "frame_id"))),
-        ("width.x", Missing("a number", "x", ())),
+        ("header.frame", MissingField("std_msgs/msg/Header", "frame", ("stamp", "frame_id"))),
+        ("width.x", MissingField("a number", "x", ())),
     ],
 )
 def test_what_a_field_is(path: str, expected: object) -> None:
@@ -57,7 +57,7 @@ def test_what_a_field_is(path: str, expected: object) -> None:
 def test_installed_packages_come_before_the_type_store(tmp_path: Path) -> None:
     (tmp_path / "my_msgs" / "msg").mkdir(parents=True)
     (tmp_path / "my_msgs" / "msg" / "Odd.msg").write_text("float64 oddness\n")
-    found = Installed([tmp_path], lambda: Known())
+    found = InstalledTypes([tmp_path], lambda: Known())
     assert found.message("my_msgs/msg/Odd") == MessageDefinition("my_msgs/msg/Odd", {"oddness": "number"})
     assert list(found.types("my_msgs")) == ["Odd"]
     assert found.message("my_msgs/msg/Even") is None

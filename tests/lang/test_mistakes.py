@@ -1,4 +1,4 @@
-"""Mistakes as people make them: each is told once, at its place, with what to write instead, and nothing else."""
+"""Typical mistakes: each is reported once, at its place, with what to write instead, and nothing else is reported."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ node brake  : Brake  { distance <- /smooth   stop -> /stop }
 
 
 class Mistake(NamedTuple):
-    """What is written wrongly instead of ``right``, with a mark where it must be told; what message and help say."""
+    """``wrong``, written instead of ``right``, with a mark at the expected place; parts of message and help."""
 
     right: str
     wrong: str
@@ -82,7 +82,7 @@ MISTAKES = {
         "neither an input of Brake nor a contract",
         "did you mean `distance`?",
     ),
-    "a topic that nobody declares": Mistake(
+    "a topic without a declaration": Mistake(
         "stop -> /stop", "stop -> ‹E008›/brake_now", "no topic `/brake_now`", "declare it: `topic /brake_now : TYPE`"
     ),
     "a topic of the namespace around": Mistake(
@@ -91,54 +91,58 @@ MISTAKES = {
         "there is no topic `/a/smooth`",
         "did you mean `/smooth`?",
     ),
-    "a type that is called otherwise": Mistake(
+    "a type with another name": Mistake(
         "topic /stop   : std_msgs/msg/Bool",
         "topic /stop   : ‹E130›std_msgs/msg/Boolean",
         "no message type `Boolean`",
         "did you mean `Bool`?",
     ),
-    "a type nobody knows": Mistake(
+    "an unknown type": Mistake(
         "topic /stop   : std_msgs/msg/Bool",
         "topic /stop   : ‹E130›std_msgs/msg/Flag",
         "no message type `Flag`",
         "its types: Bool, Byte,",
     ),
-    "a type as Python has it": Mistake(
+    "a type as in Python": Mistake(
         "topic /stop   : std_msgs/msg/Bool",
         "topic /stop   : ‹E133›std_msgs.msg.Bool",
-        "is no message type",
+        "is not a message type",
         "write `std_msgs/msg/Bool`",
     ),
-    "a type as C++ has it": Mistake(
+    "a type as in C++": Mistake(
         "topic /stop   : std_msgs/msg/Bool",
         "topic /stop   : ‹E133›std_msgs::msg::Bool",
-        "is no message type",
+        "is not a message type",
         "write `std_msgs/msg/Bool`",
     ),
-    "the unit of a time for a rate": Mistake("@ 20 Hz", "@ 20 ‹E127›ms", "`ms` is no unit of a rate", "write `20 Hz`"),
-    "no unit": Mistake("@ 20 Hz", "@ ‹E127›20", "a rate needs its unit", "write `20 Hz`"),
-    "a brace too few": Mistake(
+    "the unit of a time for a rate": Mistake(
+        "@ 20 Hz", "@ 20 ‹E127›ms", "`ms` is not a valid unit for a rate", "write `20 Hz`"
+    ),
+    "no unit": Mistake("@ 20 Hz", "@ ‹E127›20", "a rate needs a unit", "write `20 Hz`"),
+    "a missing brace": Mistake(
         "    mode off { }\n  }\n}\n\ncomponent Mean",
         "    mode off { }\n  }‹E123›\n\ncomponent Mean",
         "component `Sensor` is not closed: expected `}` before `component`",
         None,
     ),
-    "a brace too many": Mistake(
-        '"python3 sensor.py"', '"python3 sensor.py" ‹E124›}', "closes component `Sensor`, and `output`", "leave it out"
+    "an extra brace": Mistake(
+        '"python3 sensor.py"', '"python3 sensor.py" ‹E124›}', "closes component `Sensor` before `output`", "remove it"
     ),
-    "a quote too few": Mistake(
-        '"python3 sensor.py"', '‹E113›"python3 sensor.py', "not closed", 'end it with `"` on the same line'
+    "a missing quote": Mistake(
+        '"python3 sensor.py"', '‹E113›"python3 sensor.py', "unterminated string", 'end it with `"` on the same line'
     ),
     "a command without quotes": Mistake(
         '"python3 sensor.py"', "‹E120›python3 sensor.py", "in double quotes", 'write `run "python3 sensor.py"`'
     ),
-    "a semicolon": Mistake("/raw    : Distance", "/raw    : Distance‹E110›;", "`;` means nothing here", "leave it out"),
-    "a comment of C": Mistake("20 Hz", "20 Hz ‹E110›// fast", "`//` begins no comment", "comments begin with `#`"),
+    "a semicolon": Mistake("/raw    : Distance", "/raw    : Distance‹E110›;", "unexpected character `;`", "remove it"),
+    "a comment of C": Mistake(
+        "20 Hz", "20 Hz ‹E110›// fast", "`//` does not start a comment", "comments start with `#`"
+    ),
     "a colon as in YAML": Mistake(
-        "component Sensor", "component‹E120›: Sensor", "expected the name of a component, found `:`", "leave it out"
+        "component Sensor", "component‹E120›: Sensor", "expected a component name, found `:`", "remove it"
     ),
     "a capital": Mistake(
-        "component Sensor", "‹E121›Component Sensor", "`Component` begins", "did you mean `component`?"
+        "component Sensor", "‹E121›Component Sensor", "unknown statement `Component`", "did you mean `component`?"
     ),
     "an equals sign for a colon": Mistake(
         "guarantee stop : std_msgs/msg/Bool @ 10 Hz }\n    mode",
@@ -147,9 +151,9 @@ MISTAKES = {
         None,
     ),
     "two nodes of one name": Mistake(
-        "node brake  :", "node ‹E007›filter  :", "there is a node `filter` already", "give each its own name"
+        "node brake  :", "node ‹E007›filter  :", "node `filter` is already declared", "use another name"
     ),
-    "the modes the wrong way round": Mistake(
+    "modes in the wrong order": Mistake(
         "    mode normal   { assume distance   guarantee stop : std_msgs/msg/Bool @ 10 Hz }\n"
         "    mode cautious { guarantee stop : std_msgs/msg/Bool @ 10 Hz }\n",
         "    mode cautious { guarantee stop : std_msgs/msg/Bool @ 10 Hz }\n"
@@ -157,7 +161,7 @@ MISTAKES = {
         "mode normal, the last of watch, must assume nothing",
         "modes are listed best first: put cautious, which assumes nothing, last",
     ),
-    "a worse mode that promises more": Mistake(
+    "a worse mode that guarantees more": Mistake(
         "cautious { guarantee stop : std_msgs/msg/Bool @ 10 Hz }",
         "cautious { guarantee stop : std_msgs/msg/Bool @ 20 Hz }",
         "mode cautious of watch guarantees stop : std_msgs/msg/Bool @ 20 Hz, which the better mode normal does not",
@@ -175,19 +179,19 @@ MISTAKES = {
     "an output that is not produced": Mistake(
         "    produces stop\n", "", "watch does not produce stop", "let watch produce stop: add it to what it `produces`"
     ),
-    "a port that is forgotten": Mistake(
+    "a port that is not attached": Mistake(
         "node filter : Mean   { in <- /raw   out",
         "node ‹W030›filter : Mean { out",
         "input filter.in is attached to no topic",
         "`in <- /raw`",
     ),
-    "a rate that does not suffice": Mistake(
+    "an insufficient rate": Mistake(
         "input  distance : Distance",
         "input  distance : sensor_msgs/msg/Range @ 50 Hz",
         "rate: 20 Hz is offered, at least 50 Hz is needed",
         "strengthen what is offered",
     ),
-    "a QoS that does not suffice": Mistake(
+    "an insufficient QoS": Mistake(
         "topic /raw    : Distance",
         "topic /raw    : sensor_msgs/msg/Range @ 20 Hz qos(reliability = best_effort)",
         "reliability: best_effort is offered, reliable is needed",
@@ -206,15 +210,15 @@ MISTAKES = {
         "@ 20 Hz",
         "@ 20 Hz where ‹E138›radiation_type = INFRARED",
         "is a number",
-        "by their value: `radiation_type = 1`",
+        "the value of the constant: `radiation_type = 1`",
     ),
-    "a file that is not there": Mistake(
+    "a missing file": Mistake(
         "contract Distance",
         'include ‹E100›"parts/lidar.stride"\ncontract Distance',
         "no such file",
-        "it is looked for beside this file, as `parts/lidar.stride`",
+        "the path is relative to this file: `parts/lidar.stride`",
     ),
-    "a parameter nobody declares": Mistake(
+    "a parameter without a declaration": Mistake(
         "in <- /raw ",
         "parameters { ‹E008›window = 3 } in <- /raw ",
         "no parameter `window` of Mean",
@@ -223,7 +227,7 @@ MISTAKES = {
     "a parameter with a unit": Mistake(
         '"python3 mean.py"',
         '"python3 mean.py" parameters { span = 5 ‹E120›s, mean = 1 }',
-        "has no unit",
+        "cannot have a unit",
         "write `span = 5`",
     ),
     "a parameter with a colon": Mistake(
@@ -232,40 +236,42 @@ MISTAKES = {
         "expected `=` after `span`",
         None,
     ),
-    "a resource nobody declares": Mistake(
+    "a resource without a declaration": Mistake(
         '"python3 mean.py"', '"python3 mean.py" holds ‹E008›gpu 2', "no resource `gpu`", "declare it: `resource gpu ="
     ),
     "a node for a functionality": Mistake(
         "node sensor", "keep brake ‹E120›at normal\nnode sensor", "expected `.` after `brake`", None
     ),
     "a time without a unit": Mistake(
-        "node sensor", "limit brake.watch below baseline ‹E127›2\nnode sensor", "a time needs its unit", "write `2 s`"
+        "node sensor", "limit brake.watch below baseline ‹E127›2\nnode sensor", "a time needs a unit", "write `2 s`"
     ),
-    "orders in a circle": Mistake(
+    "a cycle of orders": Mistake(
         "node sensor",
         "order sensor before filter\n‹E024›order filter before sensor\nnode sensor",
         "contradicts `order sensor before filter`",
         "take one of them out",
     ),
-    "the arrow the wrong way": Mistake("{ in <- /raw", "{ ‹E144›in -> /raw", "is an input", "write `in <- /raw`"),
+    "an arrow in the wrong direction": Mistake(
+        "{ in <- /raw", "{ ‹E144›in -> /raw", "is an input", "write `in <- /raw`"
+    ),
 }
 
-# Told where nothing was written wrongly: at the attachment, or at what speaks of the port.
+# Mistakes that are reported elsewhere: at the attachment, or where the port is used.
 ELSEWHERE = {
-    "a rate that does not suffice": ("{ distance <- /smooth", "{ distance <- ‹E020›/smooth"),
-    "a QoS that does not suffice": ("{ in <- /raw", "{ in <- ‹E020›/raw"),
+    "an insufficient rate": ("{ distance <- /smooth", "{ distance <- ‹E020›/smooth"),
+    "an insufficient QoS": ("{ in <- /raw", "{ in <- ‹E020›/raw"),
     "an input that is not used": ("assume distance", "assume ‹E008›distance"),
     "an output that is not produced": ("distance   guarantee stop", "distance   guarantee ‹E008›stop"),
-    "a worse mode that promises more": ("distance   guarantee stop", "distance   guarantee ‹E011›stop"),
+    "a worse mode that guarantees more": ("distance   guarantee stop", "distance   guarantee ‹E011›stop"),
 }
 
 
-def test_nothing_is_wrong_with_what_is_right() -> None:
+def test_the_correct_file_has_no_diagnostics() -> None:
     assert load_text(RIGHT, "robot.stride", messages=installed({})).diagnostics == ()
 
 
 @pytest.mark.parametrize("name", MISTAKES)
-def test_a_mistake_is_told_once_where_it_is_with_what_to_write_instead(name: str) -> None:
+def test_a_mistake_is_reported_once_at_its_place_with_what_to_write_instead(name: str) -> None:
     mistake = MISTAKES[name]
     assert RIGHT.count(mistake.right) == 1 or mistake.right in {"20 Hz", "@ 20 Hz"}
     text = RIGHT.replace(mistake.right, mistake.wrong, 1)
@@ -275,24 +281,24 @@ def test_a_mistake_is_told_once_where_it_is_with_what_to_write_instead(name: str
     found = load_text(plain, "robot.stride", messages=installed({})).diagnostics
     shown = render(found)
     assert len(expected) == 1
-    follows = [d for d in found if d.code == "W033"]  # what falls on account of a warning has a line of its own
-    told = [d for d in found if d not in follows]
-    assert [(d.code, *d.position) for d in told] == expected, shown
-    assert not follows or told[0].severity == "warning", shown
-    assert mistake.message in told[0].message, shown
-    assert (told[0].help is None) if mistake.help is None else (mistake.help in (told[0].help or "")), shown
+    follows = [d for d in found if d.code == "W033"]  # the consequences of a warning are reported separately
+    direct = [d for d in found if d not in follows]
+    assert [(d.code, *d.position) for d in direct] == expected, shown
+    assert not follows or direct[0].severity == "warning", shown
+    assert mistake.message in direct[0].message, shown
+    assert (direct[0].help is None) if mistake.help is None else (mistake.help in (direct[0].help or "")), shown
 
 
-def test_all_of_many_mistakes_are_told_at_once() -> None:
-    """Eight that can stand in one file, in one file."""
+def test_many_mistakes_are_reported_together() -> None:
+    """Eight independent mistakes in one file."""
     text = RIGHT
     for name in (
         "a misspelt port",
         "no unit",
-        "a type that is called otherwise",
-        "a brace too many",
+        "a type with another name",
+        "an extra brace",
         "an equals sign for a colon",
-        "the arrow the wrong way",
+        "an arrow in the wrong direction",
         "a parameter with a colon",
         "a time without a unit",
     ):

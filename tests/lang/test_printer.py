@@ -1,4 +1,4 @@
-"""Canonical text: the sample is canonical; formatting keeps comments, order and meaning, and twice is once."""
+"""The formatter: the sample is canonical; formatting keeps comments, order and meaning, and is idempotent."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def formatted(text: str) -> str:
 
 
 def words(text: str) -> tuple[list[str], list[str]]:
-    """The tokens of a text without commas, and its comments: what formatting must keep, in this order."""
+    """The tokens of a text without commas, and its comments: what formatting must keep, in order."""
     tokens = tokenize(Source("t", text), Reporter())
     comments = [text[start:end].rstrip() for start, end in tokens.comments]
     return [word for word, kind in zip(tokens.texts, tokens.kinds, strict=True) if kind != ","], comments
@@ -105,8 +105,8 @@ def test_what_is_canonical() -> None:
 
 @pytest.mark.parametrize("text", [*SAMPLES, UGLY])
 @pytest.mark.parametrize("seed", range(30))
-def test_blanks_change_nothing(text: str, seed: int) -> None:
-    """Blanks strewn between the words change neither the words and comments nor the meaning, and twice is once."""
+def test_white_space_changes_nothing(text: str, seed: int) -> None:
+    """White space inserted between the words changes neither words, comments nor meaning of the formatted text."""
     rng = random.Random(seed)
     tokens = tokenize(Source("t", text), Reporter())
     starts = sorted({*tokens.starts, *(start for start, _ in tokens.comments)})
@@ -114,9 +114,9 @@ def test_blanks_change_nothing(text: str, seed: int) -> None:
     for start in starts:
         pieces += [text[last:start], rng.choice(["", "", "", " ", "   ", "\t", "\n", "\n\n\n"])]
         last = start
-    strewn = "".join(pieces) + text[last:]
-    once = formatted(strewn)
-    assert words(once) == words(strewn) == words(text)
+    spaced = "".join(pieces) + text[last:]
+    once = formatted(spaced)
+    assert words(once) == words(spaced) == words(text)
     assert formatted(once) == once
     files = {"sensors.stride": SAMPLES[1]}
     before, after = (
@@ -125,13 +125,21 @@ def test_blanks_change_nothing(text: str, seed: int) -> None:
     assert before == after
 
 
-@given(st.text(alphabet=st.sampled_from('aF{}()[]:=@,.<->/~"#\n\t 1\u00e9'), max_size=200))
-def test_any_text_is_answered(text: str) -> None:
-    load_text(text)
+def formatting_keeps(text: str) -> None:
+    """Formatting is refused with an error, or it keeps the words and is idempotent."""
     found = format_text(text)
-    if found.text is not None:
+    if found.text is None:
+        assert any(diagnostic.severity == "error" for diagnostic in found.diagnostics)
+    else:
         assert formatted(found.text) == found.text
         assert words(found.text) == words(text)
+
+
+@given(st.text(alphabet=st.sampled_from('aF{}()[]:=@,.<->/~"#\n\t 1\u00e9'), max_size=200))
+def test_any_text_is_answered(text: str) -> None:
+    loaded = load_text(text)
+    assert (loaded.specification is None) == loaded.has_errors
+    formatting_keeps(text)
 
 
 @given(st.data())
@@ -140,10 +148,7 @@ def test_any_mixture_of_the_samples_lines_is_answered(data: st.DataObject) -> No
     text = "\n".join(data.draw(st.lists(st.sampled_from(lines), max_size=40)))
     loaded = load_text(text, "t.stride", read=lambda path: SAMPLES[1])
     assert (loaded.specification is None) == loaded.has_errors
-    found = format_text(text)
-    if found.text is not None:
-        assert formatted(found.text) == found.text
-        assert words(found.text) == words(text)
+    formatting_keeps(text)
 
 
 def test_a_text_with_errors_is_not_formatted() -> None:

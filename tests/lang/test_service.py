@@ -1,8 +1,9 @@
-"""What an editor is answered: diagnostics of whole systems, hover, definition, rename, completion, format."""
+"""The language service: diagnostics of whole systems, hover, definition, rename, completion, formatting."""
 
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -33,7 +34,7 @@ def service() -> LanguageService:
 
 
 def at(text: str, marked: str) -> tuple[int, int]:
-    """Line and column of the place that `|` marks in a piece of ``text``."""
+    """Line and column of the place marked `|` in an excerpt of ``text``."""
     before, _, after = marked.partition("|")
     assert text.count(before + after) == 1, (text.count(before + after), marked)
     offset = text.index(before + after) + len(before)
@@ -58,14 +59,20 @@ def test_a_file_that_is_no_system_and_that_none_includes(service: LanguageServic
 
 
 @pytest.mark.parametrize(
-    ("where", "told"),
+    ("where", "expected"),
     [
         (
             "topic /sc|an      :",
-            ["**topic** `/scan`", "`sensor_msgs/msg/LaserScan @ 10 Hz", "from `lidar.out`", "satisfied"],
+            [
+                "**topic** `/scan`",
+                "`sensor_msgs/msg/LaserScan @ 10 Hz",
+                "published by `lidar.out`",
+                "subscribed by `detector.scan`",
+                "satisfied",
+            ],
         ),
         ("      assume Came|ra", ["**contract** `Camera`", "sensor_msgs/msg/Image @ 15 Hz"]),
-        ("node det|ector   :", ["a `ObstacleDetector`", "`detector.detect` will be in mode **normal**"]),
+        ("node det|ector   :", ["component `ObstacleDetector`", "`detector.detect` will be in mode **normal**"]),
         (
             "like Obs|tacleDetector",
             ["`python3 -m patrol.detector`", "input `scan : sensor_msgs", "functionality `detect`"],
@@ -73,15 +80,15 @@ def test_a_file_that_is_no_system_and_that_none_includes(service: LanguageServic
         ("controller.con|trol at", ["modes: normal, stop; weight 10", "will be in mode **normal**"]),
         ("control at nor|mal", ["assumes obstacles", "guarantees `cmd : geometry_msgs/msg/Twist @ 20 Hz`"]),
         ("produces o|ut\n\n    mode", ["normal: `sensor_msgs/msg/Range @ 10 Hz`", "degraded: `nothing`"]),
-        ("gpu_mem|ory = 8192", ["capacity 8192", "held at first: 2048"]),
+        ("gpu_mem|ory = 8192", ["capacity 8192", "in use initially: 2048"]),
         ("guarantee camera_|device", ["`sensor_msgs/msg/Image @ 30 Hz"]),
         ("changeable thres|hold", ["`0.4`, changeable in place"]),
     ],
 )
-def test_hover(service: LanguageService, where: str, told: list[str]) -> None:
+def test_hover(service: LanguageService, where: str, expected: list[str]) -> None:
     text = service.hover(ROOT, *at(PATROL, where))
     assert text is not None
-    for piece in told:
+    for piece in expected:
         assert piece in text
 
 
@@ -160,7 +167,7 @@ def test_rename_in_namespaces_keeps_names_relative() -> None:
 
 
 def test_rename_in_a_file_included_twice_changes_both_of_what_it_declares() -> None:
-    """One declaration, two topics and two nodes: whoever names either of them, and how, must follow."""
+    """One declaration, two topics and two nodes: every reference to either is renamed, however it is written."""
     texts = {
         Path("/ws/s.stride"): (
             'system s\ncontract C = std_msgs/msg/String\ninclude "c.stride"\nnode z : In { in <- r1/t }\n'
@@ -188,25 +195,30 @@ def test_rename_in_a_file_included_twice_changes_both_of_what_it_declares() -> N
 
 
 @pytest.mark.parametrize(
-    ("where", "name", "told"),
+    ("where", "name", "message"),
     [
-        ("node det|ector   :", "lidar", "there is a node `lidar` already"),
-        ("topic /obst|acles :", "/odom", "there is a topic `/odom` already"),
-        ("mode lid|ar_only {", "normal", "there is one mode `normal` here already"),
-        ("  input  sc|an : Scan", "Camera", "`Camera` is an input of ObstacleDetector and a contract"),
-        ("contract Sc|an   =", "contract", "`contract` is a word of the language"),
+        ("node det|ector   :", "lidar", "node `lidar` is already declared"),
+        ("topic /obst|acles :", "/odom", "topic `/odom` is already declared"),
+        ("mode lid|ar_only {", "normal", "duplicate mode `normal`"),
+        ("  input  sc|an : Scan", "Camera", "`Camera` is both an input of ObstacleDetector and a contract"),
+        ("contract Sc|an   =", "contract", "`contract` is a keyword"),
     ],
 )
-def test_a_name_that_is_taken_is_refused(service: LanguageService, where: str, name: str, told: str) -> None:
-    with pytest.raises(ValueError, match=f"^it would be an error: {re.escape(told)}"):
+def test_a_name_that_is_taken_is_refused(service: LanguageService, where: str, name: str, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^the rename would cause an error: {re.escape(message)}"):
         service.rename(ROOT, *at(PATROL, where), name)
 
 
 @pytest.mark.parametrize(
-    ("where", "name"), [("contract Sc|an   =", "a b"), ("contract Sc|an   =", "a/b"), ("# pat|rol", "x")]
+    ("where", "name", "message"),
+    [
+        ("contract Sc|an   =", "a b", "`a b` is not a valid contract name"),
+        ("contract Sc|an   =", "a/b", "`a/b` is not a valid contract name"),
+        ("# pat|rol", "x", "there is no symbol to rename at this position"),
+    ],
 )
-def test_what_cannot_be_renamed_is_refused(service: LanguageService, where: str, name: str) -> None:
-    with pytest.raises(ValueError, match=r"cannot name a contract|nothing that has a name"):
+def test_what_cannot_be_renamed_is_refused(service: LanguageService, where: str, name: str, message: str) -> None:
+    with pytest.raises(ValueError, match=f"^{message}$"):
         service.rename(ROOT, *at(PATROL, where), name)
 
 
@@ -257,15 +269,29 @@ def test_format(service: LanguageService) -> None:
     assert service.format(ROOT) is None
 
 
-def test_whatever_stands_in_a_buffer_is_answered(service: LanguageService) -> None:
-    """Every question at every place of a file that is being written."""
+def test_every_request_is_answered_while_a_file_is_being_written(service: LanguageService) -> None:
+    """The file up to the middle of each line: the answers agree with each other, and there are some of each kind."""
     lines = PATROL.split("\n")
-    for number in range(0, len(lines), 3):
-        text = "\n".join([*lines[:number], lines[number][: len(lines[number]) // 2]])
+    answered: Counter[str] = Counter()
+    for number, whole in enumerate(lines[1:], 1):
+        text = "\n".join([*lines[:number], whole[: len(whole) // 2]])
         service.open(ROOT, text)
-        line, column = number + 1, len(lines[number]) // 2 + 1
-        service.diagnostics(ROOT)
-        service.hover(ROOT, line, column)
-        service.definition(ROOT, line, column)
-        service.complete(ROOT, line, column)
-        service.format(ROOT)
+        line, column = number + 1, len(whole) // 2 + 1
+        errors = [d.code for found in service.diagnostics(ROOT).values() for d in found if d.severity == "error"]
+        assert ("E106" in errors) == ("\nsystem" not in text), text
+        formatted = service.format(ROOT)
+        if formatted is None:
+            assert {code for code in errors if "E110" <= code <= "E134"}, text
+        else:
+            assert formatted.split() == text.split(), text
+        for row, place in [(line, column), *((number, place + 1) for place in range(len(lines[number - 1])))]:
+            hover, definition = service.hover(ROOT, row, place), service.definition(ROOT, row, place)
+            assert definition is None or (hover is not None and f"`{definition.text}`" in hover)
+            answered["hover"] += hover is not None
+            answered["definition"] += definition is not None
+        words = service.complete(ROOT, line, column)
+        assert not (words and "#" in lines[number][: column - 1]), "nothing is proposed in a comment"
+        answered["words"] += bool(words)
+        answered["not formatted" if formatted is None else "formatted"] += 1
+    assert set(answered) == {"hover", "definition", "words", "formatted", "not formatted"}
+    assert min(answered.values()) >= 10, answered

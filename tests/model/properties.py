@@ -12,20 +12,15 @@ from hypothesis import assume
 from hypothesis import strategies as st
 from immutables import Map
 
+from midstride.codec.component import decode_component, encode_component
+from midstride.codec.contract import decode_predicate, encode_predicate
+from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import ActionRefused, SpecificationError
 from midstride.model.action import Action
 from midstride.model.best import best, consumers_of, lowered, rebalanced
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.contract import NOTHING, Predicate, explain, satisfies
-from midstride.model.document import (
-    component_from_document,
-    component_to_document,
-    predicate_from_document,
-    predicate_to_document,
-    specification_from_document,
-    specification_to_document,
-)
 from midstride.model.rules import violations
 from midstride.model.specification import initial
 from midstride.model.specification_checks import check, errors
@@ -309,24 +304,24 @@ def lowered_is_the_least_degradation(data: st.DataObject) -> None:
 
 def documents_come_back(data: st.DataObject) -> None:
     specification = data.draw(specifications())
-    document = specification_to_document(specification)
+    document = encode_specification(specification)
     again = json.loads(json.dumps(document))
     assert again == document
-    assert specification_from_document(again) == specification
+    assert decode_specification(again) == specification
     component = data.draw(components())
-    assert component_from_document(json.loads(json.dumps(component_to_document(component)))) == component
+    assert decode_component(json.loads(json.dumps(encode_component(component)))) == component
     predicate = data.draw(predicates())
-    assert predicate_from_document(json.loads(json.dumps(predicate_to_document(predicate)))) == predicate
+    assert decode_predicate(json.loads(json.dumps(encode_predicate(predicate)))) == predicate
 
 
 def spoilt_documents_are_refused_or_read(data: st.DataObject) -> None:
     """Whatever is put in whatever place: a specification, or SpecificationError with a path; nothing else."""
-    document = specification_to_document(data.draw(specifications(most=2)))
+    document = encode_specification(data.draw(specifications(most=2)))
     for _ in range(data.draw(st.integers(1, 3))):
         _spoil(data, document)
     problems: tuple[Any, ...] = ()
     try:
-        specification = specification_from_document(document)
+        specification = decode_specification(document)
     except SpecificationError as error:
         problems = error.problems
         assert problems  # what else it may raise must come through

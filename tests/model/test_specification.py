@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from immutables import Map
 
+from midstride.codec.specification import decode_specification
 from midstride.model.best import best
 from midstride.model.component import (
     ComponentSpec,
@@ -21,12 +22,11 @@ from midstride.model.component import (
 )
 from midstride.model.configuration import Instance, to_fraction
 from midstride.model.diagnosis import reasons_against
-from midstride.model.document import specification_from_document
 from midstride.model.specification import Node, Order, initial, structure
 from tests.model.build import at, component, filter_, mode, sink, source, system, work
 from tests.model.test_wellformed import DEMO
 
-SPECIFICATION = specification_from_document(DEMO)
+SPECIFICATION = decode_specification(DEMO)
 
 
 def test_it_starts_in_best_under_the_names_of_its_roles() -> None:

@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 from immutables import Map
 
+from midstride.codec.specification import decode_specification
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Interval, Predicate, QoS
 from midstride.model.diagnostics import CATALOGUE, Problem, suggestion
-from midstride.model.document import specification_from_document
 from midstride.model.specification import Specification
 from midstride.model.specification_checks import check, check_component, errors
+from tests.codec.test_specification_form import FAULTS, spoil
 from tests.model.build import at, component, mode, named, source
-from tests.model.test_document import FAULTS, spoil
 
 STRING = "std_msgs/msg/String"
 FAST = {"type": STRING, "rate": 10}
@@ -52,7 +52,7 @@ def checked(*changes: tuple[str, object]) -> list[Problem]:
     document = copy.deepcopy(DEMO)
     for path, value in changes:
         spoil(document, path, value)
-    return list(check(specification_from_document(document)))
+    return list(check(decode_specification(document)))
 
 
 def test_the_demo_is_well_formed() -> None:

@@ -13,6 +13,8 @@ from decimal import Decimal
 from itertools import product
 from typing import Any
 
+from midstride.codec.component import encode_component
+from midstride.codec.contract import encode_predicate
 from midstride.model.action import (
     Action,
     Attach,
@@ -26,7 +28,6 @@ from midstride.model.action import (
 )
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Contract, Predicate
-from midstride.model.document import component_to_document, predicate_to_document
 
 Document = dict[str, Any]
 Port = tuple[str, str]
@@ -37,7 +38,7 @@ Functionality = tuple[str, str]
 
 
 def of_contract(contract: Contract) -> Document | None:
-    return predicate_to_document(contract) if isinstance(contract, Predicate) else None
+    return encode_predicate(contract) if isinstance(contract, Predicate) else None
 
 
 def satisfies(p: Document | None, q: Document | None) -> bool:
@@ -132,16 +133,16 @@ class State:
 def of_configuration(s: Configuration) -> State:
     world = s.context
     return State(
-        live={name: component_to_document(instance.component) for name, instance in s.instances.items()},
+        live={name: encode_component(instance.component) for name, instance in s.instances.items()},
         attached={(port.instance, port.port, connector) for port, connector in s.attachments()},
         modes={(ref.instance, ref.functionality): index for ref, index in s.modes.items()},
         parameters={name: dict(instance.parameters) for name, instance in s.instances.items()},
         connectors={
-            name: {"guarantee": predicate_to_document(c.guarantee), "cap": c.max_publishers, "topic": c.topic}
+            name: {"guarantee": encode_predicate(c.guarantee), "cap": c.max_publishers, "topic": c.topic}
             for name, c in world.connectors.items()
         },
         environment=[
-            {"guarantee": predicate_to_document(offer.guarantee), "topic": offer.topic} for offer in world.environment
+            {"guarantee": encode_predicate(offer.guarantee), "topic": offer.topic} for offer in world.environment
         ],
         capacity={name: resource.capacity for name, resource in world.resources.items()},
     )
@@ -301,7 +302,7 @@ def effect(s: State, action: Action) -> State:
     )
     if isinstance(action, Create):
         name = action.instance.name
-        after.live[name] = component_to_document(action.instance.component)
+        after.live[name] = encode_component(action.instance.component)
         after.parameters[name] = dict(action.instance.parameters)
         for functionality, body in after.live[name]["functionalities"].items():
             after.modes[name, functionality] = len(body["modes"]) - 1

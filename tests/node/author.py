@@ -8,23 +8,25 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from midstride.backends.simulator import Simulator
 from midstride.backends.simulator.messages import message_class
 from midstride.runtime.backend import Exited, Launch
-from midstride.wire.messages import Announcement, Command, Reply
+from midstride.testing.conformance.lab import TOKEN, Lab
+from midstride.wire.frames import Reply
+from midstride.wire.state import ComponentState
 
 String: type = message_class("std_msgs/msg/String")
 Image: type = message_class("sensor_msgs/msg/Image")
 
-TOKEN = "a token"
-
 
 class Bench:
-    """A simulator with a conversation: start scripts, command them."""
+    """A simulator with a laboratory: start scripts, command them."""
 
-    def __init__(self, folder: Path, simulator: Simulator) -> None:
+    def __init__(self, folder: Path, simulator: Simulator, lab: Lab) -> None:
         self.simulator = simulator
-        self.events: list[Announcement | Exited] = []
+        self.lab = lab
         self._folder = folder
         self._ids = 0
 
@@ -38,11 +40,18 @@ class Bench:
     async def sleep(self, seconds: float) -> None:
         await self.simulator.clock.sleep(seconds)
 
+    def state(self, instance: str) -> ComponentState:
+        """What the component last published of its state."""
+        state = self.simulator.state(instance)
+        assert state is not None, f"{instance} has published nothing"
+        return state
+
     async def send(self, instance: str, op: str, token: str = TOKEN, **arguments: Any) -> dict[str, Any]:
         """Carry out a command at whatever revision the component is; it must not be refused."""
         reply = await self._reply(instance, op, token, arguments)
         assert reply.refused is None, reply.refused
-        return dict(reply.result)
+        result: dict[str, Any] = msgspec.json.decode(reply.result)
+        return result
 
     async def refusal(self, instance: str, op: str, token: str = TOKEN, **arguments: Any) -> str:
         """The words with which a command is refused, which it must be."""
@@ -52,8 +61,8 @@ class Bench:
 
     async def _reply(self, instance: str, op: str, token: str, arguments: dict[str, Any]) -> Reply:
         self._ids += 1
-        revision = self.simulator.state(instance)["revision"]
-        return await self.simulator.call(instance, Command(op, arguments, str(self._ids), token, revision), 30.0)
+        revision = self.state(instance).revision
+        return await self.lab.send(instance, op, arguments, id=str(self._ids), revision=revision, token=token)
 
     async def attach(self, instance: str, port: str, topic: str) -> None:
         await self.send(instance, "attach", port=port, topic=topic)
@@ -66,16 +75,15 @@ class Bench:
         return [line for line in self.simulator.log(instance).splitlines() if line and not line.startswith("[")]
 
     def exits(self) -> list[Exited]:
-        return [event for event in self.events if isinstance(event, Exited)]
+        return list(self.lab.exits.values())
 
 
 def simulate(folder: Path, main: Callable[[Bench], Awaitable[None]], **options: Any) -> None:
     """Run ``main`` with a bench in virtual time."""
     simulator = Simulator(**options)
-    bench = Bench(folder, simulator)
 
     async def opened() -> None:
-        await simulator.open(bench.events.append)
-        await main(bench)
+        async with Lab(simulator, folder) as lab:
+            await main(Bench(folder, simulator, lab))
 
     simulator.run(opened())

@@ -19,9 +19,9 @@ from midstride import (
     between,
     guarantee,
 )
+from midstride.codec.component import decode_component, encode_component
 from midstride.model.component import InputAlternatives
 from midstride.model.contract import NOTHING, Interval, OneOf, Predicate
-from midstride.model.document import component_from_document, component_to_document
 
 from .author import Image, String
 
@@ -99,7 +99,7 @@ def test_a_whole_declaration() -> None:
     assert stop.guarantee("health") == Predicate("std_msgs/String", 1, QoS(depth=5))
     assert declared.output_endpoint("health") == ("std_msgs/msg/String", QoS(depth=5))
     assert declared.parameters["gain"].changeable and not declared.parameters["frame"].changeable
-    assert component_from_document(component_to_document(declared)) == declared
+    assert decode_component(encode_component(declared)) == declared
 
 
 def test_a_message_driven_mode_guarantees_no_rate_unless_it_states_one() -> None:

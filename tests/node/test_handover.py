@@ -70,7 +70,8 @@ def test_an_async_call_from_before_the_cut_still_writes(tmp_path: Path) -> None:
         await cut_at(lab, at, resume_after=5.0)
         assert await outcomes(lab) == ("done", "done")
         told = await lab.read("old", "await_cut", cut="cut", timeout=1.0)
-        number, source = told["last"][f"out {TOPIC}"]
+        last = told["last"][f"out {TOPIC}"]
+        number, source = last["number"], last["source"]
         await lab.sleep(0.1)
         words = await lab.received("sink")
         assert source > at, "the test missed what it is about"
@@ -149,7 +150,7 @@ def test_where_the_old_side_dies_at_the_cut_the_new_one_writes(tmp_path: Path) -
         await lab.sleep(0.15)
         simulator.faults.kill("old")
         told = await lab.read("new", "await_cut", cut="cut", timeout=20.0)
-        assert told["outcome"] == "done" and told["first"][f"out {TOPIC}"][0] == 1
+        assert told["outcome"] == "done" and told["first"][f"out {TOPIC}"]["number"] == 1
         await lab.sleep(0.2)
         assert (await lab.port("new", "out", TOPIC))["gate"] == "open"
         assert sides(await lab.received("sink"))[-1] == "new"
@@ -176,20 +177,16 @@ def test_a_frozen_old_side_learns_late_and_does_not_take_up_again(tmp_path: Path
 
 
 def test_a_late_duplicate_of_taken_changes_nothing(tmp_path: Path) -> None:
-    from midstride.testing.conformance.lab import TOKEN
-    from midstride.wire.messages import Command
-
     async def main(lab: Lab, simulator: Simulator) -> None:
         await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
         await cut_at(lab, await next_slot(lab, 0.2))
         assert await outcomes(lab) == ("done", "done")
-        taken = Command("taken", {"cut": "cut"}, "late", TOKEN)
-        assert (await lab.send("old", taken)).result == {"resumed": False}
+        assert await lab.read("old", "taken", cut="cut") == {"resumed": False}
         await lab.change("old", "cancel_cut", cut="cut")
-        assert (await lab.send("old", taken)).result == {"resumed": True}
-        unknown = await lab.send("old", Command("taken", {"cut": "unheard of"}, "x", TOKEN))
-        assert unknown.result == {"resumed": True}
-        assert (await lab.send("old", Command("taken", {"cut": "cut"}, "y", "another's"))).refused is not None
+        assert await lab.read("old", "taken", cut="cut") == {"resumed": True}
+        assert await lab.read("old", "taken", cut="unheard of") == {"resumed": True}
+        foreign = await lab.send("old", "taken", {"cut": "cut"}, id="y", token="another's")
+        assert foreign.refused is not None
 
     in_lab(tmp_path, main)
 
@@ -287,5 +284,69 @@ def test_a_detach_that_user_code_holds_up_leaves_the_gate_as_it_was(tmp_path: Pa
         await lab.sleep(3.0)
         link = await lab.port("old", "out", TOPIC)
         assert link["gate"] == "open" and link["gated"] == 0 and link["count"] >= 1
+
+    in_lab(tmp_path, main)
+
+
+def test_a_detach_that_user_code_holds_up_half_way_opens_the_gate_again(tmp_path: Path) -> None:
+    """A call begins while acknowledgements are awaited: the gate is closed by then, and the endpoint cannot go."""
+
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=0.4, mode={"sleep": 1.5}), puppets.talker(rate=20))
+        await lab.eventually("its first call ends", lambda: _idle(lab))
+        simulator.faults.delay(TOPIC, 3.0)
+        await lab.eventually("it is called again", lambda: _busy(lab))
+        await lab.eventually("it has written again", lambda: _idle(lab))
+        reply = await lab.reply("old", "detach", True, port="out", topic=TOPIC, timeout=1.1)
+        assert reply.refused is not None and "user code did not return" in reply.refused
+        assert await _busy(lab), "the test missed what it is about"
+        await lab.sleep(1.0)
+        before = await lab.port("old", "out", TOPIC)
+        await lab.sleep(5.0)
+        after = await lab.port("old", "out", TOPIC)
+        assert before["gate"] == after["gate"] == "open" and after["count"] >= before["count"] + 2
+
+    in_lab(tmp_path, main)
+
+
+async def _busy(lab: Lab) -> bool:
+    return (await lab.functionality("old", "talk"))["busy"] is not None
+
+
+async def _idle(lab: Lab) -> bool:
+    return not await _busy(lab)
+
+
+def test_a_detach_waits_until_every_reader_has_acknowledged_as_far_as_its_time_goes(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        simulator.faults.delay(TOPIC, 0.5)
+        await lab.sleep(0.2)
+        begun = lab.clock.steady()
+        detached = await lab.change("old", "detach", port="out", topic=TOPIC, timeout=2.0)
+        assert detached["acknowledged"] is True and 0.4 < lab.clock.steady() - begun < 0.6
+        await lab.change("new", "gate", port="out", topic=TOPIC, gate="open")
+        await lab.sleep(0.2)
+        begun = lab.clock.steady()
+        detached = await lab.change("new", "detach", port="out", topic=TOPIC, timeout=0.2)
+        assert detached["acknowledged"] is None and 0.15 < lab.clock.steady() - begun < 0.25
+        await lab.sleep(1.0)
+        assert len(await lab.received("sink")) == len(await lab.rows("sink"))
+
+    in_lab(tmp_path, main)
+
+
+def test_during_a_cut_the_gates_are_the_cuts(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20))
+        await cut_at(lab, await next_slot(lab, 0.5))
+        for side, gate in (("old", "closed"), ("new", "open")):
+            refused = await lab.refusal(side, "gate", port="out", topic=TOPIC, gate=gate)
+            assert f"out {TOPIC} is part of a cut under way; cancel the cut first" in refused
+        assert await outcomes(lab) == ("done", "done")
+        await lab.sleep(0.1)
+        words = sides(await lab.received("sink"))
+        assert words == sorted(words, reverse=True) and {"old", "new"} == set(words)
+        await lab.change("new", "gate", port="out", topic=TOPIC, gate="closed")
 
     in_lab(tmp_path, main)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from midstride.backends.simulator.host import SimulatedHost
-from midstride.wire.messages import Command
+from midstride.errors import Unreachable
 
 from .author import Bench, simulate
 
@@ -252,12 +252,12 @@ comp.start()
         )
         await bench.mode("node", "f", "normal")
         await bench.sleep(0.4)
-        assert bench.simulator.state("node")["functionalities"]["f"]["mode"] == "normal"
+        assert bench.state("node").functionalities["f"].mode == "normal"
         await bench.sleep(0.2)
-        state = bench.simulator.state("node")["functionalities"]["f"]
-        assert state["mode"] == "degraded" and "LookupError: no map" in state["because"]
-        assert "in normal" in state["because"], "the author's line is missing from the traceback"
-        assert "running.py" not in state["because"], "our own lines are in the traceback"
+        state = bench.state("node").functionalities["f"]
+        assert state.mode == "degraded" and "LookupError: no map" in state.because
+        assert "in normal" in state.because, "the author's line is missing from the traceback"
+        assert "functionality_runner.py" not in state.because, "our own lines are in the traceback"
         assert bench.log("node").count("degraded") == 2
 
     simulate(tmp_path, main)
@@ -278,8 +278,8 @@ comp.start()
         )
         await bench.mode("node", "f", "normal")
         await bench.sleep(0.3)
-        state = bench.simulator.state("node")["functionalities"]["f"]
-        assert state["mode"] == "degraded" and "SystemExit: 4" in state["because"] and not bench.exits()
+        state = bench.state("node").functionalities["f"]
+        assert state.mode == "degraded" and "SystemExit: 4" in state.because and not bench.exits()
 
     simulate(tmp_path, main)
 
@@ -315,6 +315,75 @@ comp.start()
     simulate(tmp_path, main)
 
 
+def test_a_change_to_the_mode_it_is_in_calls_nothing_and_keeps_the_grid(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: print(round(comp.clock.now() / 1e6) % 250), rate=4)
+f.set_degraded_mode(lambda: print("degraded"))
+comp.start()
+""",
+        )
+        await bench.mode("node", "f", "degraded")
+        await bench.mode("node", "f", "normal")
+        await bench.sleep(0.1)
+        await bench.send("node", "modes", modes={"f": "normal"}, because="once more")
+        await bench.sleep(0.5)
+        first, *calls = bench.log("node")
+        assert first == "degraded" and len(calls) == 3 and len(set(calls)) == 1, calls
+        functionality = (await bench.send("node", "observe"))["functionalities"]["f"]
+        assert functionality["because"] == "the manager requested it" and functionality["since"] > 0.5
+
+    simulate(tmp_path, main)
+
+
+def test_a_change_is_refused_where_a_functionality_degrades_while_it_waits(tmp_path: Path) -> None:
+    """The manager chose the modes for the state that it knew."""
+
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+a = comp.create_functionality("a")
+
+async def slow():
+    await comp.clock.sleep(1.0)
+
+a.set_normal_mode(slow, rate=0.1)
+a.set_degraded_mode(lambda: print("a degraded"))
+b = comp.create_functionality("b")
+calls = 0
+
+def failing():
+    global calls
+    calls += 1
+    if calls == 3:
+        raise RuntimeError("no more")
+
+b.set_normal_mode(failing, rate=4)
+b.set_degraded_mode(lambda: None)
+comp.start()
+""",
+        )
+        await bench.send("node", "modes", modes={"a": "normal", "b": "normal"})
+        await bench.sleep(0.1)
+        refused = await bench.refusal("node", "modes", modes={"a": "degraded"}, timeout=5.0)
+        assert "has degraded by itself meanwhile: observe the component again" in refused
+        state = await bench.send("node", "observe")
+        assert {name: entry["mode"] for name, entry in state["functionalities"].items()} == {
+            "a": "normal",
+            "b": "degraded",
+        }
+        assert bench.log("node").count("a degraded") == 1
+        await bench.mode("node", "a", "degraded")
+
+    simulate(tmp_path, main)
+
+
 def test_set_up_comes_first_and_start_values_are_there(tmp_path: Path) -> None:
     async def main(bench: Bench) -> None:
         await bench.start(
@@ -338,7 +407,7 @@ print("after start")
         await bench.send("node", "set", parameters={"speed": 3})
         refused = await bench.refusal("node", "set", parameters={"speed": 4, "frame": "odom"})
         assert "frame keeps the value that the component was started with" in refused
-        assert bench.simulator.state("node")["parameters"] == {"speed": 3.0, "frame": "map"}
+        assert bench.state("node").parameters == {"speed": 3.0, "frame": "map"}
         await bench.send("node", "stop")
         await bench.sleep(0.5)
         (exited,) = bench.exits()
@@ -373,6 +442,36 @@ comp.start()
         )
         (exited,) = bench.exits()
         assert exited.status == 1 and "ConnectionError: no such device" in exited.log_tail
+
+    simulate(tmp_path, main)
+
+
+def test_a_failed_set_up_does_not_wait_for_the_requests_that_wait_for_it(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        begun = bench.lab.clock.steady()
+        await bench.start(
+            "node",
+            HEAD
+            + """
+import time
+
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: None, rate=1)
+f.set_degraded_mode(lambda: None)
+
+@comp.on_setup
+def connect(node):
+    time.sleep(1)
+    raise ConnectionError("no such device")
+
+comp.start()
+""",
+        )
+        assert (await bench.lab.send("node", "ping", {})).ok
+        with pytest.raises(Unreachable, match="node is gone"):
+            await bench.lab.send("node", "observe", {})
+        assert (await bench.lab.exited("node")).status == 1
+        assert bench.lab.clock.steady() - begun < 1.2
 
     simulate(tmp_path, main)
 
@@ -412,8 +511,10 @@ def test_started_by_hand_it_belongs_to_whoever_welcomes_it_first(tmp_path: Path)
     async def main(bench: Bench) -> None:
         await bench.start("node", TALKER, token="")
         assert "waits for a manager" in bench.simulator.log("node")
-        mistaken = Command("welcome", {"manager": "you"}, "mistaken", "yours", 99)
-        assert (await bench.simulator.call("node", mistaken, 1.0)).refused is not None
+        mistaken = await bench.lab.send(
+            "node", "welcome", {"manager": "you"}, id="mistaken", token="yours", revision=99
+        )
+        assert mistaken.refused is not None
         await bench.send("node", "welcome", token="mine", manager="me")
         await bench.send("node", "modes", token="mine", modes={"talk": "normal"})
         assert "token" in await bench.refusal("node", "welcome", token="yours", manager="you")
@@ -421,13 +522,14 @@ def test_started_by_hand_it_belongs_to_whoever_welcomes_it_first(tmp_path: Path)
         await bench.send("node", "release", token="mine")
         assert "token" in await bench.refusal("node", "modes", token="mine", modes={"talk": "normal"})
         view = (await bench.send("node", "observe", token="yours"))["functionalities"]["talk"]
-        assert (view["mode"], view["because"]) == ("degraded", "released: nobody manages it any more")
+        assert (view["mode"], view["because"]) == ("degraded", "released: it has no manager any more")
         assert (await bench.simulator.endpoints()).publishers == ()
-        before = len(bench.events)
+        bench.lab.registrations.clear()
+        await bench.lab.channel("node", "of a third system")
         await bench.sleep(0.3)
-        assert len(bench.events) > before, "it announces itself again"
+        assert "node" in bench.lab.registrations, "it does not register any more"
         await bench.send("node", "welcome", token="yours", manager="you")
-        assert "for it to end" in await refusal_of_one_started_by_its_manager(bench)
+        assert "manager's to end" in await refusal_of_one_started_by_its_manager(bench)
 
     simulate(tmp_path, main)
 
@@ -441,7 +543,7 @@ async def refusal_of_one_started_by_its_manager(bench: Bench) -> str:
 def test_a_changing_command_needs_an_id(tmp_path: Path) -> None:
     async def main(bench: Bench) -> None:
         await bench.start("node", TALKER)
-        reply = await bench.simulator.call("node", Command("welcome", {"manager": "me"}, "", "a token", 0), 1.0)
+        reply = await bench.lab.send("node", "welcome", {"manager": "me"}, id="", revision=0)
         assert reply.refused is not None and "must have an id" in reply.refused
 
     simulate(tmp_path, main)
@@ -469,9 +571,9 @@ comp.start()
         await bench.sleep(0.2)
         assert bench.log("node")[0] == "arguments ['--standalone', 'in:=/chatter']"
         assert bench.log("node")[1].startswith("heard ")
-        assert "managed by nobody: talk in mode normal" in bench.simulator.log("talker")
-        assert bench.events == [], "it announced itself all the same"
-        assert "managed by nobody" in await bench.refusal("talker", "modes", modes={"talk": "degraded"})
+        assert "runs without a manager: talk in mode normal" in bench.simulator.log("talker")
+        assert bench.simulator.transport.present() == {}, "it listens for a manager all the same"
+        assert await bench.lab.unreachable("talker")
 
     simulate(tmp_path, main)
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 from immutables import Map
 
+from midstride.codec.form import encode
 from midstride.model.action import Create, Handover
 from midstride.model.component import (
     EnvironmentGuarantee,
@@ -19,6 +20,7 @@ from midstride.model.component import (
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change import Change
+from midstride.plan.forms import LevelShiftForm
 from midstride.plan.registry import STRATEGIES
 from tests.plan.cases import (
     NEED,
@@ -468,7 +470,7 @@ def test_what_a_replacement_never_comes_up_to_is_told(strategy: str) -> None:
     start = replace(start, components=start.components.set("Blind", blind))
     plan = sound(replaced(start, "talker", "Blind", strategy))
     assert plan.disruption == 0.0 or strategy != "minimal"
-    assert [shift.to_document() for shift in plan.shifts] == [
+    assert [encode(LevelShiftForm.of(shift)) for shift in plan.shifts] == [
         {"functionality": "listener.listen", "from": "normal", "to": "degraded", "levels": 1},
         {"functionality": "talker.talk", "from": "normal", "to": "degraded", "levels": 1},
     ]

@@ -22,6 +22,8 @@ from midstride.model.rules import violations
 from midstride.model.specification import Constraint, Limit, Order, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.constraints import in_force
+from midstride.plan.decoding import decode_plan
+from midstride.plan.forms import encode_plan
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.validate import replay, replay_document
@@ -88,10 +90,10 @@ def test_every_plan_holds_between_any_two_systems(start: Specification, target: 
 @given(SEEDS, NAMES)
 def test_the_json_form_says_the_same(seed: int, strategy: str) -> None:
     plan = planned(drawn(seed, constraints=True), strategy)
-    document = json.loads(json.dumps(plan.to_document()))
+    document = json.loads(json.dumps(encode_plan(plan)))
     verdict = replay_document(document)
     assert verdict.holds, verdict
-    assert document["steps"] == plan.step_documents()
+    assert decode_plan(document).steps == plan.steps
 
 
 @given(SEEDS, NAMES, SEEDS)
@@ -150,7 +152,7 @@ def test_minimal_is_never_worse_than_the_others(seed: int) -> None:
 def test_minimal_makes_each_difference_once_and_no_other(seed: int) -> None:
     change = drawn(seed)
     found: list[tuple[str, str]] = []
-    for document in planned(change, "minimal").step_documents():
+    for document in encode_plan(planned(change, "minimal"))["steps"]:
         match document["action"]:
             case "create" | "remove":
                 found.append((document["action"], document["component"]))
@@ -216,7 +218,7 @@ def test_the_running_names_do_not_matter(seed: int, strategy: str) -> None:
         assume(False)
     plan = planned(back, strategy)
     holds(plan)
-    assert replay_document(plan.to_document()).holds
+    assert replay_document(encode_plan(plan)).holds
 
 
 @pytest.mark.long
@@ -272,9 +274,10 @@ def test_minimal_meets_the_constraints_that_can_be_met() -> None:
 SCRIPT = """
 import json, sys
 from tests.plan.test_random import drawn
+from midstride.plan.forms import encode_plan
 from midstride.plan.registry import STRATEGIES
 for seed in (3, 8, 11, 59):
-    print(json.dumps([STRATEGIES[name](drawn(seed)).to_document() for name in sorted(STRATEGIES)]))
+    print(json.dumps([encode_plan(STRATEGIES[name](drawn(seed))) for name in sorted(STRATEGIES)]))
 """
 
 

@@ -12,6 +12,7 @@ import pytest
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.plan.change import Change
+from midstride.plan.forms import encode_plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.validate import ReplayFinding, replay_document
 from tests.plan.cases import component, functionality, replaced, system, talker, work
@@ -20,7 +21,7 @@ Document = dict[str, Any]
 
 
 def document(strategy: str = "paper", specification: Specification | None = None) -> Document:
-    return replaced(specification or talker(), "talker", "NewTalker", strategy).to_document()
+    return encode_plan(replaced(specification or talker(), "talker", "NewTalker", strategy))
 
 
 def findings(spoilt: Document) -> str:
@@ -79,12 +80,14 @@ def swap(one: int, other: int) -> Callable[[Document], None]:
         (put_in(3, "of", "Talker"), "step 4: create talker_2 (Talker): talker_2 is not what the target says of talker"),
         (put_in(3, "of", "Speaker"), "step 4: it creates a Speaker, a component that neither"),
         (put_in(3, "role", "stranger"), "the target has no node stranger"),
-        (put_in(3, "action", "conjure"), "there is no action conjure"),
-        (put("steps", None), "not a plan"),
-        (lambda spoilt: spoilt.pop("target"), "not a plan: `target` is missing"),
-        (lambda spoilt: spoilt["steps"][1].pop("seconds"), "not a plan: step 2: `seconds` is missing"),
-        (lambda spoilt: spoilt["steps"].insert(0, "create"), "not a plan: step 1 is no object but 'create'"),
+        (put_in(3, "action", "conjure"), "/steps/3/action: `conjure` is not one of"),
+        (put("steps", None), "/steps: a list of steps is expected, this is null"),
+        (lambda spoilt: spoilt.pop("target"), "/: a plan needs the key `target`"),
+        (lambda spoilt: spoilt["steps"][1].pop("seconds"), "/steps/1: a step needs the key `seconds`"),
+        (lambda spoilt: spoilt["steps"].insert(0, "create"), '/steps/0: a step is expected, this is a text ("create")'),
         (lambda spoilt: spoilt["start"].update(nodes={"talker": {"component": "None"}}), "there is no component"),
+        (lambda spoilt: spoilt["target"].update(nods={}), "/target/nods: a specification has no key `nods`"),
+        (put("standing", {"talker.talk": "flying"}), "there is no talker.talk with a mode flying"),
     ],
 )
 def test_what_is_spoilt_is_found(spoil: Callable[[Document], None], words: str) -> None:
@@ -147,7 +150,7 @@ def test_a_port_left_on_the_old_contract_of_a_topic_as_well() -> None:
     chatter = start.connectors["/chatter"]
     slower = dataclasses.replace(chatter, guarantee=dataclasses.replace(chatter.guarantee, rate=5.0))
     target = dataclasses.replace(start, connectors=start.connectors.set("/chatter", slower))
-    spoilt = STRATEGIES["minimal"](Change.between(initial(start), start, target)).to_document()
+    spoilt = encode_plan(STRATEGIES["minimal"](Change.between(initial(start), start, target)))
     assert replay_document(spoilt).holds
     (detach,) = [step for step in spoilt["steps"] if step["action"] == "detach"]
     spoilt["steps"].remove(detach)
@@ -176,7 +179,7 @@ def test_an_order_that_is_not_kept() -> None:
     start = system(parts, {"a": ("OldA", {"out": "/a"}), "b": ("OldB", {"out": "/b"})})
     target = start.with_replaced("a", "NewA").with_replaced("b", "NewB")
     plan = STRATEGIES["minimal"](Change.between(initial(start), start, target))
-    spoilt = plan.to_document()
+    spoilt = encode_plan(plan)
     spoilt["target"]["constraints"] = [{"order": "b", "before": "a"}]
     assert f"`{Order('b', 'a')}` is broken by step" in findings(spoilt)
 
@@ -191,6 +194,6 @@ def test_parameters_that_were_not_set() -> None:
     one = work("One", parameters={"gain": ParameterSpec(1.0, changeable=True)})
     start = system([one], {"n": ("One", {})})
     target = start.with_node(replace(start.nodes["n"], parameters=Map({"gain": 2.0})))
-    spoilt = STRATEGIES["minimal"](Change.between(initial(start), start, target)).to_document()
+    spoilt = encode_plan(STRATEGIES["minimal"](Change.between(initial(start), start, target)))
     spoilt["steps"], spoilt["seconds"] = [], 0.0
     assert "n has other parameters at the end than the target says" in findings(spoilt)

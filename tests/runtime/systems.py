@@ -10,14 +10,17 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from midstride.backends.simulator import Simulator
+from midstride.codec.specification import decode_specification
 from midstride.model.contract import DEFAULT_QOS
-from midstride.model.document import specification_from_document
 from midstride.model.specification import Specification
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
 from midstride.runtime.runtime_verification import Verifier
+from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
-from midstride.wire.messages import Command
+from midstride.wire.channel import Channel, result_of
+from midstride.wire.commands import Command, RecordsCommand
+from midstride.wire.frames import Reply
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -25,7 +28,7 @@ T = TypeVar("T")
 
 
 def example(name: str, directory: Path | None = None) -> Specification:
-    return specification_from_document(json.loads(((directory or EXAMPLES / name) / f"{name}.json").read_text()))
+    return decode_specification(json.loads(((directory or EXAMPLES / name) / f"{name}.json").read_text()))
 
 
 def rewritten(name: str, folder: Path, rewrite: Callable[[str, str], str]) -> Path:
@@ -117,13 +120,30 @@ def managed(
     return simulator.run(main())
 
 
+def saved(workspace: Workspace) -> SavedState:
+    """What the manager of ``workspace`` has written down for the next one."""
+    state = StateStore(workspace.state).load()
+    assert state is not None
+    return state
+
+
+async def request(
+    workspace: Workspace, simulator: Simulator, instance: str, command: Command[Any], revision: int | None = None
+) -> Reply:
+    """The reply to a request of another client with the system's token."""
+    transport = simulator.transport
+    channel = await Channel.open(transport, transport.address(instance), saved(workspace).token, timeout=3.0)
+    try:
+        return await channel.request(command, revision=revision, timeout=3.0)
+    finally:
+        channel.close()
+
+
 async def kept(workspace: Workspace, simulator: Simulator, port: str) -> int:
     """How many receipts the input ``port`` keeps: 64 at most, unless it records."""
-    component, _, name = port.partition(".")
-    state = workspace.load()
-    assert state is not None
-    reply = await simulator.call(component, Command("records", {"input": name}, "asked", state["token"]), 3.0)
-    return len(reply.result["rows"])
+    instance, _, name = port.partition(".")
+    command = RecordsCommand(input=name)
+    return len(result_of(await request(workspace, simulator, instance, command), command).rows)
 
 
 async def snapshot(manager: Manager, simulator: Simulator) -> dict[str, Any]:
@@ -132,13 +152,11 @@ async def snapshot(manager: Manager, simulator: Simulator) -> dict[str, Any]:
     for name in sorted(simulator.processes):
         state = await manager.peek(name)
         own[name] = {
-            "modes": {functionality: view["mode"] for functionality, view in state["functionalities"].items()},
+            "modes": {functionality: view.mode for functionality, view in state.functionalities.items()},
             "gates": {
-                f"{port} {topic}": view["gate"]
-                for port, topics in state["ports"].items()
-                for topic, view in topics.items()
+                f"{port} {topic}": link.gate for port, topics in state.ports.items() for topic, link in topics.items()
             },
-            "parameters": state["parameters"],
+            "parameters": state.parameters,
         }
     endpoints = await simulator.endpoints()
     return {

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from midstride.backends.simulator import Simulator
+from midstride.codec.specification import decode_specification
 from midstride.model.contract import QoS
-from midstride.model.document import specification_from_document
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
 from tests.runtime.systems import replace
 
@@ -58,8 +58,8 @@ def test_a_replacement_goes_on_with_what_it_wrote_on_entry(strategy: str, tmp_pa
     (tmp_path / "mapper.py").write_text(_PROGRAM)
     simulator = Simulator()
 
-    async def main() -> tuple[list[str], dict[str, Any], list[str]]:
-        manager = Manager(specification_from_document(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
+    async def main() -> tuple[list[str], Outcome, list[str]]:
+        manager = Manager(decode_specification(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
         await manager.up()
         try:
             before = await late_joiner(simulator)
@@ -70,7 +70,7 @@ def test_a_replacement_goes_on_with_what_it_wrote_on_entry(strategy: str, tmp_pa
 
     before, outcome, after = simulator.run(main())
     assert before == ["mapper"]
-    assert (outcome["outcome"], outcome["because"]) == ("done", None)
+    assert (outcome.outcome, outcome.because) == ("done", None)
     assert after == ["mapper_2"]
 
 
@@ -79,8 +79,8 @@ def test_one_that_is_attached_again_has_its_message_on_the_topic_again(tmp_path:
     (tmp_path / "mapper.py").write_text(_PROGRAM)
     simulator = Simulator()
 
-    async def main() -> tuple[dict[str, Any], list[str]]:
-        manager = Manager(specification_from_document(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
+    async def main() -> tuple[Outcome, list[str]]:
+        manager = Manager(decode_specification(_SYSTEM), simulator, Workspace(tmp_path), tmp_path)
         await manager.up()
         try:
             simulator.faults.fail_next("mapper", "export_state", "refused")
@@ -90,5 +90,5 @@ def test_one_that_is_attached_again_has_its_message_on_the_topic_again(tmp_path:
             await manager.close()
 
     outcome, after = simulator.run(main())
-    assert outcome["outcome"] == "rolled_back"
+    assert outcome.outcome == "rolled_back"
     assert after == ["mapper"]

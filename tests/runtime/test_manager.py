@@ -17,9 +17,10 @@ from midstride.model.specification import Node
 from midstride.plan.request import Request
 from midstride.runtime.backend import Launch
 from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Outcome, Why
 from midstride.runtime.workspace import Workspace
-from midstride.wire.messages import Command, Reply
-from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, rewritten
+from midstride.wire.commands import RecordCommand
+from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, request, rewritten, saved
 
 CHANGES = [("talker", "talker", "NewTalker"), ("obstacle", "detector", "StereoDetector")]
 CHANGES += [("filter", "filter", "MedianFilter")]
@@ -27,7 +28,8 @@ CHANGES += [("filter", "filter", "MedianFilter")]
 
 @pytest.mark.parametrize(("name", "role", "component"), CHANGES)
 def test_a_replacement_nobody_notices(name: str, role: str, component: str, tmp_path: Path) -> None:
-    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, simulator: Simulator) -> Outcome:
+        await asyncio.sleep(1)  # until what is replaced has written: else nothing can be lost of it
         outcome = await manager.change(replace(role, component))
         assert violations(manager.configuration) == []
         assert sorted(simulator.processes) == sorted(manager.configuration.instances)
@@ -35,11 +37,11 @@ def test_a_replacement_nobody_notices(name: str, role: str, component: str, tmp_
         return outcome
 
     outcome = managed(name, tmp_path, body)
-    assert (outcome["outcome"], outcome["because"], outcome["fallen"]) == ("done", None, {})
-    assert outcome["swaps"]
-    for swap in outcome["swaps"]:
-        assert (swap["missed"], swap["lost"], swap["duplicates"]) == (0, 0, 0)
-        assert swap["gap_periods"] == pytest.approx(1.0, abs=0.05)
+    assert (outcome.outcome, outcome.because, outcome.fallen) == ("done", None, {})
+    assert outcome.swaps
+    for swap in outcome.swaps:
+        assert (swap.missed, swap.lost, swap.duplicates) == (0, 0, 0)
+        assert swap.gap_periods == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize(("name", "role", "component"), CHANGES)
@@ -47,27 +49,28 @@ def test_a_replacement_nobody_notices(name: str, role: str, component: str, tmp_
 def test_the_other_strategies_end_in_the_same_place_and_say_what_they_cost(
     name: str, role: str, component: str, strategy: str, tmp_path: Path
 ) -> None:
-    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, simulator: Simulator) -> Outcome:
         outcome = await manager.change(replace(role, component, strategy))
         assert violations(manager.configuration) == []
         return outcome
 
     outcome = managed(name, tmp_path, body, Simulator(starting=0.5))
-    assert outcome["outcome"] == "done"
-    assert set(outcome["fallen"]) == set(outcome["plan"]["fallen"]) and outcome["fallen"]
-    assert all(seconds > 0 for seconds in outcome["fallen"].values())
-    assert all(swap["missed"] > 0 for swap in outcome["swaps"])
+    assert outcome.outcome == "done"
+    assert outcome.plan is not None
+    assert set(outcome.fallen) == set(outcome.plan.fallen) and outcome.fallen
+    assert all(seconds > 0 for seconds in outcome.fallen.values())
+    assert all((swap.missed or 0) > 0 for swap in outcome.swaps)
 
 
 def test_taking_the_detector_away_stops_the_motor_and_another_one_starts_it_again(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
-        assert (await manager.change(Request(remove=("detector",))))["outcome"] == "done"
+        assert (await manager.change(Request(remove=("detector",)))).outcome == "done"
         why = await manager.why("controller.control")
-        assert why["mode"] == "degraded"
-        assert any("/obstacles" in line and "no publisher" in line for line in why["chain"])
+        assert why.mode == "degraded"
+        assert any("/obstacles" in line and "no publisher" in line for line in why.chain)
         node = Node("detector", "StereoDetector", example("obstacle").nodes["detector"].attachments)
-        assert (await manager.change(Request(add=(node,))))["outcome"] == "done"
-        assert (await manager.why("controller.control"))["mode"] == "normal"
+        assert (await manager.change(Request(add=(node,)))).outcome == "done"
+        assert (await manager.why("controller.control")).mode == "normal"
 
     managed("obstacle", tmp_path, body)
 
@@ -78,22 +81,22 @@ def test_two_commands_at_once_run_one_after_the_other_and_the_second_is_told(tmp
         await asyncio.sleep(0.01)
         second = asyncio.ensure_future(manager.change(replace("talker", "Talker")))
         outcomes = [await first, await second]
-        assert [outcome["outcome"] for outcome in outcomes] == ["done", "done"]
+        assert [outcome.outcome for outcome in outcomes] == ["done", "done"]
         assert sorted(manager.configuration.instances) == ["listener", "talker_3"]
-        waiting = [event["words"] for event in manager.log() if event["kind"] == "waiting"]
+        waiting = [event.words for event in manager.log() if event.kind == "waiting"]
         assert waiting == ["`replace talker by Talker` waits for `replace talker by NewTalker`"]
 
     managed("talker", tmp_path, body)
 
 
 def test_a_change_seen_at_an_older_revision_is_refused(tmp_path: Path) -> None:
-    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, simulator: Simulator) -> Outcome:
         seen = manager.revision
         await manager.change(replace("talker", "NewTalker"))
         return await manager.change(replace("talker", "Talker"), expected=seen)
 
     outcome = managed("talker", tmp_path, body)
-    assert outcome["outcome"] == "refused" and "has changed since the plan was shown" in outcome["because"]
+    assert outcome.outcome == "refused" and "has changed since the plan was shown" in str(outcome.because)
 
 
 @pytest.mark.parametrize(
@@ -109,14 +112,14 @@ def test_a_change_seen_at_an_older_revision_is_refused(tmp_path: Path) -> None:
 def test_what_cannot_be_planned_is_refused_and_nothing_is_begun(
     request_: Request, because: str, tmp_path: Path
 ) -> None:
-    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, simulator: Simulator) -> Outcome:
         revision = manager.revision
         outcome = await manager.change(request_)
         assert manager.revision == revision and sorted(simulator.processes) == ["listener", "talker"]
         return outcome
 
     outcome = managed("talker", tmp_path, body)
-    assert outcome["outcome"] == "refused" and because in outcome["because"]
+    assert outcome.outcome == "refused" and because in str(outcome.because)
 
 
 def test_a_crash_lowers_whom_it_must_and_the_next_plan_restores(tmp_path: Path) -> None:
@@ -124,23 +127,23 @@ def test_a_crash_lowers_whom_it_must_and_the_next_plan_restores(tmp_path: Path) 
         simulator.faults.kill("detector")
         await asyncio.sleep(1)
         status = await manager.status()
-        assert [entry["name"] for entry in status["crashed"]] == ["detector"]
-        control = status["components"][0]["functionalities"][0]
-        assert (control["name"], control["mode"]) == ("controller.control", "degraded")
-        assert (await manager.change(Request(to=manager.specification)))["outcome"] == "done"
-        assert (await manager.why("controller.control"))["mode"] == "normal"
-        assert (await manager.status())["crashed"] == []
-        assert (await manager.change(replace("detector", "StereoDetector")))["outcome"] == "done"
+        assert [entry.name for entry in status.crashed] == ["detector"]
+        control = status.components[0].functionalities[0]
+        assert (control.name, control.mode) == ("controller.control", "degraded")
+        assert (await manager.change(Request(to=manager.specification))).outcome == "done"
+        assert (await manager.why("controller.control")).mode == "normal"
+        assert (await manager.status()).crashed == []
+        assert (await manager.change(replace("detector", "StereoDetector"))).outcome == "done"
         simulator.faults.kill("detector_2")
         await asyncio.sleep(1)
-        assert [entry["name"] for entry in (await manager.status())["crashed"]] == ["detector_2"]
-        assert (await manager.change(Request(to=manager.specification)))["outcome"] == "done"
+        assert [entry.name for entry in (await manager.status()).crashed] == ["detector_2"]
+        assert (await manager.change(Request(to=manager.specification))).outcome == "done"
         assert sorted(manager.configuration.instances) == ["controller", "detector"]
-        assert (await manager.status())["crashed"] == []
+        assert (await manager.status()).crashed == []
         simulator.faults.kill("detector")
         await asyncio.sleep(1)
-        assert (await manager.change(Request(remove=("detector",))))["outcome"] == "done"
-        assert (await manager.status())["crashed"] == []
+        assert (await manager.change(Request(remove=("detector",)))).outcome == "done"
+        assert (await manager.status()).crashed == []
 
     managed("obstacle", tmp_path, body)
 
@@ -154,15 +157,15 @@ def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Pa
         simulator.faults.freeze("sink", 60)
         simulator.faults.kill("source")
         await asyncio.sleep(30)
-        view = (await manager.peek("filter"))["functionalities"]["smooth"]
-        assert (view["mode"], view["because"]) == ("degraded", "source has ended by itself")
+        view = (await manager.peek("filter")).functionalities["smooth"]
+        assert (view.mode, view.because) == ("degraded", "source exited unexpectedly")
         status = await manager.status()
-        assert not status["valid"], "the sink's mode is not known"
-        (sink,) = [row for row in status["components"] if row["name"] == "sink"]
-        assert (sink["reachable"], sink["pid"]) == (False, 4711), "whoever is to kill it needs its number"
+        assert not status.valid, "the sink's mode is not known"
+        (sink,) = [row for row in status.components if row.name == "sink"]
+        assert (sink.reachable, sink.pid) == (False, 4711), "whoever is to kill it needs its number"
         await asyncio.sleep(60)
-        assert (await manager.change(Request(remove=("filter",))))["outcome"] == "done"
-        assert (await manager.peek("sink"))["functionalities"]["use"]["mode"] == "degraded"
+        assert (await manager.change(Request(remove=("filter",)))).outcome == "done"
+        assert (await manager.peek("sink")).functionalities["use"].mode == "degraded"
 
     managed("filter", tmp_path, body)
 
@@ -174,18 +177,18 @@ def test_a_crash_during_a_change_is_told_and_does_not_wait_for_the_measure(when:
     async def body(manager: Manager, simulator: Simulator) -> None:
         begun = len(manager.log())
         change = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
-        while not any(event["kind"] == when for event in manager.log(begun)):
+        while not any(event.kind == when for event in manager.log(begun)):
             await asyncio.sleep(0.001)
         dies = {"step": "talker", "measuring": "talker_2"}[when]
         simulator.faults.kill(dies)
         outcome = await change
-        assert outcome["outcome"] == {"step": "rolled_back", "measuring": "done"}[when]
-        assert outcome["ended"] == [dies]
-        kinds = [event["kind"] for event in manager.log(begun)]
+        assert outcome.outcome == {"step": "rolled_back", "measuring": "done"}[when]
+        assert outcome.ended == [dies]
+        kinds = [event.kind for event in manager.log(begun)]
         assert kinds.index("degraded") < kinds.index("measured")
-        view = (await manager.peek("listener"))["functionalities"]["listen"]
-        assert (view["mode"], view["because"].endswith("has ended by itself")) == ("degraded", True)
-        assert [entry["name"] for entry in (await manager.status())["crashed"]] == [dies]
+        view = (await manager.peek("listener")).functionalities["listen"]
+        assert (view.mode, view.because.endswith("exited unexpectedly")) == ("degraded", True)
+        assert [entry.name for entry in (await manager.status()).crashed] == [dies]
 
     managed("talker", tmp_path, body)
 
@@ -193,41 +196,46 @@ def test_a_crash_during_a_change_is_told_and_does_not_wait_for_the_measure(when:
 def test_a_crash_at_the_very_end_of_a_command_is_seen_to(tmp_path: Path) -> None:
     """While the manager looks whether anybody has fallen meanwhile, the last thing it does, the detector dies."""
 
-    class Late(Simulator):
-        looks: int | None = None
-
-        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-            if self.looks is not None and (instance, command.op) == ("controller", "observe"):
-                self.looks += 1
-                if self.looks == 2:
-                    self.faults.kill("detector")
-                    await self.time.sleep(0.1)
-            return await super().call(instance, command, timeout)
-
-    simulator = Late()
+    simulator = Simulator()
 
     async def body(manager: Manager, _: Simulator) -> None:
-        simulator.looks = 0
-        assert (await manager.change(Request()))["outcome"] == "refused"
+        reconciler = manager._reconciler
+        reconcile, looks = reconciler.reconcile, 0
+
+        async def late() -> None:
+            nonlocal looks
+            looks += 1
+            await reconcile()
+            if looks == 2:
+                simulator.faults.kill("detector")
+                await asyncio.sleep(0.1)
+
+        reconciler.reconcile = late  # type: ignore[method-assign]
+        assert (await manager.change(Request())).outcome == "refused"
+        reconciler.reconcile = reconcile  # type: ignore[method-assign]
         await asyncio.sleep(2)
         assert sorted(manager.configuration.instances) == ["controller"]
-        assert (await manager.peek("controller"))["functionalities"]["control"]["mode"] == "degraded"
+        assert (await manager.peek("controller")).functionalities["control"].mode == "degraded"
 
     managed("obstacle", tmp_path, body, simulator)
 
 
 def test_at_no_call_does_a_process_run_that_the_next_manager_would_not_know(tmp_path: Path) -> None:
-    class Watching(Simulator):
-        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-            state = Workspace(tmp_path).load()
-            assert state is not None
-            assert set(self.processes) <= {entry["name"] for entry in state["instances"] if entry["handle"]}
-            return await super().call(instance, command, timeout)
+    simulator, looks = Simulator(), 0
+
+    async def look(instance: str, op: str) -> None:
+        nonlocal looks
+        looks += 1
+        instances = saved(Workspace(tmp_path)).instances
+        assert set(simulator.processes) <= {entry.instance.name for entry in instances if entry.handle}
+
+    simulator.control.before_request = look
 
     async def body(manager: Manager, _: Simulator) -> None:
-        assert (await manager.change(replace("talker", "NewTalker")))["outcome"] == "done"
+        assert (await manager.change(replace("talker", "NewTalker"))).outcome == "done"
 
-    managed("talker", tmp_path, body, Watching())
+    managed("talker", tmp_path, body, simulator)
+    assert looks > 20
 
 
 def test_a_component_started_by_hand_is_taken_in_found_again_and_left_running(tmp_path: Path) -> None:
@@ -240,20 +248,20 @@ def test_a_component_started_by_hand_is_taken_in_found_again_and_left_running(tm
         launch = Launch("talker", "", ("python3", "talker.py"), "", EXAMPLES / "talker")
         await simulator.start(launch)
         first = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
-        assert (await first.up())["components"] == ["listener", "talker"]
-        assert (await first.status())["valid"]
+        assert (await first.up()).components == ["listener", "talker"]
+        assert (await first.status()).valid
         await first.close()
         second = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
-        assert (await second.up())["components"] == ["listener", "talker"]
+        assert (await second.up()).components == ["listener", "talker"]
         await second.down()
-        words = [event["words"] for event in second.log()]
+        words = [event.words for event in second.log()]
         assert "talker was started elsewhere: it is released, and left running" in words
         assert list(simulator.processes) == ["talker"] and not (await simulator.endpoints()).publishers
         await second.close()
         third = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
-        assert (await third.up())["components"] == ["listener", "talker"]
+        assert (await third.up()).components == ["listener", "talker"]
         outcome = await third.change(replace("talker", "NewTalker"))
-        assert outcome["outcome"] == "done" and outcome["swaps"][0]["missed"] == 0
+        assert outcome.outcome == "done" and outcome.swaps[0].missed == 0
         assert sorted(third.configuration.instances) == ["listener", "talker_2"]
         assert sorted(simulator.processes) == ["listener", "talker", "talker_2"]
         await third.close()
@@ -261,7 +269,7 @@ def test_a_component_started_by_hand_is_taken_in_found_again_and_left_running(tm
     simulator.run(main())
 
 
-def test_a_component_started_by_hand_that_has_ended_is_noticed_when_it_comes_back(tmp_path: Path) -> None:
+def test_a_component_started_by_hand_that_ends_is_noticed_at_once_and_accepted_again(tmp_path: Path) -> None:
     specification = example("talker")
     by_hand = changed(specification.components["Talker"], run=None)
     specification = changed(specification, components=specification.components.set("Talker", by_hand))
@@ -274,13 +282,15 @@ def test_a_component_started_by_hand_that_has_ended_is_noticed_when_it_comes_bac
         await manager.up()
         simulator.faults.kill("talker")
         await asyncio.sleep(1)
-        assert not (await manager.status())["valid"]
+        status = await manager.status()
+        assert [each.name for each in status.crashed] == ["talker"] and status.valid
+        assert (await manager.peek("listener")).functionalities["listen"].mode == "degraded"
         await simulator.start(launch)
         await asyncio.sleep(1)
-        ended = [event["words"] for event in manager.log() if event["kind"] == "exited"]
-        assert ended == ["talker has ended by itself"] and list(manager.configuration.instances) == ["listener"]
-        assert (await manager.change(Request(to=specification)))["outcome"] == "done"
-        assert (await manager.status())["valid"] and "talker" in manager.configuration.instances
+        ended = [event.words for event in manager.log() if event.kind == "exited"]
+        assert ended == ["talker exited unexpectedly"] and list(manager.configuration.instances) == ["listener"]
+        assert (await manager.change(Request(to=specification))).outcome == "done"
+        assert (await manager.status()).valid and "talker" in manager.configuration.instances
         simulator.faults.kill("talker")
         await asyncio.sleep(1)
         await manager.down()
@@ -304,9 +314,9 @@ def test_the_next_manager_finds_everything_again(tmp_path: Path) -> None:
         await second.up()
         assert {name: process.pid for name, process in simulator.processes.items()} == pids
         assert second.configuration == first.configuration
-        assert (await second.change(replace("talker", "Talker")))["outcome"] == "done"
+        assert (await second.change(replace("talker", "Talker"))).outcome == "done"
         await second.down()
-        assert not simulator.processes and Workspace(tmp_path).load() is None
+        assert not simulator.processes and not Workspace(tmp_path).state.exists()
         await second.close()
 
     simulator.run(main())
@@ -315,11 +325,9 @@ def test_the_next_manager_finds_everything_again(tmp_path: Path) -> None:
 def test_the_next_manager_ends_a_recording_that_a_killed_one_has_left(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         workspace = Workspace(tmp_path)
-        kept_state = workspace.load()
-        assert kept_state is not None
-        revision = (await manager.peek("listener"))["revision"]
-        left = Command("record", {"inputs": ["in"], "on": True}, "left", kept_state["token"], revision)
-        assert (await simulator.call("listener", left, 3.0)).ok
+        revision = (await manager.peek("listener")).revision
+        left = RecordCommand(inputs=["in"], on=True)
+        assert (await request(workspace, simulator, "listener", left, revision)).ok
         await manager.close()
         following = Manager(example("talker"), simulator, workspace, EXAMPLES / "talker")
         await following.up()
@@ -365,7 +373,7 @@ def test_a_component_that_does_not_come_is_named_and_the_rest_goes_on(
     broken = changed(specification.components["NewTalker"], run=f"python3 {script}")
     specification = changed(specification, components=specification.components.set("NewTalker", broken))
 
-    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, simulator: Simulator) -> Outcome:
         outcome = await manager.change(replace("talker", "NewTalker"))
         assert sorted(simulator.processes) == ["listener", "talker"]
         assert violations(manager.configuration) == []
@@ -374,8 +382,8 @@ def test_a_component_that_does_not_come_is_named_and_the_rest_goes_on(
     folder = tmp_path / "workspace"
     folder.mkdir()
     outcome = managed("talker", folder, body, specification=specification)
-    assert outcome["outcome"] == "rolled_back"
-    assert "talker_2" in outcome["because"] and because in outcome["because"]
+    assert outcome.outcome == "rolled_back"
+    assert "talker_2" in str(outcome.because) and because in str(outcome.because)
 
 
 def test_whoever_relies_on_one_that_has_degraded_by_itself_is_lowered_at_once(tmp_path: Path) -> None:
@@ -394,18 +402,18 @@ def test_whoever_relies_on_one_that_has_degraded_by_itself_is_lowered_at_once(tm
 
     async def body(manager: Manager, simulator: Simulator) -> None:
         await asyncio.sleep(10)
-        view = (await manager.peek("listener"))["functionalities"]["listen"]
-        assert (view["mode"], view["because"]) == ("degraded", "talker.talk has gone to degraded by itself")
-        assert view["because"] in [event["words"] for event in manager.log() if event["kind"] == "degraded"]
+        view = (await manager.peek("listener")).functionalities["listen"]
+        assert (view.mode, view.because) == ("degraded", "talker.talk degraded to degraded by itself")
+        assert view.because in [event.words for event in manager.log() if event.kind == "degraded"]
         state = await manager.status()
-        assert state["valid"] and not state["topics"][0]["satisfied"]
+        assert state.valid and not state.topics[0].satisfied
         again = await manager.change(Request(to=specification))
-        assert (again["outcome"], again["because"]) == ("done", None), "it raises no more"
+        assert (again.outcome, again.because) == ("done", None), "it raises no more"
         assert await modes(manager) == {"talker.talk": "normal", "listener.listen": "normal"}
 
     async def modes(manager: Manager) -> dict[str, str]:
-        rows = [row for component in (await manager.status())["components"] for row in component["functionalities"]]
-        return {row["name"]: row["mode"] for row in rows}
+        rows = [row for component in (await manager.status()).components for row in component.functionalities]
+        return {row.name: row.mode for row in rows}
 
     folder = tmp_path / "workspace"
     folder.mkdir()
@@ -425,7 +433,7 @@ def test_a_system_that_does_not_come_up_leaves_nothing_running(tmp_path: Path) -
         with pytest.raises(StepFailed, match="no camera"):
             await manager.up()
         assert not simulator.processes
-        assert Workspace(tmp_path).load() is None
+        assert not Workspace(tmp_path).state.exists()
         await manager.close()
 
     simulator.run(main())
@@ -447,9 +455,9 @@ def test_a_system_that_does_not_come_up_and_cannot_be_taken_back_is_not_forgotte
         manager = Manager(specification, simulator, Workspace(tmp_path), EXAMPLES / "talker")
         with pytest.raises(StepFailed, match="does not let go of listener"):
             await manager.up()
-        state = Workspace(tmp_path).load()
-        assert list(simulator.processes) == ["listener"] and state is not None
-        assert [entry["name"] for entry in state["instances"] if entry["handle"]] == ["listener"]
+        assert list(simulator.processes) == ["listener"]
+        instances = saved(Workspace(tmp_path)).instances
+        assert [entry.instance.name for entry in instances if entry.handle] == ["listener"]
         await manager.close()
 
     simulator.run(main())
@@ -466,7 +474,7 @@ def test_a_manager_told_to_end_while_the_system_comes_up_leaves_nothing(after: f
         coming.cancel()
         await asyncio.wait({coming})
         assert coming.cancelled(), "it was up before: the test missed what it is about"
-        assert not simulator.processes and Workspace(tmp_path).load() is None
+        assert not simulator.processes and not Workspace(tmp_path).state.exists()
         await manager.close()
 
     simulator.run(main())
@@ -508,16 +516,16 @@ def test_what_has_degraded_by_itself_is_raised_again_at_the_first_try(tmp_path: 
         glitch = "    if len(calls) == 20:\n        raise ValueError('a glitch')\n"
         return text.replace("    out.write(", glitch + "    out.write(")
 
-    async def body(manager: Manager, _: Simulator) -> tuple[dict[str, Any], dict[str, Any]]:
+    async def body(manager: Manager, _: Simulator) -> tuple[Outcome, Why]:
         await asyncio.sleep(5)
-        assert (await manager.why("talker.talk"))["mode"] == "degraded"
+        assert (await manager.why("talker.talk")).mode == "degraded"
         outcome = await manager.change(Request(to=example("talker")))
         return outcome, await manager.why("listener.listen")
 
     programs = rewritten("talker", tmp_path / "programs", glitching)
     outcome, listening = managed("talker", tmp_path, body, directory=programs)
-    assert (outcome["outcome"], outcome["because"]) == ("done", None)
-    assert listening["mode"] == "normal"
+    assert (outcome.outcome, outcome.because) == ("done", None)
+    assert listening.mode == "normal"
 
 
 @pytest.mark.parametrize(("after", "told"), [(2.0, 0), (60.0, 1)], ids=["late", "never"])
@@ -529,7 +537,7 @@ def test_a_hand_over_waits_for_readers_that_are_not_of_the_system(
     network = simulator.network
     matched = network.readers_of
 
-    async def body(manager: Manager, _: Simulator) -> tuple[dict[str, Any], list[str]]:
+    async def body(manager: Manager, _: Simulator) -> tuple[Outcome, list[str]]:
         foreign = network.create_reader(
             simulator.processes["listener"], "/chatter", "std_msgs/msg/String", DEFAULT_QOS, lambda: None
         )
@@ -544,13 +552,13 @@ def test_a_hand_over_waits_for_readers_that_are_not_of_the_system(
         monkeypatch.setattr(network, "readers_of", slowly)
         outcome = await manager.change(replace("talker", "NewTalker"))
         foreign.destroy()
-        return outcome, [event["words"] for event in manager.log() if "not of this system" in event["words"]]
+        return outcome, [event.words for event in manager.log() if "outside this system" in event.words]
 
     outcome, notes = managed("talker", tmp_path, body, simulator)
-    assert (outcome["outcome"], outcome["because"]) == ("done", None)
-    assert outcome["seconds"] > min(after, 4.0)
+    assert (outcome.outcome, outcome.because) == ("done", None)
+    assert outcome.seconds > min(after, 4.0)
     assert len(notes) == told
-    assert outcome["swaps"][0]["missed"] == 0
+    assert outcome.swaps[0].missed == 0
 
 
 def test_a_new_one_that_breaks_while_it_is_watched_is_in_the_outcome(tmp_path: Path) -> None:
@@ -560,9 +568,9 @@ def test_a_new_one_that_breaks_while_it_is_watched_is_in_the_outcome(tmp_path: P
         text = text.replace("    out.write(", "    calls.append(0)\n    1 / (len(calls) < 15)\n    out.write(", 1)
         return text.replace("talk.set_normal_mode(", "calls = []\ntalk.set_normal_mode(")
 
-    async def body(manager: Manager, _: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, _: Simulator) -> Outcome:
         return await manager.change(replace("talker", "NewTalker"))
 
     outcome = managed("talker", tmp_path, body, directory=rewritten("talker", tmp_path / "programs", breaking))
-    assert (outcome["outcome"], outcome["because"], outcome["ended"]) == ("done", None, [])
-    assert outcome["degraded"] == ["talker_2.talk"]
+    assert (outcome.outcome, outcome.because, outcome.ended) == ("done", None, [])
+    assert outcome.degraded == ["talker_2.talk"]

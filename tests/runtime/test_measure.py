@@ -6,8 +6,11 @@ import random
 from collections.abc import Callable
 
 import pytest
+from msgspec import structs
 
-from midstride.runtime.measure import Observation, Row, SwapReport, report
+from midstride.codec.form import encode
+from midstride.runtime.measure import Observation, SwapReport, report
+from midstride.wire.commands import Receipt
 
 MS = 1_000_000
 PERIOD = 20 * MS  # 50 Hz
@@ -20,7 +23,7 @@ class Recorder:
     def __init__(self, seed: int = 0, jitter: int = 2 * MS) -> None:
         self.random = random.Random(seed)
         self.jitter = jitter
-        self.rows: list[Row] = []
+        self.rows: list[Receipt] = []
         self.numbers: dict[str, int] = {}
 
     def write(self, publisher: str, slot: float, *, received: bool = True, late: int = 0) -> None:
@@ -28,10 +31,10 @@ class Recorder:
         source = int(slot * PERIOD) + self.random.randrange(self.jitter) + late
         if received:
             at = source + SKEW + MS + self.random.randrange(MS)
-            self.rows.append(Row(at, source, self.numbers[publisher], publisher))
+            self.rows.append(Receipt(at, source, self.numbers[publisher], publisher))
 
     def observe(self, begun: float, ended: float, *, last: int | None = None, known: bool = True) -> SwapReport:
-        rows = self.rows if known else [row._replace(publisher=None) for row in self.rows]
+        rows = self.rows if known else [structs.replace(row, publisher=None) for row in self.rows]
         return report(
             Observation(
                 "/t",
@@ -153,17 +156,19 @@ def test_a_bystander_on_the_topic_does_not_hide_a_miss() -> None:
 @pytest.mark.parametrize(
     ("hide", "unknown"),
     [
-        (lambda row: row._replace(source=None), {"missed", "duplicates"}),
-        (lambda row: row._replace(number=None), {"lost"}),
-        (lambda row: row._replace(number=None, publisher=None), {"lost", "missed", "duplicates"}),
+        (lambda row: structs.replace(row, source=None), {"missed", "duplicates"}),
+        (lambda row: structs.replace(row, number=None), {"lost"}),
+        (lambda row: structs.replace(row, number=None, publisher=None), {"lost", "missed", "duplicates"}),
     ],
     ids=["no source time", "no number", "neither number nor identity"],
 )
-def test_what_the_middleware_cannot_tell_is_null_and_never_zero(hide: Callable[[Row], Row], unknown: set[str]) -> None:
+def test_what_the_middleware_cannot_tell_is_null_and_never_zero(
+    hide: Callable[[Receipt], Receipt], unknown: set[str]
+) -> None:
     recorder = Recorder()
     swap(recorder)
     recorder.rows = [hide(row) for row in recorder.rows]
-    document = recorder.observe(35, 80).to_document()
+    document = encode(recorder.observe(35, 80))
     figures = {"gap", "missed", "lost", "duplicates"}
     assert {name for name in figures if document[name] is None} == unknown
 
@@ -205,7 +210,7 @@ def answers(
             written = source + chance.randrange(9 * MS)
             if late and index == cut - 1:
                 written = source + late
-            rows.append(Row(written + SKEW + MS, written, numbers[name], name))
+            rows.append(Receipt(written + SKEW + MS, written, numbers[name], name))
     return report(
         Observation(
             "/t", "sink.in", rows, 60 * 5 * MS + SKEW, 200 * 5 * MS + SKEW, 0.005, None, None, inputs=inputs[40:]

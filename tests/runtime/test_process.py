@@ -23,7 +23,7 @@ from midstride.runtime.logs import shorten, tail
 from midstride.runtime.orphans import end_orphans
 from midstride.runtime.process import Process, find, spawn
 from midstride.runtime.reaper import Reaper, group_members, process_info
-from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
+from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 VARIABLE = "MIDSTRIDE_TOKEN"
 

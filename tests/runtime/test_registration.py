@@ -10,6 +10,7 @@ from immutables import Map
 from midstride.model.component import ComponentSpec, Endpoint, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Predicate, QoS
 from midstride.runtime.registration import mismatches, unexpected_endpoints
+from midstride.wire.state import Endpoint as ExtraEndpoint
 
 RANGE = "sensor_msgs/msg/Range"
 TWIST = "geometry_msgs/msg/Twist"
@@ -66,7 +67,7 @@ def test_a_node_may_not_insist_on_one_of_declared_alternatives() -> None:
 
 def test_endpoints_that_are_no_ports_must_be_allowed() -> None:
     component = replace(controller(), allows=(Endpoint("service", "~/reset"),))
-    endpoints = [{"kind": "service", "name": "/robot/controller/reset"}, {"kind": "topic", "name": "/tf"}]
+    endpoints = [ExtraEndpoint(kind="service", name="/robot/controller/reset"), ExtraEndpoint(kind="topic", name="/tf")]
     assert unexpected_endpoints(component, "/robot/controller", endpoints) == ["topic /tf"]
     assert unexpected_endpoints(controller(), "controller", endpoints) == [
         "service /robot/controller/reset",

@@ -17,8 +17,8 @@ from midstride.backends.simulator import Simulator
 from midstride.model.rules import violations
 from midstride.plan.request import Request
 from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
-from midstride.wire.messages import Command, Reply
 from tests.runtime.systems import (
     kept,
     last_said,
@@ -45,26 +45,26 @@ class Failing(Simulator):
         self.at, self.how, self.times = at, how, times
         self.calls: list[tuple[str, str]] = []
         self.armed = False
+        self.control.before_request = self.before
 
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+    async def before(self, instance: str, op: str) -> None:
         if self.armed:
             if len(self.calls) == self.at:
-                self.faults.fail_next(instance, command.op, self.how, self.times)
-            self.calls.append((instance, command.op))
-        return await super().call(instance, command, timeout)
+                self.faults.fail_next(instance, op, self.how, self.times)
+            self.calls.append((instance, op))
 
 
-def change(simulator: Failing, name: str, request: Request, folder: Path) -> dict[str, Any]:
-    async def body(manager: Manager, _: Simulator) -> dict[str, Any]:
+def change(simulator: Failing, name: str, request: Request, folder: Path) -> Outcome:
+    async def body(manager: Manager, _: Simulator) -> Outcome:
         before = await snapshot(manager, simulator)
         simulator.armed = True
         outcome = await manager.change(request)
         simulator.armed = False
         after = await snapshot(manager, simulator)
-        if outcome["outcome"] == "rolled_back":
+        if outcome.outcome == "rolled_back":
             assert after == before
         else:
-            assert outcome["outcome"] == "done", outcome["because"]
+            assert outcome.outcome == "done", outcome.because
             assert after["configuration"] != before["configuration"]
         assert violations(manager.configuration) == []
         assert sorted(simulator.processes) == sorted(manager.configuration.instances)
@@ -82,7 +82,7 @@ def programs(name: str, folder: Path) -> Path | None:
 async def differing(manager: Manager) -> list[str]:
     """Where a component's own state is not what the model says."""
     status = await manager.status()
-    return [row["name"] for row in status["components"] if not (row["reachable"] and row["as_modelled"])]
+    return [row.name for row in status.components if not (row.reachable and row.as_modelled)]
 
 
 CASES = [
@@ -102,7 +102,7 @@ def test_one_lost_message_is_made_good(name: str, request_: Request, how: str, t
     for at, (_, op) in enumerate(whole.calls):
         outcome = change(Failing(at, how, times), name, request_, tmp_path / str(at))
         # A cut is agreed for a moment, which a repetition may miss.
-        assert outcome["outcome"] == "done" or op in {"cut_out", "cut_in", "taken"}, op
+        assert outcome.outcome == "done" or op in {"cut_out", "cut_in", "taken"}, op
 
 
 @pytest.mark.parametrize(("name", "request_"), CASES, ids=lambda value: getattr(value, "strategy", value))
@@ -111,15 +111,15 @@ def test_a_change_in_which_any_one_call_fails_is_done_or_taken_back_whole(
     name: str, request_: Request, how: str, times: int, tmp_path: Path
 ) -> None:
     whole = Failing()
-    assert change(whole, name, request_, tmp_path / "whole")["outcome"] == "done"
+    assert change(whole, name, request_, tmp_path / "whole").outcome == "done"
     outcomes: dict[str, int] = {"done": 0, "rolled_back": 0}
     for at, (instance, op) in enumerate(whole.calls):
         outcome = change(Failing(at, how, times), name, request_, tmp_path / str(at))
-        outcomes[outcome["outcome"]] += 1
+        outcomes[outcome.outcome] += 1
         if op in BETWEEN_PEERS:
             continue  # repeated by the one that calls, or answered by the other's taking up again
-        if outcome["outcome"] == "rolled_back":
-            assert instance in outcome["because"] and op in outcome["because"]
+        if outcome.outcome == "rolled_back":
+            assert instance in str(outcome.because) and op in str(outcome.because)
         else:
             assert op in WATCHING | TRIED_AGAIN or (instance, op) in after_the_cut(whole.calls), (instance, op)
     assert outcomes["rolled_back"] > 0
@@ -140,7 +140,7 @@ def test_a_component_that_dies_at_any_call_leaves_no_half_done_change(
     for at, (instance, op) in enumerate(whole.calls):
         simulator = Dying(at)
 
-        async def body(manager: Manager, _: Simulator, simulator: Dying = simulator) -> dict[str, Any]:
+        async def body(manager: Manager, _: Simulator, simulator: Dying = simulator) -> Outcome:
             simulator.armed = True
             outcome = await manager.change(request_)
             simulator.armed = False
@@ -149,7 +149,7 @@ def test_a_component_that_dies_at_any_call_leaves_no_half_done_change(
             assert sorted(simulator.processes) == sorted(manager.configuration.instances)
             assert await differing(manager) == []
             restored = await manager.change(Request(to=manager.specification))
-            assert restored["outcome"] == "done", restored["because"]
+            assert restored.outcome == "done", restored.because
             roles = sorted(instance.role for instance in manager.configuration.instances.values())
             assert roles == sorted(manager.specification.nodes)
             return outcome
@@ -157,31 +157,30 @@ def test_a_component_that_dies_at_any_call_leaves_no_half_done_change(
         folder = tmp_path / str(at)
         folder.mkdir()
         outcome = managed(name, folder, body, simulator, directory=programs(name, folder))
-        assert outcome["outcome"] in ("done", "rolled_back", "failed"), (instance, op)
-        if outcome["outcome"] != "done":
-            assert outcome["because"]
+        assert outcome.outcome in ("done", "rolled_back", "failed"), (instance, op)
+        if outcome.outcome != "done":
+            assert outcome.because
 
 
 class Dying(Failing):
     """Kills the component that the call number ``at`` is for, just before it."""
 
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+    async def before(self, instance: str, op: str) -> None:
         if self.armed:
             if len(self.calls) == self.at and instance in self.processes:
                 self.faults.kill(instance)
-            self.calls.append((instance, command.op))
-        return await Simulator.call(self, instance, command, timeout)
+            self.calls.append((instance, op))
 
 
 class Cancelling(Failing):
     """Cancels ``change``, as at the manager's end, while call number ``at`` is under way."""
 
-    task: asyncio.Task[dict[str, Any]] | None = None
+    task: asyncio.Task[Outcome] | None = None
 
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
+    async def before(self, instance: str, op: str) -> None:
         if self.armed and len(self.calls) == self.at and self.task is not None:
             asyncio.get_running_loop().call_later(self.network.latency, self.task.cancel)
-        return await super().call(instance, command, timeout)
+        await super().before(instance, op)
 
 
 @pytest.mark.parametrize(("name", "request_"), CASES[:2], ids=lambda value: getattr(value, "strategy", value))
@@ -219,11 +218,11 @@ def test_a_recording_ends_with_the_change_however_that_ends(tmp_path: Path) -> N
 
     async def body(manager: Manager, _: Simulator) -> None:
         task = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
-        while not any(event["kind"] == "measuring" for event in manager.log()):
+        while not any(event.kind == "measuring" for event in manager.log()):
             await asyncio.sleep(0.01)
         task.cancel()
         outcome = await task
-        assert (outcome["outcome"], outcome["swaps"][0]["missed"]) == ("done", None), "it is done, if not measured"
+        assert (outcome.outcome, outcome.swaps[0].missed) == ("done", None), "it is done, if not measured"
         await asyncio.sleep(10)
         assert await kept(workspace, simulator, "listener.in") == 64
 
@@ -235,8 +234,8 @@ def test_a_witness_of_the_inputs_ends_where_there_is_nobody_to_measure(tmp_path:
     workspace = Workspace(tmp_path)
 
     async def body(manager: Manager, _: Simulator) -> None:
-        assert (await manager.change(Request(remove=("sink",))))["outcome"] == "done"
-        assert (await manager.change(replace("filter", "MedianFilter")))["outcome"] == "done"
+        assert (await manager.change(Request(remove=("sink",)))).outcome == "done"
+        assert (await manager.change(replace("filter", "MedianFilter"))).outcome == "done"
         await asyncio.sleep(1)
         assert await kept(workspace, simulator, "filter_2.in") == 64
 
@@ -245,15 +244,14 @@ def test_a_witness_of_the_inputs_ends_where_there_is_nobody_to_measure(tmp_path:
 
 def test_a_failure_that_nobody_foresaw_is_taken_back_as_well(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     class Odd(Failing):
-        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-            if self.armed and command.op == "attach":
+        async def before(self, instance: str, op: str) -> None:
+            if self.armed and op == "attach":
                 self.armed = False
                 raise KeyError("what is this?")
-            return await super().call(instance, command, timeout)
 
     simulator = Odd()
 
-    async def body(manager: Manager, _: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, _: Simulator) -> Outcome:
         before = await snapshot(manager, simulator)
         simulator.armed = True
         outcome = await manager.change(replace("talker", "NewTalker"))
@@ -261,7 +259,7 @@ def test_a_failure_that_nobody_foresaw_is_taken_back_as_well(tmp_path: Path, cap
         return outcome
 
     outcome = managed("talker", tmp_path, body, simulator)
-    assert outcome["outcome"] == "rolled_back" and "internal error: KeyError('what is this?')" in outcome["because"]
+    assert outcome.outcome == "rolled_back" and "internal error: KeyError('what is this?')" in str(outcome.because)
     assert "Traceback" in caplog.text
 
 
@@ -269,7 +267,7 @@ def test_a_component_that_comes_back_has_its_own_state_again(tmp_path: Path) -> 
     """Under ``paper`` the old one is removed before the new one comes, which has taken up its state and then fails."""
     simulator = Simulator()
 
-    async def body(manager: Manager, _: Simulator) -> tuple[dict[str, Any], str]:
+    async def body(manager: Manager, _: Simulator) -> tuple[Outcome, str]:
         simulator.faults.fail_next("talker_2", "attach", "refused")
         outcome = await manager.change(replace("talker", "NewTalker", "paper"))
         return outcome, await last_said(simulator)
@@ -277,7 +275,7 @@ def test_a_component_that_comes_back_has_its_own_state_again(tmp_path: Path) -> 
     folder = tmp_path / "workspace"
     folder.mkdir()
     outcome, heard = managed("talker", folder, body, simulator, stateful_talkers(tmp_path))
-    assert outcome["outcome"] == "rolled_back", outcome["because"]
+    assert outcome.outcome == "rolled_back", outcome.because
     assert heard == "the old one's+"
 
 
@@ -287,22 +285,22 @@ def test_an_old_side_that_dies_while_the_new_one_looks_for_it_is_known_at_once(t
     class Meeting(Simulator):
         died: float | None = None
 
-        async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-            if command.op == "meet" and self.died is None:
+        async def before(self, instance: str, op: str) -> None:
+            if op == "meet" and self.died is None:
                 self.died = self.clock.steady()
                 self.faults.kill("talker")
-            return await super().call(instance, command, timeout)
 
     simulator = Meeting()
+    simulator.control.before_request = simulator.before
 
-    async def body(manager: Manager, _: Simulator) -> tuple[dict[str, Any], str, float]:
+    async def body(manager: Manager, _: Simulator) -> tuple[Outcome, str, float]:
         outcome = await manager.change(replace("talker", "NewTalker"))
-        listening = (await manager.peek("listener"))["functionalities"]["listen"]["mode"]
+        listening = (await manager.peek("listener")).functionalities["listen"].mode
         assert simulator.died is not None
         return outcome, listening, simulator.clock.steady() - simulator.died
 
     outcome, listening, seconds = managed("talker", tmp_path, body, simulator)
-    assert (outcome["outcome"], outcome["ended"], listening) == ("rolled_back", ["talker"], "degraded")
+    assert (outcome.outcome, outcome.ended, listening) == ("rolled_back", ["talker"], "degraded")
     assert seconds < 3  # of the simulator's own time: one turn, and taking back
 
 
@@ -313,11 +311,11 @@ def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) ->
         raising = "    raise ValueError('unplugged')\n    out.write("
         return text.replace("    out.write(", raising) if file == "new_talker.py" else text
 
-    async def body(manager: Manager, _: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, _: Simulator) -> Outcome:
         return await manager.change(replace("talker", "NewTalker"))
 
     outcome = managed("talker", tmp_path, body, directory=rewritten("talker", tmp_path / "programs", broken))
-    assert outcome["outcome"] == "rolled_back"
-    assert outcome["seconds"] < 4  # of the simulator's own time: its first write is not waited for any more
-    told = "talker_2.talk has gone to degraded by itself: mode normal raised: ValueError: unplugged"
-    assert told in outcome["because"]
+    assert outcome.outcome == "rolled_back"
+    assert outcome.seconds < 4  # of the simulator's own time: its first write is not waited for any more
+    told = "talker_2.talk degraded to degraded by itself: mode normal raised: ValueError: unplugged"
+    assert told in str(outcome.because)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import copy
 import threading
 import time
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec import UNSET, structs
 
 from midstride.backends.simulator import Simulator
 from midstride.model.component import FunctionalityRef
@@ -19,11 +19,13 @@ from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 from midstride.plan.request import Request
 from midstride.runtime import runtime_verification
+from midstride.runtime.component_client import SILENCE
 from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Event, LiveConfiguration, Outcome
 from midstride.runtime.runtime_verification import Verifier
 from midstride.verify.checking import Asking
-from midstride.verify.verdict import Answer, Finding, Verdict
-from midstride.wire.messages import Command, Reply
+from midstride.verify.verdict import Answer, Finding, Verdict, VerdictForm
+from midstride.wire.state import ComponentState
 from tests.runtime.systems import managed, replace, snapshot
 
 UNKNOWN = Verdict(Answer.UNKNOWN, "the plan", "nothing was judged", "Alloy", because="there is no Java here")
@@ -55,33 +57,33 @@ class Scripted(Verifier):
 
 
 class Lying(Simulator):
-    """Components that tell the manager something else than is so, once armed."""
+    """Components that report something else than is so, or nothing, once armed."""
 
-    def __init__(self, lie: Callable[[str, dict[str, Any]], dict[str, Any] | None]) -> None:
+    def __init__(self, lie: Callable[[ComponentState], ComponentState | None]) -> None:
         super().__init__()
         self.lie = lie
         self.armed = False
+        self.control.rewrite_state = lambda state: self.lie(state) if self.armed else state
 
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-        reply = await super().call(instance, command, timeout)
-        if self.armed and command.op == "observe" and reply.ok:
-            told = self.lie(instance, copy.deepcopy(dict(reply.result)))
-            return Reply(reply.revision, refused="not now") if told is None else Reply(reply.revision, told)
-        return reply
+
+def with_mode(state: ComponentState, functionality: str, mode: str) -> ComponentState:
+    view = structs.replace(state.functionalities[functionality], mode=mode)
+    return structs.replace(state, functionalities={**state.functionalities, functionality: view})
 
 
 def changed(
     folder: Path, verifier: Verifier, simulator: Simulator | None = None, strategy: str = "paper"
-) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], list[dict[str, Any]]]:
+) -> tuple[Outcome, dict[str, Any], dict[str, Any], list[Event]]:
     """The outcome of replacing the talker, what there was before and after, and the events."""
 
     async def body(
         manager: Manager, simulator: Simulator
-    ) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any], list[dict[str, Any]]]:
+    ) -> tuple[Outcome, dict[str, Any], dict[str, Any], list[Event]]:
         before = await snapshot(manager, simulator)
-        since = manager.log()[-1]["n"]
+        since = manager.log()[-1].n
         if isinstance(simulator, Lying):
             simulator.armed = True
+            await asyncio.sleep(2 * SILENCE)
         outcome = await manager.change(replace("talker", "NewTalker", strategy), verify=True)
         if isinstance(simulator, Lying):
             simulator.armed = False
@@ -94,34 +96,33 @@ def changed(
 def test_a_plan_that_holds_is_carried_out_and_alloy_is_asked_once(tmp_path: Path, strategy: str) -> None:
     verifier = Scripted()
     outcome, _, after, events = changed(tmp_path, verifier, strategy=strategy)
-    assert (outcome["outcome"], outcome["verdict"]["verdict"]) == ("done", "holds")
+    assert isinstance(outcome.verdict, VerdictForm)
+    assert (outcome.outcome, outcome.verdict.verdict) == ("done", "holds")
     assert [step.describe() for plan in verifier.plans for step in plan.steps] != []
     assert verifier.seen == []  # what was live after each step had been judged with the plan
     assert "talker_2" in after["components"]
-    kinds = [event["kind"] for event in events]
+    kinds = [event.kind for event in events]
     assert kinds.index("verifying") < kinds.index("verified") < kinds.index("plan")
 
 
 @pytest.mark.parametrize("verdict", [UNKNOWN, VIOLATED], ids=["unknown", "violated"])
 def test_nothing_is_begun_unless_the_plan_holds(tmp_path: Path, verdict: Verdict) -> None:
     outcome, before, after, events = changed(tmp_path, Scripted(of_plan=verdict))
-    assert (outcome["outcome"], outcome["because"]) == ("refused", verdict.words)
-    assert outcome["verdict"] == verdict.to_document()
+    assert (outcome.outcome, outcome.because) == ("refused", verdict.words)
+    assert outcome.verdict == VerdictForm.of(verdict)
     assert after == before
-    assert not any(event["kind"] in {"plan", "step"} for event in events)
-    assert events[-1]["kind"] == "outcome"
+    assert not any(event.kind in {"plan", "step"} for event in events)
+    assert events[-1].kind == "outcome"
 
 
-def degraded_by_itself(instance: str, state: dict[str, Any]) -> dict[str, Any]:
-    if instance == "talker_2":
-        state["functionalities"]["talk"]["mode"] = "degraded"
-    return state
+def degraded_by_itself(state: ComponentState) -> ComponentState:
+    return with_mode(state, "talk", "degraded") if state.instance == "talker_2" else state
 
 
 def test_where_components_stand_otherwise_alloy_judges_what_is_live(tmp_path: Path) -> None:
     verifier = Scripted()
     outcome, *_ = changed(tmp_path, verifier, Lying(degraded_by_itself))
-    assert outcome["outcome"] == "done"
+    assert outcome.outcome == "done"
     assert verifier.seen
     assert {configuration.modes[FunctionalityRef("talker_2", "talk")] for configuration in verifier.seen} == {1}
 
@@ -129,26 +130,27 @@ def test_where_components_stand_otherwise_alloy_judges_what_is_live(tmp_path: Pa
 @pytest.mark.parametrize("verdict", [UNKNOWN, VIOLATED], ids=["unknown", "violated"])
 def test_a_step_after_which_what_is_live_does_not_hold_is_taken_back(tmp_path: Path, verdict: Verdict) -> None:
     outcome, before, after, events = changed(tmp_path, Scripted(of_live=verdict), Lying(degraded_by_itself))
-    assert outcome["outcome"] == "rolled_back"
+    assert outcome.outcome == "rolled_back"
     # After the step before, talker_2 in its degraded mode is what was judged after its creation.
-    assert outcome["because"] == f"attach talker_2.out to /chatter: {verdict.words}"
+    assert outcome.because == f"attach talker_2.out to /chatter: {verdict.words}"
     assert after == before
-    assert [event["kind"] for event in events if event["kind"] in {"step_failed", "rolled_back"}] == [
+    assert [event.kind for event in events if event.kind in {"step_failed", "rolled_back"}] == [
         "step_failed",
         "rolled_back",
     ]
 
 
-def without_its_output(instance: str, state: dict[str, Any]) -> dict[str, Any]:
-    if instance == "talker_2":
-        state["ports"]["out"] = {topic: {**view, "gate": "closed"} for topic, view in state["ports"]["out"].items()}
-    return state
+def without_its_output(state: ComponentState) -> ComponentState:
+    if state.instance != "talker_2":
+        return state
+    closed = {topic: structs.replace(link, gate="closed") for topic, link in state.ports["out"].items()}
+    return structs.replace(state, ports={**state.ports, "out": closed})
 
 
 def test_what_stands_behind_a_closed_gate_is_not_attached(tmp_path: Path) -> None:
     verifier = Scripted()
     outcome, *_ = changed(tmp_path, verifier, Lying(without_its_output))
-    assert outcome["outcome"] == "done"
+    assert outcome.outcome == "done"
     assert verifier.seen
     assert all(
         "talker_2" in configuration.instances and not configuration.attached_ports("talker_2")
@@ -157,39 +159,34 @@ def test_what_stands_behind_a_closed_gate_is_not_attached(tmp_path: Path) -> Non
 
 
 def test_a_component_that_does_not_answer_is_no_pass(tmp_path: Path) -> None:
-    silences = iter([None])
-
-    def silent(instance: str, state: dict[str, Any]) -> dict[str, Any] | None:
-        """Once, after the first step."""
-        degraded = state["functionalities"].get("listen", {}).get("mode") == "degraded"
-        return next(silences, state) if degraded else state
+    def silent(state: ComponentState) -> ComponentState | None:
+        return None if state.instance == "listener" else state
 
     outcome, before, after, _ = changed(tmp_path, Scripted(), Lying(silent))
-    assert outcome["outcome"] == "rolled_back"
-    told = "what is live is not known: listener did not answer"
-    assert outcome["because"] == f"degrade listener.listen to degraded: {told}"
+    assert outcome.outcome == "rolled_back"
+    unknown = "what is live is not known: listener has reported nothing for more than 2 s"
+    assert outcome.because == f"degrade listener.listen to degraded: {unknown}"
     assert after == before
 
 
 def test_the_configuration_is_told_as_the_components_tell_it(tmp_path: Path) -> None:
-    def lying(instance: str, state: dict[str, Any]) -> dict[str, Any] | None:
-        if instance == "listener":
-            return None
-        state["functionalities"]["talk"]["mode"] = "degraded"
-        return state
+    def lying(state: ComponentState) -> ComponentState | None:
+        return None if state.instance == "listener" else with_mode(state, "talk", "degraded")
 
-    async def body(manager: Manager, simulator: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, simulator: Simulator) -> LiveConfiguration:
         assert isinstance(simulator, Lying)
         honest = await manager.live()
-        assert honest["silent"] == []
-        assert honest["configuration"]["modes"] == {"listener.listen": "normal", "talker.talk": "normal"}
+        assert honest.silent == []
+        assert honest.configuration.modes == {"listener.listen": "normal", "talker.talk": "normal"}
         simulator.armed = True
+        await asyncio.sleep(2 * SILENCE)
         return await manager.live()
 
     told = managed("talker", tmp_path, body, Lying(lying))
-    assert told["silent"] == ["listener"]
-    assert told["configuration"]["modes"] == {"listener.listen": "normal", "talker.talk": "degraded"}
-    assert told["configuration"]["attachments"] == [["listener.in", "/chatter"], ["talker.out", "/chatter"]]
+    assert told.silent == ["listener"]
+    # The talker reports that it has degraded by itself, so the listener has been lowered; it does not say so.
+    assert told.configuration.modes == {"listener.listen": "degraded", "talker.talk": "degraded"}
+    assert told.configuration.attachments == [("listener.in", "/chatter"), ("talker.out", "/chatter")]
 
 
 # -- beside the manager's loop -------------------------------------------------------------------------------
@@ -224,10 +221,11 @@ def test_the_loop_goes_on_while_alloy_is_asked_and_who_is_cancelled_stops_it(mon
 @pytest.mark.alloy
 def test_alloy_itself_lets_a_hand_over_pass(tmp_path: Path) -> None:
     outcome, _, after, events = changed(tmp_path, Verifier(), strategy="minimal")
-    assert (outcome["outcome"], outcome["because"]) == ("done", None)
-    assert outcome["verdict"]["by"] == "Alloy 6.2.0"
+    assert (outcome.outcome, outcome.because) == ("done", None)
+    assert isinstance(outcome.verdict, VerdictForm)
+    assert outcome.verdict.by == "Alloy 6.2.0"
     assert "talker_2" in after["components"]
-    assert [event["words"] for event in events if event["kind"] == "verified"] == [
+    assert [event.words for event in events if event.kind == "verified"] == [
         "HOLDS: the plan of 4 steps (exact: 5 configurations, 28 atoms; Alloy 6.2.0)"
     ]
 
@@ -235,17 +233,17 @@ def test_alloy_itself_lets_a_hand_over_pass(tmp_path: Path) -> None:
 def test_without_java_nothing_is_begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MIDSTRIDE_ALLOY", str(tmp_path / "nowhere.jar"))
     outcome, before, after, _ = changed(tmp_path, Verifier())
-    assert outcome["outcome"] == "refused"
-    assert outcome["because"].startswith("UNKNOWN: the plan of 7 steps: there is no Alloy Analyzer at")
+    assert outcome.outcome == "refused"
+    assert str(outcome.because).startswith("UNKNOWN: the plan of 7 steps: there is no Alloy Analyzer at")
     assert after == before
 
 
 def test_an_unverified_change_asks_nobody(tmp_path: Path) -> None:
     verifier = Scripted(of_plan=VIOLATED)
 
-    async def body(manager: Manager, _: Simulator) -> dict[str, Any]:
+    async def body(manager: Manager, _: Simulator) -> Outcome:
         return await manager.change(Request(replace=(("talker", "NewTalker"),)))
 
     outcome = managed("talker", tmp_path, body, verifier=verifier)
-    assert outcome["outcome"] == "done"
-    assert (verifier.plans, "verdict" in outcome) == ([], False)
+    assert outcome.outcome == "done"
+    assert (verifier.plans, outcome.verdict) == ([], UNSET)

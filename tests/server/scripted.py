@@ -6,13 +6,13 @@ import asyncio
 import json
 from collections.abc import AsyncIterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any, cast
 
-from midstride.model.document import specification_from_document
+from midstride.codec.specification import decode_specification
 from midstride.plan.request import Request
 from midstride.runtime.events import EventLog
 from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Event, UpReport
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -22,10 +22,15 @@ class ScriptedManager:
 
     def __init__(self) -> None:
         text = (EXAMPLES / "talker" / "talker.json").read_text(encoding="utf-8")
-        self.specification = specification_from_document(json.loads(text))
+        self.specification = decode_specification(json.loads(text))
         self.revision = 7
         self.events = EventLog()
-        self.answers: dict[str, Any] = {"up": {"outcome": "done"}, "down": None, "why": {}, "status": {"valid": True}}
+        self.answers: dict[str, Any] = {
+            "up": UpReport(outcome="done", components=["listener", "talker"]),
+            "down": None,
+            "why": {},
+            "status": {"valid": True},
+        }
         self.holds: dict[str, asyncio.Event] = {}
         self.asked: list[tuple[str, Any]] = []
 
@@ -55,8 +60,7 @@ class ScriptedManager:
         return await self._answer("why", functionality)
 
     async def plan(self, request: Request) -> Any:
-        document = await self._answer("plan", request)
-        return SimpleNamespace(to_document=lambda: document)
+        return await self._answer("plan", request)
 
     async def change(
         self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
@@ -66,7 +70,7 @@ class ScriptedManager:
     def log(self, since: int = 0) -> Any:
         return self.events.since(since)
 
-    def subscribe(self, since: int = 0) -> AsyncIterator[dict[str, Any]]:
+    def subscribe(self, since: int = 0) -> AsyncIterator[Event]:
         return self.events.follow(since)
 
     @property

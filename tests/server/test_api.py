@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Coroutine
+import json
+from collections.abc import Callable, Coroutine, Iterator
+from pathlib import Path
 from typing import Any
 
 import httpx
+import jsonschema  # type: ignore[import-untyped, unused-ignore]  # with its stubs or without
+import msgspec
 import pytest
 
 from midstride import errors
+from midstride.backends.simulator import Simulator
+from midstride.codec.form import encode
+from midstride.codec.specification import SpecificationForm
+from midstride.model.specification import initial
+from midstride.plan.change import Change
+from midstride.plan.forms import encode_plan
+from midstride.plan.registry import STRATEGIES
+from midstride.runtime.manager import Manager
+from midstride.runtime.reports import PlannedChange
 from midstride.server.app import create_app
 from midstride.server.lifecycle import Lifecycle
+from midstride.server.openapi import FORMS
+from tests.runtime.systems import managed, replace
 from tests.server.scripted import ScriptedManager
 
 Test = Callable[[httpx.AsyncClient, ScriptedManager, Lifecycle], Coroutine[Any, Any, None]]
@@ -64,6 +79,73 @@ def test_the_openapi_document_has_every_operation() -> None:
     served(test)
 
 
+def references(value: Any) -> Iterator[str]:
+    if isinstance(value, dict):
+        if isinstance(value.get("$ref"), str):
+            yield value["$ref"]
+        value = list(value.values())
+    if isinstance(value, list):
+        for item in value:
+            yield from references(item)
+
+
+def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() -> None:
+    async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
+        document = (await client.get("/openapi.json")).json()
+        schemas = document["components"]["schemas"]
+        assert {reference.rpartition("/")[2] for reference in references(document)} <= set(schemas)
+        for path, operations in document["paths"].items():
+            for method, operation in operations.items():
+                (media,) = operation["responses"]["200"]["content"]
+                assert path.endswith("/events") or list(references(operation["responses"]["200"])), (method, path)
+                assert media == ("text/event-stream" if path.endswith("/events") else "application/json")
+                assert list(references(operation["responses"]["422"])) == ["#/components/schemas/Failure"]
+        bodies = {
+            path: list(references(operations["post"].get("requestBody")))
+            for path, operations in document["paths"].items()
+            if "post" in operations
+        }
+        assert bodies == {
+            "/api/v1/plan": ["#/components/schemas/ChangeRequest"],
+            "/api/v1/change": ["#/components/schemas/SubmittedChange"],
+            "/api/v1/down": [],
+        }
+        for name, needed in {"Outcome": "plan", "Status": "crashed", "Event": "words"}.items():
+            assert needed in schemas[name]["properties"]
+        for schema in schemas.values():
+            jsonschema.Draft202012Validator.check_schema(schema)
+
+    served(test)
+
+
+def test_what_the_manager_reports_is_what_the_openapi_document_describes(tmp_path: Path) -> None:
+    """Every answer of a system in the simulator, through a change that degrades and one that is refused."""
+
+    async def body(manager: Manager, _: Simulator) -> dict[str, list[bytes]]:
+        plan = await manager.plan(replace("talker", "NewTalker"))
+        outcome = await manager.change(replace("talker", "NewTalker", "paper"), id="mine")
+        refused = await manager.change(replace("talker", "NewTalker"), expected=-1)
+        return {
+            "PlannedChange": [msgspec.json.encode(PlannedChange.of(plan, revision=7))],
+            "Outcome": [msgspec.json.encode(outcome), msgspec.json.encode(refused)],
+            "Status": [msgspec.json.encode(await manager.status())],
+            "LiveConfiguration": [msgspec.json.encode(await manager.live())],
+            "Why": [msgspec.json.encode(await manager.why("listener.listen"))],
+            "Event": [msgspec.json.encode(event) for event in manager.log()],
+            "SpecificationForm": [msgspec.json.encode(SpecificationForm.of(manager.specification))],
+        }
+
+    app = create_app(Lifecycle(ScriptedManager().as_manager), backend="scripted")
+    components = app.openapi()["components"]
+    for name, bodies in managed("talker", tmp_path, body).items():
+        schema = {"$ref": f"#/components/schemas/{name}", "components": components}
+        form = next(form for form in FORMS if form.__name__ == name)
+        for text in bodies:
+            jsonschema.Draft202012Validator(schema).validate(json.loads(text))
+            again = msgspec.json.encode(msgspec.json.decode(text, type=form))
+            assert json.loads(again) == json.loads(text)
+
+
 def test_answers_pass_through_whole() -> None:
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
         manager.answers["status"] = {"valid": True, "a field of next year": [None, 0.25]}
@@ -85,9 +167,10 @@ def test_the_specification_is_the_running_one() -> None:
 
 def test_a_plan_comes_with_the_revision_it_was_made_for() -> None:
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
-        manager.answers["plan"] = {"steps": [], "disruption": 0.0}
+        change = Change.replacing(initial(manager.specification), manager.specification, "talker", "NewTalker")
+        manager.answers["plan"] = plan = STRATEGIES["paper"](change)
         response = await client.post("/plan", json={"replace": [["talker", "NewTalker"]], "strategy": "paper"})
-        assert response.json() == {"steps": [], "disruption": 0.0, "revision": 7}
+        assert response.json() == {**encode_plan(plan), "revision": 7}
         request = manager.asked[-1][1]
         assert (request.replace, request.strategy) == ((("talker", "NewTalker"),), "paper")
 
@@ -110,14 +193,15 @@ def test_a_change_is_asked_with_the_revision_it_was_shown_at() -> None:
 @pytest.mark.parametrize(
     ("body", "words"),
     [
-        ({"replce": []}, ["/replce", "Extra inputs"]),
-        ({"strategy": "fast"}, ["/strategy", "'minimal', 'paper' or 'quiesce'"]),
+        ({"replce": []}, ["/replce", "did you mean `replace`?"]),
+        ({"strategy": "fast"}, ["/strategy", "minimal, paper, quiesce"]),
         ({"replace": [["talker"]], "remove": "talker"}, ["/replace/0/1", "/remove"]),
-        ({"add": [{"role": "second"}]}, ["/add/0/component", "required"]),
-        ({"to": {"system": "talker", "topcs": {}}}, ["topcs", "did you mean `topics`?"]),
+        ({"add": [{"role": "second"}]}, ["/add/0", "needs the key `component`"]),
+        ({"to": {"system": "talker", "topcs": {}}}, ["/to/topcs", "did you mean `topics`?"]),
+        ([], ["/: a request is expected"]),
     ],
 )
-def test_what_is_no_request_is_told_fault_by_fault(body: dict[str, Any], words: list[str]) -> None:
+def test_what_is_no_request_is_told_fault_by_fault(body: Any, words: list[str]) -> None:
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
         before = list(manager.asked)
         status, kind, message = error_of(await client.post("/plan", json=body))
@@ -203,7 +287,7 @@ def test_up_is_answered_when_it_is_known() -> None:
         done, _ = await asyncio.wait({asking}, timeout=0.05)
         assert not done
         manager.holds["up"].set()
-        assert (await asking).json() == {"outcome": "done"}
+        assert (await asking).json() == {"outcome": "done", "components": ["listener", "talker"]}
         await bringing
 
     served(test, up=False)
@@ -220,7 +304,7 @@ def test_a_change_goes_on_when_its_client_goes_away() -> None:
         with pytest.raises(asyncio.CancelledError):
             await asking
         manager.holds["change"].set()
-        while not any(event["kind"] == "change" for event in manager.log()):
+        while not any(event.kind == "change" for event in manager.log()):
             await asyncio.sleep(0)
 
     served(test)
@@ -246,7 +330,7 @@ def test_the_log_from_an_earlier_managers_number_on_is_the_whole_log() -> None:
         manager.events.add("step", "one")
         whole = (await client.get("/log")).json()
         assert (await client.get("/log?since=500")).json() == whole
-        assert await anext(manager.subscribe(500)) == whole[0]
+        assert encode(await anext(manager.subscribe(500))) == whole[0]
 
     served(test)
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 from immutables import Map
 
+from midstride.codec.configuration import decode_configuration, encode_configuration
 from midstride.lang import load_text
 from midstride.model.component import ComponentSpec, FunctionalityRef, InputAlternatives, PortRef, Resource
 from midstride.model.configuration import Configuration
 from midstride.model.rules import capacity_violation
-from midstride.model.snapshot import configuration_from_document, configuration_to_document
 from midstride.model.specification import Node, Specification, initial, structure
 from midstride.verify.alloy_names import Names
 from midstride.verify.chain import chain
@@ -22,7 +22,7 @@ from midstride.verify.checking import Asking, verify_configuration, verify_plan,
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
 from midstride.verify.export import dump_configuration, dump_plan
 from midstride.verify.library import carried
-from midstride.verify.verdict import Answer, Finding, Verdict
+from midstride.verify.verdict import Answer, Finding, Verdict, VerdictForm
 from tests.verify.systems import EXAMPLES, ROVER, TALKER, plan, specification
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "alloy"
@@ -90,7 +90,7 @@ def test_a_configuration_comes_back_from_its_document(name: str) -> None:
     configuration = configuration.with_modes(
         {ref: configuration.functionality(ref).last_mode for ref in list(configuration.modes)[:1]}
     )
-    assert configuration_from_document(configuration_to_document(configuration)) == configuration
+    assert decode_configuration(encode_configuration(configuration)) == configuration
 
 
 # -- configurations ------------------------------------------------------------------------------------------
@@ -130,7 +130,7 @@ def test_what_is_not_valid_is_told_by_its_names(how: str, kind: str, words: str)
     assert verdict.answer is Answer.VIOLATED
     assert [finding.kind for finding in verdict.findings] == [kind]
     assert words in str(verdict.findings[0])
-    assert verdict.to_document()["verdict"] == "violated"
+    assert VerdictForm.of(verdict).verdict == "violated"
 
 
 HOSTILE = """

@@ -10,6 +10,7 @@ import pytest
 
 from midstride.model.action import Action, Create, Degrade, Detach, Handover
 from midstride.model.configuration import Configuration
+from midstride.plan.forms import encode_plan
 from midstride.verify.checking import Asking, verify_plan
 from midstride.verify.run import Alloy, find
 from midstride.verify.verdict import Answer, Finding, Verdict
@@ -34,7 +35,7 @@ def judged(document: Document, alloy: Alloy) -> Verdict:
 
 def test_the_seven_step_plan_of_the_talker_holds(alloy: Alloy) -> None:
     found = plan(specification(TALKER), talker="NewTalker")
-    verdict = judged(found.to_document(), alloy)
+    verdict = judged(encode_plan(found), alloy)
     assert str(verdict) == "HOLDS: the plan of 7 steps (exact: 8 configurations, 34 atoms; Alloy 6.2.0)"
     assert verdict.steps == tuple(step.describe() for step in found.steps)
     assert (verdict.findings, verdict.failed, verdict.because) == ((), None, None)
@@ -50,7 +51,7 @@ def test_a_long_plan_of_a_real_system_holds(alloy: Alloy) -> None:
 def test_a_hand_over_within_a_cap_and_a_capacity_holds(alloy: Alloy) -> None:
     found = plan(specification(ROVER), "minimal", planner="SmallPlanner", left="NewCamera")
     assert any(isinstance(action, Handover) for action in found.actions)
-    assert judged(found.to_document(), alloy).holds
+    assert judged(encode_plan(found), alloy).holds
 
 
 # -- faults in plans -----------------------------------------------------------------------------------------
@@ -74,11 +75,11 @@ class Planted:
 def plans() -> dict[str, Document]:
     rover = specification(ROVER)
     return {
-        "talker": plan(specification(TALKER), talker="NewTalker").to_document(),
-        "large planner": plan(rover, planner="LargePlanner").to_document(),
-        "small planner": plan(rover, planner="SmallPlanner").to_document(),
-        "camera": plan(rover, "minimal", left="NewCamera").to_document(),
-        "no cameras": plan(rover, "minimal", left=None, right=None).to_document(),
+        "talker": encode_plan(plan(specification(TALKER), talker="NewTalker")),
+        "large planner": encode_plan(plan(rover, planner="LargePlanner")),
+        "small planner": encode_plan(plan(rover, planner="SmallPlanner")),
+        "camera": encode_plan(plan(rover, "minimal", left="NewCamera")),
+        "no cameras": encode_plan(plan(rover, "minimal", left=None, right=None)),
     }
 
 

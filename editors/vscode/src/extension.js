@@ -1,4 +1,4 @@
-// Starts `midstride lsp` for .stride files and passes on what it says. All knowledge of the language is in the server.
+// Starts the language server, `midstride lsp`, for .stride files. All knowledge of the language is in the server.
 const { workspace } = require("vscode");
 const { LanguageClient } = require("vscode-languageclient/node");
 

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import importlib.util
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from midstride.errors import BackendError
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from midstride.runtime.backend import Backend
-    from midstride.runtime.reaper import Reaper
+from midstride.runtime.backend import Backend
+from midstride.runtime.reaper import Reaper
+from midstride.runtime.workspace import Workspace
 
 NAMES: Final = ("ros2", "ros1", "sim")
 
 
-def make(name: str, *, logs: Path | None = None, guardian: Reaper | None = None) -> Backend:
+def make(name: str, workspace: Workspace, *, guardian: Reaper | None = None) -> Backend:
     """The back end called ``name``. Raises BackendError where it is unknown or cannot be had here.
 
-    ``logs`` is the folder of the components' logs, ``guardian`` ends what is started should this
-    process be killed; the simulator, whose components live in this process, needs neither.
+    Control sockets and logs go to ``workspace``; ``guardian`` ends what is started should this process be killed. The
+    simulator, whose components live in this process, needs neither.
     """
     if name == "sim":
         from midstride.backends.simulator import Simulator
@@ -29,11 +26,11 @@ def make(name: str, *, logs: Path | None = None, guardian: Reaper | None = None)
     if name == "ros2":
         from midstride.backends.ros2 import create_backend
 
-        return create_backend(logs=logs, guardian=guardian)
+        return create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
     if name == "ros1":
         from midstride.backends import ros1
 
-        return ros1.create_backend(logs=logs, guardian=guardian)
+        return ros1.create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
     raise BackendError(f"there is no back end {name}; there are {', '.join(NAMES)}")
 
 

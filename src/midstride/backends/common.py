@@ -9,20 +9,32 @@ import os
 import shutil
 import signal
 import sys
-from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Final, TypeVar
 
-from midstride.errors import StartFailed, Unreachable
+from midstride.errors import ManagerError, NodeError, StartFailed, Unreachable
 from midstride.runtime.backend import Launch
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
-from midstride.wire.messages import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
+from midstride.wire.environment import (
+    ENV_BACKEND,
+    ENV_CONTROL,
+    ENV_INSTANCE,
+    ENV_NAMESPACE,
+    ENV_PARAMETERS,
+    ENV_SYSTEM,
+    ENV_TOKEN,
+)
+from midstride.wire.sockets import COMPONENTS, SocketFolder, workspace_folder
+from midstride.wire.transport import Transport
 
 T = TypeVar("T")
 
 _OURS: Final = ("python", "python3")
+# On the command line of a component started by hand: the system that it belongs to.
+SYSTEM_FLAG: Final = "--system"
 # How often the logs of components are looked at (s), how long one may get, and what is then left of it (bytes).
 LOOK_AT_LOGS: Final = 60.0
 LONGEST_LOG: Final = 8 * 1024 * 1024
@@ -51,16 +63,59 @@ def command(
     return (found, *rest)
 
 
-def identity(launch: Launch, backend: str) -> dict[str, str]:
-    """The environment variables that tell a component's process who it is (wire/messages.py)."""
+def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
+    """The environment variables that make a process this component (wire/environment.py).
+
+    ``control`` is the folder of the system's control sockets.
+    """
     return {
         ENV_BACKEND: backend,
         ENV_INSTANCE: launch.instance,
         ENV_NAMESPACE: launch.namespace,
         ENV_TOKEN: launch.token,
         ENV_PARAMETERS: json.dumps(launch.parameters),
+        ENV_CONTROL: str(control.absolute()),
         "PYTHONUNBUFFERED": "1",
     }
+
+
+def control_transport(environment: Mapping[str, str], arguments: Sequence[str]) -> tuple[SocketFolder | None, str]:
+    """Where a component listens for its manager, and the same in words; None where it belongs to no system.
+
+    The manager passes the folder. A component started by hand names its system, by ``--system NAME`` on its command
+    line or by MIDSTRIDE_SYSTEM. Raises NodeError where that names no system, or where its folder cannot be used.
+    """
+    if folder := environment.get(ENV_CONTROL):
+        return SocketFolder(Path(folder)), f"in {folder}"
+    system = _named_system(arguments) or environment.get(ENV_SYSTEM)
+    if not system:
+        return None, f"it belongs to no system: restart it with `{SYSTEM_FLAG} NAME` or {ENV_SYSTEM}=NAME"
+    try:
+        path = workspace_folder(system) / COMPONENTS
+    except ManagerError as error:
+        raise NodeError(str(error)) from None
+    return SocketFolder(path), f"in system {system}, folder {path}"
+
+
+def _named_system(arguments: Sequence[str]) -> str | None:
+    for index, argument in enumerate(arguments):
+        flag, equals, name = argument.partition("=")
+        if flag == SYSTEM_FLAG:
+            name = name if equals else next(iter(arguments[index + 1 :]), "")
+            if not name:
+                raise NodeError(f"{SYSTEM_FLAG} needs the name of a system: `{SYSTEM_FLAG} NAME`")
+            return name
+    return None
+
+
+async def listens(transport: Transport, instance: str) -> bool:
+    """Whether a component of that name accepts control connections: one started by hand, whose process is not known."""
+    try:
+        connection = await transport.connect(transport.address(instance))
+    except Unreachable:
+        return False
+    connection.close()
+    return True
 
 
 class Children:
@@ -73,7 +128,6 @@ class Children:
         self._guardian = guardian
         self._exited = exited
         self._processes: dict[str, Process] = {}
-        self._gone: dict[str, asyncio.Event] = {}
         self._looking: asyncio.Task[None] | None = None
 
     def __contains__(self, instance: object) -> bool:
@@ -85,7 +139,6 @@ class Children:
     def take(self, instance: str, process: Process) -> None:
         """Watch a process from now on."""
         self._processes[instance] = process
-        self._gone[instance] = asyncio.Event()
         if self._guardian is not None:
             self._guardian.watch(process.pid, process.started)
         process.on_exit(lambda status: self._ended(instance, process, status))
@@ -115,30 +168,9 @@ class Children:
     def _forget(self, instance: str, process: Process) -> None:
         if self._processes.get(instance) is process:
             del self._processes[instance]
-            self._gone[instance].set()
         if self._guardian is not None:
             self._guardian.release(process.pid)
         process.close()
-
-    async def while_running(self, instance: str, what: str, work: Coroutine[Any, Any, T]) -> T:
-        """What ``work`` comes to. Raises Unreachable as soon as the process of ``instance`` has ended."""
-        gone = self._gone.get(instance)
-        if gone is None:  # nobody's process here: it was started elsewhere
-            return await work
-        if gone.is_set():
-            work.close()
-            raise Unreachable(f"the process of {instance} has ended")
-        working = asyncio.ensure_future(work)
-        waiting = asyncio.ensure_future(gone.wait())
-        try:
-            await asyncio.wait({working, waiting}, return_when=asyncio.FIRST_COMPLETED)
-            if working.done():
-                return working.result()
-            raise Unreachable(f"the process of {instance} ended before it answered `{what}`")
-        finally:
-            working.cancel()
-            waiting.cancel()
-            await asyncio.gather(working, return_exceptions=True)
 
     def close(self) -> None:
         """Let go of them all; they go on."""

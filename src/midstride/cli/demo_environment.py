@@ -49,9 +49,7 @@ def demo_environment(example: Demo, backend: str) -> Iterator[DemoEnvironment]:
         os.environ[_MARK] = token
         guardian = stack.enter_context(Reaper(_MARK, token)) if backend != "sim" else None
         platform: Backend = (
-            Simulator(starting=COLD_START)
-            if backend == "sim"
-            else backends.make(backend, logs=workspace.logs, guardian=guardian)
+            Simulator(starting=COLD_START) if backend == "sim" else backends.make(backend, workspace, guardian=guardian)
         )
         yield DemoEnvironment(Manager(example.specification, platform, workspace, example.folder), platform, workspace)
 

@@ -6,7 +6,7 @@ import asyncio
 import signal
 from collections.abc import AsyncIterator, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any
+from typing import Any, Final
 
 from rich.console import Console
 from rich.markup import escape
@@ -19,10 +19,16 @@ from midstride.cli.demo_environment import DemoEnvironment, demo_environment
 from midstride.cli.example import Demo, DemoStep
 from midstride.cli.log_excerpt import LogFile, LogFollower, LogLine, excerpt
 from midstride.cli.progress import Progress
+from midstride.codec.form import encode
+from midstride.plan.forms import encode_plan
 
 Document = dict[str, Any]
 # How often the newest word of the component that is listened to is shown (s).
 ASIDE = 0.1
+
+
+# How long the system runs before the first act (s): what is replaced then has been heard before.
+RUN_IN: Final = 1.0
 
 
 async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
@@ -36,6 +42,7 @@ async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
             out.print(f"[bold]{escape(example.title)}[/bold]  [dim](examples/{example.name}, on {backend})[/dim]")
             async with _shown(scene, example, out):
                 await scene.manager.up()
+                await scene.backend.clock.sleep(RUN_IN)
             outcomes: list[Document] = []
             for act in example.acts:
                 outcomes.append(await _act(scene, example, act, out))
@@ -51,12 +58,12 @@ async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
 async def _act(scene: DemoEnvironment, example: Demo, act: DemoStep, out: Console) -> Document:
     out.print(f"\n[bold]{escape(act.name)}[/bold]  {escape(act.says)}")
     plan = await scene.manager.plan(act.request)
-    out.print(render.plan(plan.to_document(), "The plan"))
+    out.print(render.plan(encode_plan(plan), "The plan"))
     async with _shown(scene, example, out) as listening:
-        answer = await scene.manager.change(act.request)
+        answer = encode(await scene.manager.change(act.request))
     out.print(render.outcome(answer))
     _print_excerpt(example.listen_to, excerpt(listening.new()), out)
-    for line in _standing(await scene.manager.status()):
+    for line in _standing(encode(await scene.manager.status())):
         out.print(line)
     return answer
 
@@ -67,12 +74,12 @@ async def _shown(scene: DemoEnvironment, example: Demo, out: Console) -> AsyncIt
     listening, beside = (LogFollower(_log_of(scene, example)) for _ in range(2))
     listening.new()
     log = scene.manager.log()
-    stream = scene.manager.subscribe(log[-1]["n"] if log else 0)
+    stream = scene.manager.subscribe(log[-1].n if log else 0)
     with Progress(out) as progress:
 
         async def events() -> None:
             async for event in stream:
-                progress.show(event)
+                progress.show(encode(event))
 
         async def aside() -> None:
             while True:

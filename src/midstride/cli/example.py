@@ -10,11 +10,12 @@ import click
 
 import midstride
 from midstride.cli.files import load
+from midstride.codec.reading import parse_json
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
-from midstride.model.reading import parse_json
 from midstride.model.specification import Specification
 from midstride.plan.request import Request
+from midstride.plan.request_form import decode_request
 
 _PACKAGE = Path(midstride.__file__).resolve().parent
 
@@ -73,8 +74,7 @@ def read(folder: Path) -> Demo:
             specification=load(folder / document["specification"]),
             listen_to=str(document["listen_to"]),
             acts=tuple(
-                DemoStep(str(act["name"]), str(act["says"]), Request.from_document(act["request"]))
-                for act in document["acts"]
+                DemoStep(str(act["name"]), str(act["says"]), decode_request(act["request"])) for act in document["acts"]
             ),
         )
     except (KeyError, TypeError) as error:

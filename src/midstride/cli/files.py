@@ -7,9 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
 
+from midstride.codec.reading import parse_json
+from midstride.codec.specification import decode_specification
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
-from midstride.model.document import parse_json, specification_from_document
 from midstride.model.specification import Specification
 
 # No specification and no plan is as long (characters); a device that never ends would fill the memory.
@@ -66,7 +67,7 @@ def must_exist(path: Path) -> None:
 
 
 def _parsed(text: str) -> Specification:
-    return specification_from_document(parse_json(text))
+    return decode_specification(parse_json(text))
 
 
 def _text(path: Path) -> str:

@@ -24,7 +24,14 @@ def wants_json() -> bool:
 
 
 def print_json(document: Any) -> None:
-    print(json.dumps(document, indent=2, ensure_ascii=False))
+    print(json.dumps(document, indent=2, ensure_ascii=False, default=_plain))
+
+
+def _plain(form: Any) -> Any:
+    """A form (midstride.codec) as plain dicts and lists."""
+    import msgspec
+
+    return msgspec.to_builtins(form)
 
 
 def console(stderr: bool = False) -> Console:

@@ -253,7 +253,7 @@ def _topics(document: Document) -> list[RenderableType]:
 def _faults(document: Document) -> list[RenderableType]:
     faults = [Text(str(violation), style="red") for violation in document["violations"]]
     for gone in document.get("crashed") or ():
-        faults.append(Text(f"{gone['name']} has ended by itself (status {gone['status']})", style="red"))
+        faults.append(Text(f"{gone['name']} exited unexpectedly (status {gone['status']})", style="red"))
     if document.get("unwritten"):
         faults.append(Text(str(document["unwritten"]), style="red"))
     return list(faults)

@@ -14,6 +14,7 @@ from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideE
 from midstride.runtime.backend import Backend, Handle
 from midstride.runtime.launcher import STOP_GRACE
 from midstride.runtime.orphans import end_orphans
+from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to end once its system is down (s).
@@ -55,14 +56,15 @@ def until_free(workspace: Workspace) -> None:
 
 
 def _end_what_is_left(workspace: Workspace) -> None:
-    state = workspace.load()
-    if state is None:
+    store = StateStore(workspace.state)
+    saved = store.load()
+    if saved is None:
         return
-    handles = [Handle(**entry["handle"]) for entry in state["instances"] if entry["handle"]]
-    backend = backends.make(str(state["backend"]))
-    if faults := asyncio.run(_end(backend, handles, str(state["token"]))):
+    handles = [entry.handle for entry in saved.instances if entry.handle is not None]
+    backend = backends.make(saved.backend, workspace)
+    if faults := asyncio.run(_end(backend, handles, saved.token)):
         raise ManagerError("; ".join(faults))
-    workspace.forget()
+    store.forget()
 
 
 async def _end(backend: Backend, handles: list[Handle], token: str) -> list[str]:

@@ -1,4 +1,1 @@
-"""From a specification to text: drawings, skeletons of nodes, launch and package files.
-
-Pure: no file is touched here.
-"""
+"""Generates text from a specification: drawings, node skeletons, launch and package files. Performs no I/O."""

@@ -1,4 +1,4 @@
-"""Views as text that others draw: Graphviz's dot, and Mermaid."""
+"""Renders views as text for Graphviz and Mermaid."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from typing import Final
 from midstride.generate.layout import GraphLayout, layout
 from midstride.generate.view import Box, Edge, Port, View
 
-_WHOLE: Final = re.compile(r"(?<=@) | (?=k?Hz)| (?==)|(?<==) ")
+_UNBREAKABLE: Final = re.compile(r"(?<=@) | (?=k?Hz)| (?==)|(?<==) ")
 _COLOURS: Final = {"node": "#e8f0fe", "group": "#e6f4ea", "environment": "#fef7e0"}
 
 
 def to_dot(view: View) -> str:
-    """The view for Graphviz's ``dot``: boxes with ports, ovals for topics, dashed for the environment.
+    """The view for Graphviz's ``dot``: boxes with ports, ovals for topics, dashed lines for the environment.
 
-    Inputs are on the side that arrows come from: on the left, or above where the drawing goes down the page.
+    Inputs are on the side where arrows come from: on the left, or at the top if the drawing runs down the page.
     """
     ids, laid = _ids(view), layout(view)
-    direction, apart = ("TB", 0.4) if laid.down else ("LR", 0.7)
+    direction, spacing = ("TB", 0.4) if laid.down else ("LR", 0.7)
     lines = [
         f"digraph {_quoted(view.title)} {{",
-        f'  graph [rankdir={direction}, fontname="Helvetica", nodesep=0.3, ranksep={apart}];',
+        f'  graph [rankdir={direction}, fontname="Helvetica", nodesep=0.3, ranksep={spacing}];',
         '  node [fontname="Helvetica", fontsize=11];',
         '  edge [fontname="Helvetica", fontsize=9, color="#5f6368", arrowsize=0.7];',
     ]
@@ -40,17 +40,17 @@ def to_dot(view: View) -> str:
 
 
 def _dot_edge(edge: Edge, ids: dict[str, str], laid: GraphLayout) -> str:
-    """An edge; one that goes back is drawn as one that comes, so that it does not turn the drawing round."""
+    """An edge. A back edge is reversed, with its arrow head at the other end, so that it does not affect the ranks."""
     out, into = ("s", "n") if laid.down else ("e", "w")
     start = ids[edge.start] + (f":{_quoted('out ' + edge.start_port)}:{out}" if edge.start_port else "")
     end = ids[edge.end] + (f":{_quoted('in ' + edge.end_port)}:{into}" if edge.end_port else "")
     back = edge in laid.back
-    looks = [*(["dir=back"] if back else []), *(["style=dashed"] if edge.relies else [])]
+    looks = [*(["dir=back"] if back else []), *(["style=dashed"] if edge.assumed else [])]
     return (f"{end} -> {start}" if back else f"{start} -> {end}") + (f" [{', '.join(looks)}]" if looks else "")
 
 
 def _table(box: Box, laid: GraphLayout) -> str:
-    """A box as a table: inputs, then its title and functionalities, then outputs; across, or down."""
+    """A box as a table: inputs, then title and functionalities, then outputs; from left to right, or downwards."""
     border = 'style="dashed"' if box.kind == "environment" else 'style="rounded"'
     lines = box.lines if box.kind == "node" else [f"  {line}" for line in box.lines]
     middle = "<br align='left'/>".join(_line(line) for line in lines)
@@ -78,7 +78,7 @@ def _line(line: str) -> str:
 
 
 def _ports(ports: tuple[Port, ...], side: str, beside: bool) -> str:
-    """Ports in a cell, one below the other, or ``beside`` each other."""
+    """Ports in a cell, below or ``beside`` each other."""
     if not ports:
         return "<td></td>"
     cells = []
@@ -92,9 +92,9 @@ def _ports(ports: tuple[Port, ...], side: str, beside: bool) -> str:
 
 
 def _wrapped(text: str, width: int = 46, end: str = "<br/>") -> str:
-    """``text`` broken into lines at blanks; a rate (`@ 10 Hz`) and what is set (`depth = 5`) stay whole."""
+    """``text`` wrapped at spaces; a rate (`@ 10 Hz`) or a setting (`depth = 5`) is not broken."""
     lines, line = [], ""
-    for word in _WHOLE.sub("\u00a0", text).split(" "):
+    for word in _UNBREAKABLE.sub("\u00a0", text).split(" "):
         if line and len(line) + 1 + len(word) > width:
             lines.append(line)
             line = word
@@ -108,11 +108,11 @@ def _quoted(text: str) -> str:
 
 
 def to_mermaid(view: View) -> str:
-    """The view as a Mermaid flow chart; ports are written on the arrows."""
+    """The view as a Mermaid flow chart, with ports as labels of the arrows."""
     ids = _ids(view)
     lines = ["flowchart TB" if layout(view).down else "flowchart LR"]
     for box in view.boxes:
-        notes = [f"{kind} {p.name}: {p.note}" for kind, ports in _sides(box) for p in ports if p.note]
+        notes = [f"{kind} {p.name}: {p.note}" for kind, ports in _ports_by_side(box) for p in ports if p.note]
         text = "<br/>".join([f"<b>{_mermaid(box.title)}</b>", *(_mermaid(line) for line in [*box.lines, *notes])])
         lines.append(f'  {ids[box.id]}["{text}"]:::{box.kind}')
     for topic in view.topics:
@@ -120,7 +120,7 @@ def to_mermaid(view: View) -> str:
         lines.append(f'  {ids[topic.id]}(["{_mermaid(topic.name)}{note}"]):::topic')
     for edge in view.edges:
         port = edge.start_port or edge.end_port
-        arrow = "-.->" if edge.relies else "-->"
+        arrow = "-.->" if edge.assumed else "-->"
         label = f"|{_mermaid(port)}|" if port else ""
         lines.append(f"  {ids[edge.start]} {arrow}{label} {ids[edge.end]}")
     lines += [f"  classDef {kind} fill:{colour},stroke:#5f6368" for kind, colour in _COLOURS.items()]
@@ -128,16 +128,16 @@ def to_mermaid(view: View) -> str:
     return "\n".join(lines)
 
 
-def _sides(box: Box) -> tuple[tuple[str, tuple[Port, ...]], tuple[str, tuple[Port, ...]]]:
+def _ports_by_side(box: Box) -> tuple[tuple[str, tuple[Port, ...]], tuple[str, tuple[Port, ...]]]:
     return ("in", box.inputs), ("out", box.outputs)
 
 
 def _mermaid(text: str) -> str:
-    """Text that Mermaid takes for nothing else."""
+    """Text with the special characters of Mermaid escaped."""
     return "".join(c if c.isalnum() or c in " _-./:,@" else f"#{ord(c)};" for c in text.strip())
 
 
 def _ids(view: View) -> dict[str, str]:
-    """Short identifiers; `n1` and so on, so that no name can be a word of the drawing's language."""
+    """Identifiers `n0`, `n1`, …, which cannot be keywords of the drawing language."""
     names = [*(box.id for box in view.boxes), *(topic.id for topic in view.topics)]
     return {name: f"n{index}" for index, name in enumerate(names)}

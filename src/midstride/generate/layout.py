@@ -1,7 +1,7 @@
-"""In which order a view is drawn, so that most arrows go one way, and whether that way is across or down.
+"""The order in which a view is drawn, so that most arrows point one way, and the direction: across or down.
 
-Robots are full of feedback: every drawing of one has arrows that go back. Fewest is best; finding the fewest is
-hard, and the greedy order of Eades, Lin and Smyth, begun at each place where a loop may be entered, is near enough.
+Robots have feedback loops, so some arrows must point back. Minimising their number (the feedback arc set) is NP-hard;
+the greedy heuristic of Eades, Lin and Smyth, tried from each possible entry of a loop, comes close.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ from typing import Final
 
 from midstride.generate.view import Edge, View
 
-# Boxes one behind the other that a page still holds side by side, plain and with contracts; more go down it.
+# The longest chain of boxes that fits across a page, without and with contracts; longer ones run down the page.
 ACROSS: Final = 4
 ACROSS_ANNOTATED: Final = 2
-# Trying every entry takes the square of the drawing's size.
-_TRIED: Final = 120
+# Trying every entry takes quadratic time.
+_MAX_TRIED: Final = 120
 
 
 @dataclass(frozen=True, slots=True)
 class GraphLayout:
-    """``order``: the ids of boxes and topics, sources first. ``back``: the edges against it. ``down``: the drawing is
-    better read downwards."""
+    """``order``: the ids of boxes and topics, sources first. ``back``: the edges against that order. ``down``: whether
+    the drawing runs down the page."""
 
     order: tuple[str, ...]
     back: frozenset[Edge]
@@ -30,26 +30,27 @@ class GraphLayout:
 
 
 def layout(view: View) -> GraphLayout:
-    """The layout of a view; the same for the same view."""
+    """The layout of a view. Deterministic."""
     ids = [*(box.id for box in view.boxes), *(topic.id for topic in view.topics)]
     pairs = list(dict.fromkeys((edge.start, edge.end) for edge in view.edges if edge.start != edge.end))
     order = _greedy(ids, pairs, None)
-    if len(ids) <= _TRIED and (looped := _back(order, pairs)):
+    if len(ids) <= _MAX_TRIED and (looped := _back_edges(order, pairs)):
         entries = sorted({id for pair in looped for id in pair} | set(_successors(looped, pairs)), key=ids.index)
         order = min(
-            (order, *(_greedy(ids, pairs, entry) for entry in entries)), key=lambda order: len(_back(order, pairs))
+            (order, *(_greedy(ids, pairs, entry) for entry in entries)),
+            key=lambda order: len(_back_edges(order, pairs)),
         )
-    back = _back(order, pairs)
+    back = _back_edges(order, pairs)
     across = ACROSS_ANNOTATED if any(topic.note for topic in view.topics) else ACROSS
     return GraphLayout(
         tuple(order),
         frozenset(edge for edge in view.edges if (edge.start, edge.end) in back),
-        _boxes_in_a_row(view, order, [pair for pair in pairs if pair not in back]) > across,
+        _longest_path(view, order, [pair for pair in pairs if pair not in back]) > across,
     )
 
 
 def _successors(looped: Iterable[tuple[str, str]], pairs: list[tuple[str, str]]) -> Iterable[str]:
-    """Everything that the ends of ``looped`` lead to: where the loops could be entered as well."""
+    """Everything reachable from the ends of ``looped``: the other possible entries of the loops."""
     follow: dict[str, list[str]] = {}
     for start, end in pairs:
         follow.setdefault(start, []).append(end)
@@ -64,8 +65,8 @@ def _successors(looped: Iterable[tuple[str, str]], pairs: list[tuple[str, str]])
 
 
 def _greedy(ids: list[str], pairs: list[tuple[str, str]], entry: str | None) -> list[str]:
-    """What nothing leads to first, what leads nowhere last; of the rest ``entry`` first, then whatever leads to more
-    than leads to it."""
+    """Sources first, sinks last; of the rest ``entry`` first, then the vertex with the greatest surplus of outgoing
+    edges."""
     into: dict[str, dict[str, None]] = {id: {} for id in ids}
     out: dict[str, dict[str, None]] = {id: {} for id in ids}
     for start, end in pairs:
@@ -95,13 +96,13 @@ def _greedy(ids: list[str], pairs: list[tuple[str, str]], entry: str | None) -> 
     return first + last[::-1]
 
 
-def _back(order: list[str], pairs: list[tuple[str, str]]) -> set[tuple[str, str]]:
+def _back_edges(order: list[str], pairs: list[tuple[str, str]]) -> set[tuple[str, str]]:
     rank = {id: index for index, id in enumerate(order)}
     return {(start, end) for start, end in pairs if rank[start] > rank[end]}
 
 
-def _boxes_in_a_row(view: View, order: list[str], forward: list[tuple[str, str]]) -> int:
-    """The most boxes on one way through the drawing."""
+def _longest_path(view: View, order: list[str], forward: list[tuple[str, str]]) -> int:
+    """The number of boxes on the longest path through the drawing."""
     boxes = {box.id for box in view.boxes}
     before: dict[str, list[str]] = {}
     for start, end in forward:

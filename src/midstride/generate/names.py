@@ -1,4 +1,4 @@
-"""Names in generated code: what a program is called by its command, and attributes that collide with nothing."""
+"""Names in generated code: the program file of a command, and unique attribute names."""
 
 from __future__ import annotations
 
@@ -14,15 +14,14 @@ _WORD: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 class ProgramFile(NamedTuple):
-    """The file that a command runs, relative to the system's folder; ``packaged``: it is found in its package, not
-    by its place."""
+    """The file that a command runs, relative to the system's folder; ``packaged``: it is a module of a package."""
 
     path: PurePosixPath
     packaged: bool
 
 
 def program(run: str) -> ProgramFile | None:
-    """What a command runs; None for what is no Python program of the system's folder.
+    """The file that a command runs; None if it is not a Python program in the system's folder.
 
     ``python3 -m patrol.detector`` runs ``patrol/detector.py``, ``python3 talker.py`` runs ``talker.py``.
     """
@@ -51,14 +50,14 @@ def snake(name: str) -> str:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name).lower()
 
 
-class Attributes:
-    """Hands out attribute names: the wished one, or one with underscores and a hint behind it."""
+class AttributeNames:
+    """Assigns unique attribute names: the preferred one, or one with a hint and underscores appended."""
 
     def __init__(self, taken: Iterable[str]) -> None:
         self._taken = set(taken)
 
-    def take(self, wished: str, hint: str = "") -> str:
-        name = re.sub(r"[^A-Za-z0-9_]", "_", wished)
+    def take(self, preferred: str, hint: str = "") -> str:
+        name = re.sub(r"[^A-Za-z0-9_]", "_", preferred)
         if keyword.iskeyword(name) or keyword.issoftkeyword(name) or name.startswith("__"):
             name = f"{name.lstrip('_') or 'name'}_"
         if name in self._taken and hint:

@@ -1,4 +1,4 @@
-"""What stands in the skeleton of a component: imports, declarations, the wiring of modes, a method for each mode."""
+"""The contents of a component's skeleton: imports, declarations, the wiring of modes, a method per mode."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.errors import SpecificationError
-from midstride.generate.names import Attributes
+from midstride.generate.names import AttributeNames
 from midstride.model.component import ComponentSpec, EnvironmentGuarantee, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Interval, OneOf, Predicate, QoS, Scalar, ValueSet, format_number, satisfies
 
-# Attributes of the skeleton's own.
-_OWN: Final = ("component", "wire", "start")
-# Names that a skeleton imports; a class that would hide one of them is called otherwise.
+# Attributes of every skeleton.
+_RESERVED: Final = ("component", "wire", "start")
+# Names that a skeleton imports; a class of the same name is renamed.
 _IMPORTED: Final = ("Component", "QoS", "Interval", "any_of", "at_least", "at_most", "between", "guarantee")
 
 
 @dataclass(frozen=True, slots=True)
 class Method:
-    """A method of the skeleton: a mode, or what is called when a parameter changes."""
+    """A method of the skeleton: a mode, or the callback of a changed parameter."""
 
     name: str
     arguments: str
@@ -30,7 +30,7 @@ class Method:
 
 @dataclass(slots=True)
 class Skeleton:
-    """All that the template of a component needs, as lines of Python."""
+    """The input of the component template, as lines of Python."""
 
     name: str
     node: str
@@ -43,9 +43,9 @@ class Skeleton:
 
 
 def skeleton(component: ComponentSpec, node: str, environment: tuple[EnvironmentGuarantee, ...] = ()) -> Skeleton:
-    """The skeleton of ``component``, whose node is called ``node`` where nobody names it.
+    """The skeleton of ``component``, with the default node name ``node``.
 
-    Raises SpecificationError for an output that no mode gives a type.
+    Raises SpecificationError if no mode states the type of an output.
     """
     return _Builder(component, node, environment).build()
 
@@ -56,9 +56,9 @@ class _Builder:
         self.environment = environment
         name = f"{component.name}Node" if component.name in _IMPORTED else component.name
         self.result = Skeleton(name, node)
-        self.names = Attributes(_OWN)
+        self.names = AttributeNames(_RESERVED)
         self.used = {"Component"}
-        self.classes: dict[str, str] = {}  # the name in the code of each message type
+        self.classes: dict[str, str] = {}  # the class name of each message type
         self.ports: dict[str, str] = {}
         self.functionalities: dict[str, str] = {}
 
@@ -139,12 +139,12 @@ class _Builder:
             return f"Interval({ends[0]}, {ends[1]}, low_open={values.low_open}, high_open={values.high_open})"
         helper = "at_most" if math.isinf(low) else "at_least" if math.isinf(high) else "between"
         self.used.add(helper)
-        told = {
+        arguments = {
             "at_most": format_number(high),
             "at_least": format_number(low),
             "between": f"{format_number(low)}, {format_number(high)}",
         }
-        return f"{helper}({told[helper]})"
+        return f"{helper}({arguments[helper]})"
 
     # -- parameters ------------------------------------------------------------------------------------------
 
@@ -155,7 +155,7 @@ class _Builder:
             if parameter.changeable:
                 method = self.names.take(f"{attribute}_changed")
                 change = f", on_change=self.{method}"
-                about = f"Called when `{name}` is set in place; what it raises refuses the change."
+                about = f"Called when `{name}` is set; raise an exception to reject the value."
                 self.result.methods.append(Method(method, "self, value: object", about, ()))
             created = f"self.component.parameter({name!r}, {parameter.value!r}{change})"
             self.result.declarations.append(f"{attribute} = {created}")
@@ -169,7 +169,7 @@ class _Builder:
             arguments.append(f"inputs={self._ports(functionality.inputs)}")
         if functionality.outputs:
             arguments.append(f"outputs={self._ports(functionality.outputs)}")
-        if functionality.weight not in {0, 1}:  # the author's API knows no weight of 0, and the manager takes its own
+        if functionality.weight not in {0, 1}:  # the API does not accept 0, and the manager uses the specification's
             arguments.append(f"weight={format_number(functionality.weight)}")
         created = f"self.component.create_functionality({', '.join(arguments)})"
         self.result.declarations.append(f"{attribute} = {created}")
@@ -198,8 +198,8 @@ class _Builder:
             for name in dict.fromkeys(inputs):
                 handler = self.names.take(f"{method}_{name}")
                 type_ = self.classes[self.component.inputs[name].type]
-                told = f"{about[:-1]}: a message on `{name}`."
-                self.result.methods.append(Method(handler, f"self, message: {type_}", told, body))
+                text = f"{about[:-1]}; handles a message on `{name}`."
+                self.result.methods.append(Method(handler, f"self, message: {type_}", text, body))
                 entries.append(f"self.{self.ports[name]}: self.{handler}")
             called = "{" + ", ".join(entries) + "}"
         arguments = [called]
@@ -209,10 +209,10 @@ class _Builder:
             arguments.append(f"inputs=[{', '.join(self._alternatives(names) for names in assumed)}]")
         if guarantees:
             arguments.append(f"outputs={self._ports(tuple(name for name, _ in guarantees))}")
-        promised = [(name, guarantee) for name, guarantee in guarantees if guarantee.fields]
-        if promised:
+        constrained = [(name, guarantee) for name, guarantee in guarantees if guarantee.fields]
+        if constrained:
             self.used.add("guarantee")
-            entries = [f"self.{self.ports[n]}: guarantee(where={self._where(g.fields)})" for n, g in promised]
+            entries = [f"self.{self.ports[n]}: guarantee(where={self._where(g.fields)})" for n, g in constrained]
             arguments.append(f"guarantees={{{', '.join(entries)}}}")
         self.result.wiring.append(self._set(attribute, functionality, index, mode, arguments))
 
@@ -229,7 +229,7 @@ class _Builder:
         return f"{target}.set_mode({', '.join([repr(mode.name), *arguments])})"
 
     def _assumed(self, functionality: FunctionalitySpec, mode: Mode) -> Iterator[tuple[str, ...]]:
-        """The inputs of each assumption. What the environment gives is no one's input."""
+        """The inputs of each assumption, except those that the environment satisfies."""
         for assumption in mode.assumptions:
             if isinstance(assumption, InputAlternatives):
                 yield assumption.inputs
@@ -248,11 +248,11 @@ class _Builder:
 
     def _about(self, functionality: FunctionalitySpec, mode: Mode) -> str:
         assumed = ", ".join(str(assumption) for assumption in mode.assumptions) or "nothing"
-        text = f"{mode.name}, of {functionality.name}: assumes {assumed}."
+        text = f"Mode {mode.name} of {functionality.name}; assumes {assumed}."
         return text.replace("\\", "/").replace('"', "'")
 
     def _write(self, output: str, guarantee: Predicate) -> Iterator[str]:
-        """Lines that write a message which keeps the guarantee."""
+        """Code that writes a message which meets the guarantee."""
         type_ = self.classes[guarantee.type]
         if not guarantee.fields:
             yield f"self.{self.ports[output]}.write({type_}())"
@@ -260,18 +260,18 @@ class _Builder:
         message = f"{self.ports[output]}_message"
         yield f"{message} = {type_}()"
         for path, values in guarantee.fields:
-            yield f"{message}.{path} = {_some(values)!r}"
+            yield f"{message}.{path} = {_example_value(values)!r}"
         yield f"self.{self.ports[output]}.write({message})"
 
 
-def _some(values: ValueSet) -> Scalar:
-    """One of the values; a whole number where there is one, since fields may be."""
+def _example_value(values: ValueSet) -> Scalar:
+    """One of the values; a whole number if possible, because the field may be an integer."""
     if isinstance(values, OneOf):
         return values.values[0]
-    return _whole(values)
+    return _add_file(values)
 
 
-def _whole(interval: Interval) -> Scalar:
+def _add_file(interval: Interval) -> Scalar:
     candidates: list[float] = [0.0]
     for end in (interval.low, interval.high):
         if math.isfinite(end):

@@ -1,7 +1,7 @@
-"""The component-and-connector view of a specification (the paper's figures 1 and 3), as values to be drawn.
+"""The component-and-connector view of a specification (the paper's figures 1 and 3), as values to draw.
 
-Nodes are boxes with their ports, topics are connectors between them, the environment stands beside them. With
-``annotate`` contracts and modes are written out. Where ``collapse`` holds, the nodes of a namespace are one box.
+Nodes and guarantees of the environment are boxes, topics are the connectors between them. ``annotate`` adds contracts
+and modes; ``collapse`` draws the nodes of a namespace as one box.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode
 from midstride.model.contract import Predicate, satisfies
 from midstride.model.specification import Specification
 
-# More nodes than this are drawn by namespace, unless that is asked otherwise.
+# Systems with more nodes are drawn by namespace unless requested otherwise.
 READABLE: Final = 40
 
 Kind = Literal["node", "group", "environment"]
@@ -22,7 +22,7 @@ Kind = Literal["node", "group", "environment"]
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """``note`` is what is written beside the name: an input's assumption, an output's normal guarantee."""
+    """``note`` annotates the name: an input's assumption, or an output's guarantee in its normal mode."""
 
     name: str
     note: str = ""
@@ -47,18 +47,18 @@ class TopicNode:
 
 @dataclass(frozen=True, slots=True)
 class Edge:
-    """From a box's port to a topic, from a topic to a box's port, or (``relies``) from the environment to a box."""
+    """From a box's port to a topic, from a topic to a box's port, or (``assumed``) from the environment to a box."""
 
     start: str
     end: str
     start_port: str = ""
     end_port: str = ""
-    relies: bool = False
+    assumed: bool = False
 
 
 @dataclass(slots=True)
 class View:
-    """What there is to draw, in a stable order."""
+    """The elements to draw, in a stable order."""
 
     title: str
     boxes: list[Box] = field(default_factory=list)
@@ -67,7 +67,7 @@ class View:
 
 
 def view(specification: Specification, *, annotate: bool = False, collapse: bool | None = None) -> View:
-    """The view of a specification. ``collapse`` None: only where it would not be readable otherwise."""
+    """The view of a specification. ``collapse`` None: only for more than :data:`READABLE` nodes."""
     if collapse is None:
         collapse = len(specification.nodes) > READABLE
     return _Builder(specification, annotate, collapse).build()
@@ -79,7 +79,7 @@ class _Builder:
         self.annotate = annotate
         self.collapse = collapse
         self.view = View(specification.name)
-        self.boxes: dict[str, str] = {}  # what is drawn of a role
+        self.boxes: dict[str, str] = {}  # the box of each role
         self.edges: dict[Edge, None] = {}
 
     def build(self) -> View:
@@ -98,7 +98,7 @@ class _Builder:
         inside = self._attachments()
         for group, roles in groups.items():
             hidden = inside.get(f"group {group}", 0)
-            lines = [f"{len(roles)} nodes"] + ([f"{hidden} topics inside"] if hidden else [])
+            lines = [f"{len(roles)} nodes"] + ([f"{hidden} internal topics"] if hidden else [])
             self.view.boxes.append(Box(f"group {group}", group, "group", lines=tuple(lines)))
         self._environment()
         self.view.edges = list(self.edges)
@@ -117,12 +117,12 @@ class _Builder:
         )
 
     def _input(self, component: ComponentSpec, name: str) -> Port:
-        return Port(name, told(component.inputs[name]) if self.annotate else "")
+        return Port(name, describe(component.inputs[name]) if self.annotate else "")
 
     def _output(self, component: ComponentSpec, name: str) -> Port:
         owner = component.find_owner(name)
         guarantee = owner.modes[0].guarantee(name) if owner is not None and owner.modes else None
-        return Port(name, told(guarantee) if self.annotate and isinstance(guarantee, Predicate) else "")
+        return Port(name, describe(guarantee) if self.annotate and isinstance(guarantee, Predicate) else "")
 
     def _functionality(self, functionality: FunctionalitySpec) -> Iterable[str]:
         yield functionality.name
@@ -133,21 +133,21 @@ class _Builder:
     # -- connections ---------------------------------------------------------------------------------------
 
     def _attachments(self) -> dict[str, int]:
-        """Draw topics and what is attached to them; how many topics are wholly inside of each group."""
+        """Add topics and attachments; returns the number of topics that are entirely inside each group."""
         ends: dict[str, list[tuple[str, str, bool]]] = {}
         for role in self.specification.roles():
             component = self.specification.component_of(role)
             for port, topic in self.specification.attachments_of(role):
                 ends.setdefault(topic, []).append((self.boxes[role], port.port, port.port in component.outputs))
-        seen_outside = {offer.topic for offer in self.specification.environment}
+        used_outside = {offer.topic for offer in self.specification.environment}
         inside: dict[str, int] = {}
         for name, connector in sorted(self.specification.connectors.items()):
             attached = ends.get(name, [])
             boxes = {box for box, _, _ in attached}
-            if len(boxes) == 1 and name not in seen_outside and next(iter(boxes)).startswith("group "):
+            if len(boxes) == 1 and name not in used_outside and next(iter(boxes)).startswith("group "):
                 inside[boxes.pop()] = inside.get(attached[0][0], 0) + 1
                 continue
-            note = told(connector.guarantee) if self.annotate else ""
+            note = describe(connector.guarantee) if self.annotate else ""
             if self.annotate and connector.max_publishers is not None:
                 note += f", at most {connector.max_publishers} publisher{'' if connector.max_publishers == 1 else 's'}"
             self.view.topics.append(TopicNode(f"topic {name}", name, note))
@@ -163,18 +163,18 @@ class _Builder:
         for offer in self.specification.environment:
             box = Box(f"environment {offer.name}", offer.name, "environment")
             if self.annotate:
-                box = Box(box.id, box.title, box.kind, lines=(told(offer.guarantee),))
+                box = Box(box.id, box.title, box.kind, lines=(describe(offer.guarantee),))
             self.view.boxes.append(box)
             if offer.topic is not None:
                 self.edges[Edge(box.id, f"topic {offer.topic}")] = None
                 continue
             for role in self.specification.roles():
-                if _relies(self.specification.component_of(role), offer.guarantee):
-                    self.edges[Edge(box.id, self.boxes[role], relies=True)] = None
+                if _assumed_by(self.specification.component_of(role), offer.guarantee):
+                    self.edges[Edge(box.id, self.boxes[role], assumed=True)] = None
 
 
 def _shared_namespace(roles: Iterable[str]) -> tuple[str, ...]:
-    """The namespace that all are in, a robot's for instance: a box for it would hold everything and say nothing."""
+    """The common namespace of all roles, such as that of a robot, for which a box would be of no use."""
     namespaces = [role.strip("/").split("/")[:-1] for role in roles]
     shared = []
     for parts in zip(*namespaces, strict=False):
@@ -184,8 +184,8 @@ def _shared_namespace(roles: Iterable[str]) -> tuple[str, ...]:
     return tuple(shared)
 
 
-def _relies(component: ComponentSpec, guarantee: Predicate) -> bool:
-    """Whether a mode of the component assumes something that the guarantee satisfies."""
+def _assumed_by(component: ComponentSpec, guarantee: Predicate) -> bool:
+    """Whether the guarantee satisfies an assumption of the component."""
     return any(
         isinstance(assumption, Predicate) and satisfies(guarantee, assumption)
         for functionality in component
@@ -194,14 +194,14 @@ def _relies(component: ComponentSpec, guarantee: Predicate) -> bool:
     )
 
 
-def told(predicate: Predicate) -> str:
-    """A predicate, its type without the part that all types share."""
+def describe(predicate: Predicate) -> str:
+    """A predicate as text, with its type abbreviated to `pkg/Type`."""
     return str(predicate).replace("/msg/", "/", 1)
 
 
 def _mode(mode: Mode) -> str:
-    assumed = [told(a) if isinstance(a, Predicate) else str(a) for a in mode.assumptions]
-    given = [f"{name} : {told(guarantee)}" for name, guarantee in sorted(mode.guarantees.items())]
+    assumed = [describe(a) if isinstance(a, Predicate) else str(a) for a in mode.assumptions]
+    given = [f"{name} : {describe(guarantee)}" for name, guarantee in sorted(mode.guarantees.items())]
     parts = [f"assumes {', '.join(assumed)}"] if assumed else []
     parts += [f"guarantees {', '.join(given)}"] if given else []
     return "; ".join(parts) or "nothing"

@@ -1,10 +1,10 @@
-"""The Stride language: from text to a specification or diagnostics, and back to canonical text.
+"""The Stride language: parsing, checking and formatting.
 
     loaded = load(Path("patrol.stride"))
     if loaded.specification is None:
         print(render(loaded.diagnostics))
 
-Nothing here raises on account of what a file holds.
+Errors in a file are returned as diagnostics; no file content makes these functions raise.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Blocks of statements, and how reading goes on after an error.
+"""Blocks of statements, and recovery after errors.
 
-A statement that cannot be read is reported and skipped; its block goes on with the next one. What was skipped is
-remembered, so that a name which was perhaps declared there is not called undefined later. A brace too few or too many
-is told from a misplaced statement by indentation.
+A statement that cannot be parsed is reported and skipped; its block continues with the next one. The names in it are
+remembered, so that a name it may have declared is not reported as unknown later. Indentation decides between a missing
+or extra brace and a misplaced statement.
 """
 
 from __future__ import annotations
@@ -11,39 +11,38 @@ from collections.abc import Callable, Mapping
 
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.lexer import Tokens
-from midstride.lang.near_miss import nearest
-from midstride.lang.token_stream import BELONGS, RESERVED, Panic, TokenStream
+from midstride.lang.token_stream import KEYWORD_PLACES, RESERVED, Panic, TokenStream
+from midstride.model.near_miss import nearest
 
 Handlers = Mapping[str, Callable[[], None]]
 
 
 class BlockParser(TokenStream):
-    """The part of the parser that reads blocks."""
+    """The part of the parser for blocks."""
 
     def __init__(self, tokens: Tokens, reporter: Reporter) -> None:
         super().__init__(tokens, reporter)
-        self.lost: set[str] = set()
-        self._open: list[tuple[int, Handlers]] = []  # the first token and the handlers of each block that is open
+        self.skipped: set[str] = set()
+        self._open: list[tuple[int, Handlers]] = []  # the first token and the handlers of each open block
 
     def block(
         self, what: str, first: int, handlers: Handlers, other: Callable[[], bool] | None = None, separator: str = "   "
     ) -> frozenset[str]:
-        """Read ``{ … }``: statements by their first word, or by ``other``, which says whether it took one.
+        """Parse ``{ … }``: each statement by the handler of its keyword, or by ``other``, which returns whether it did.
 
-        ``first`` is the token that the whole declaration begins with. Yields
-        the first words of the statements that could not be read.
+        ``first`` is the first token of the whole declaration. Returns the first words of the skipped statements.
         """
         opened = self.i
         if not self.accept("{"):
             panic = self.fail(f"`{{` to open {what}")
             if self.texts[self.i] not in handlers:
                 raise panic
-            opened -= 1  # it was merely forgotten
+            opened -= 1  # only the brace is missing
         self._open.append((first, handlers))
-        lost = self.statements(what, opened, handlers, other, separator)
+        skipped = self.statements(what, opened, handlers, other, separator)
         self._open.pop()
         self.layout.blocks[opened] = self.i - 1
-        return lost
+        return skipped
 
     def statements(
         self,
@@ -53,26 +52,26 @@ class BlockParser(TokenStream):
         other: Callable[[], bool] | None = None,
         separator: str = "   ",
     ) -> frozenset[str]:
-        """The statements up to the closing brace, which is read; up to the end of the file where ``opened`` is None."""
-        lost: set[str] = set()
+        """The statements up to and including the closing brace; to the end of the file if ``opened`` is None."""
+        skipped: set[str] = set()
         while not self.reporter.is_full:
             if self.kinds[self.i] == ",":
                 self.i += 1
             kind, text, start = self.kinds[self.i], self.texts[self.i], self.i
             if kind == "end":
                 if opened is not None:
-                    self._not_closed(what, opened, "the end of the file")
-                    return frozenset({*lost, text})
-                return frozenset(lost)
+                    self._report_unclosed(what, opened, "the end of the file")
+                    return frozenset({*skipped, text})
+                return frozenset(skipped)
             if kind == "}":
                 self.i += 1
                 if opened is not None:
                     if self._closes_too_early(start, handlers):
-                        message = f"this `}}` closes {what}, and `{self.texts[self.i]}`, which belongs in it, follows"
-                        self.reporter.report("E124", self.span(start), message, help="leave it out")
+                        message = f"this `}}` closes {what} before `{self.texts[self.i]}`, which belongs inside it"
+                        self.reporter.report("E124", self.span(start), message, help="remove it")
                         continue
-                    return frozenset(lost)
-                self.reporter.report("E124", self.span(start), "this `}` closes nothing", help="leave it out")
+                    return frozenset(skipped)
+                self.reporter.report("E124", self.span(start), "unmatched `}`", help="remove it")
                 continue
             self.layout.statements[start] = separator
             try:
@@ -82,70 +81,69 @@ class BlockParser(TokenStream):
                     pass
                 elif kind == "name" and text in RESERVED:
                     if opened is not None and self._ends_block(start):
-                        self._not_closed(what, opened, f"`{text}`")
+                        self._report_unclosed(what, opened, f"`{text}`")
                         del self.layout.statements[start]
-                        return frozenset(lost)
-                    self.reporter.report("E122", self.span(), f"`{text}` belongs {BELONGS[text]}, not in {what}")
+                        return frozenset(skipped)
+                    self.reporter.report("E122", self.span(), f"`{text}` belongs {KEYWORD_PLACES[text]}, not in {what}")
                     raise Panic
                 else:
-                    self._unknown(what, handlers)
+                    self._unknown_statement(what, handlers)
             except Panic:
-                lost.add(text)
-                self._skip(start)
+                skipped.add(text)
+                self._skip_statement(start)
         self.i = len(self.kinds) - 1
-        return frozenset({*lost, ""})
+        return frozenset({*skipped, ""})
 
-    def _unknown(self, what: str, handlers: Handlers) -> None:
-        """A word that begins no statement here: taken for the one it is nearest to, if the rest may fit."""
+    def _unknown_statement(self, what: str, handlers: Handlers) -> None:
+        """Handle a word that starts no statement here: as the nearest keyword, if there is one."""
         text = self.texts[self.i]
         meant = nearest(text, handlers) if self.kinds[self.i] == "name" else None
         if meant is None:
-            known = ", ".join(f"`{word}`" for word in handlers)
-            raise self.fail(f"a statement of {what}", f"known here: {known}" if known else None)
-        message = f"`{text}` begins no statement of {what}"
+            allowed = ", ".join(f"`{word}`" for word in handlers)
+            raise self.fail(f"a statement in {what}", f"allowed here: {allowed}" if allowed else None)
+        message = f"unknown statement `{text}` in {what}"
         self.reporter.report("E121", self.span(), message, help=f"did you mean `{meant}`?")
         handlers[meant]()
 
     def _ends_block(self, at: int) -> bool:
-        """Whether the word at ``at``, unknown in this block, goes on with an outer one: so it was meant if it stands
-        no deeper."""
+        """Whether the keyword at ``at``, unknown in this block, continues an outer one: if it is indented no deeper."""
         line, column = self.tokens.source.position(self.tokens.starts[at])
-        opened_line, indentation = self._opening()
-        outer = any(self.texts[at] in handlers for _, handlers in self._open[:-1]) or BELONGS[
+        opened_line, indentation = self._opening_line()
+        outer = any(self.texts[at] in handlers for _, handlers in self._open[:-1]) or KEYWORD_PLACES[
             self.texts[at]
         ].startswith("at")
         return outer and (line == opened_line or column <= indentation + 1)
 
     def _closes_too_early(self, at: int, handlers: Handlers) -> bool:
-        """Whether the brace at ``at`` is one too many: what follows fits this block and no outer one, and the brace
-        does not stand where the one that closes the block would."""
+        """Whether the brace at ``at`` is superfluous: what follows fits this block and no outer one, and the brace is
+        not indented as the closing brace of the block would be."""
         word = self.texts[self.i]
         if self.kinds[self.i] != "name" or word not in handlers:
             return False
-        if any(word in outer for _, outer in self._open[:-1]) or "at the outermost" in BELONGS[word]:
+        if any(word in outer for _, outer in self._open[:-1]) or "at the top level" in KEYWORD_PLACES[word]:
             return False
         line, column = self.tokens.source.position(self.tokens.starts[at])
         before = self.tokens.source.line(line)[: column - 1]
-        return bool(before.strip()) or len(before) > self._opening()[1]
+        return bool(before.strip()) or len(before) > self._opening_line()[1]
 
-    def _opening(self) -> tuple[int, int]:
-        """The line on which the innermost block's declaration begins, and how far it is indented."""
+    def _opening_line(self) -> tuple[int, int]:
+        """The line of the innermost block's declaration, and its indentation."""
         line, _ = self.tokens.source.position(self.tokens.starts[self._open[-1][0]])
         text = self.tokens.source.line(line)
         return line, len(text) - len(text.lstrip())
 
-    def _not_closed(self, what: str, opened: int, before: str) -> None:
-        note = Note("it is opened here", self.span(opened))
+    def _report_unclosed(self, what: str, opened: int, before: str) -> None:
+        note = Note("opened here", self.span(opened))
         self.reporter.report(
             "E123", self._place(), f"{what} is not closed: expected `}}` before {before}", notes=[note]
         )
 
-    def _skip(self, start: int) -> None:
-        """Go to where the next statement may begin; at least one token on from ``start``."""
+    def _skip_statement(self, start: int) -> None:
+        """Advance to where the next statement may start, at least one token after ``start``."""
         depth = 0
         for index in range(start, self.i):
-            self._lose(index)
-            depth += (self.kinds[index] == "{") - (self.kinds[index] == "}")  # more than 0 in a set of values
+            self._remember_name(index)
+            depth += (self.kinds[index] == "{") - (self.kinds[index] == "}")  # positive within a set of values
         while (kind := self.kinds[self.i]) != "end":
             if kind == "}":
                 if depth == 0:
@@ -158,9 +156,9 @@ class BlockParser(TokenStream):
                 depth += 1
             elif depth == 0 and kind == "name" and self.texts[self.i] in RESERVED and self.i > start:
                 return
-            self._lose(self.i)
+            self._remember_name(self.i)
             self.i += 1
 
-    def _lose(self, index: int) -> None:
+    def _remember_name(self, index: int) -> None:
         if self.kinds[index] in {"name", "path"}:
-            self.lost.add(self.texts[index])
+            self.skipped.add(self.texts[index])

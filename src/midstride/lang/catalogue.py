@@ -1,8 +1,8 @@
-"""The catalogue of diagnostics, as data: for each code what it means, why it is one, and inputs that trigger it.
+"""The catalogue of diagnostics, as data: for each code its meaning, its reason and inputs that trigger it.
 
-Codes below E100 and W100 are the model's (:mod:`midstride.model.diagnostics`): they hold however a specification is
-written. Those from 100 on are the text's. A test holds that each entry is reachable and that each diagnostic has an
-entry.
+Codes below E100 and W100 come from the model (:mod:`midstride.model.diagnostics`) and apply to every form of a
+specification. Those from 100 on concern the text form. A test checks that each entry is reachable and that each
+diagnostic has an entry.
 """
 
 from __future__ import annotations
@@ -13,15 +13,16 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.lang.catalogue_model import MODEL
-from midstride.lang.catalogue_text import TEXT
+from midstride.lang.catalogue_semantics import SEMANTICS
+from midstride.lang.catalogue_syntax import SYNTAX, ExampleParts
 from midstride.lang.diagnostics import Severity
-from midstride.lang.near_miss import did_you_mean
 from midstride.model.diagnostics import CATALOGUE as MODEL_KINDS
+from midstride.model.near_miss import did_you_mean
 
 
 @dataclass(frozen=True, slots=True)
 class CatalogueExample:
-    """An input that triggers a diagnostic. ``files`` lie beside it; what is in bytes is no text."""
+    """An input that triggers a diagnostic. ``files`` are further files in its folder; bytes are written as they are."""
 
     text: str | bytes
     name: str = "example.stride"
@@ -29,8 +30,8 @@ class CatalogueExample:
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """One kind of diagnostic."""
+class CatalogueEntry:
+    """The documentation of one diagnostic code."""
 
     code: str
     title: str
@@ -51,37 +52,38 @@ class Entry:
         return "\n\n".join(paragraphs)
 
 
-def _entries() -> dict[str, Entry]:
-    entries: dict[str, Entry] = {}
+def _entry(code: str, title: str, explanation: str, examples: tuple[ExampleParts, ...]) -> CatalogueEntry:
+    return CatalogueEntry(code, title, explanation, tuple(CatalogueExample(*parts) for parts in examples))
+
+
+def _entries() -> dict[str, CatalogueEntry]:
+    entries: dict[str, CatalogueEntry] = {}
     for code, (explanation, examples) in MODEL.items():
         kind = MODEL_KINDS[code]
-        told = f"{explanation}\n\nWhat to do: {kind.advice}."
-        entries[code] = Entry(code, kind.title, told, tuple(CatalogueExample(*example) for example in examples))
-    for code, (title, explanation, examples) in TEXT.items():
-        entries[code] = Entry(code, title, explanation, tuple(CatalogueExample(*example) for example in examples))
+        entries[code] = _entry(code, kind.title, f"{explanation}\n\nWhat to do: {kind.advice}.", examples)
+    for code, (title, explanation, examples) in sorted({**SYNTAX, **SEMANTICS}.items()):
+        entries[code] = _entry(code, title, explanation, examples)
     return entries
 
 
-CATALOGUE: Final[Mapping[str, Entry]] = _entries()
+CATALOGUE: Final[Mapping[str, CatalogueEntry]] = _entries()
 
 
 def explain(code: str) -> str:
-    """What a code means. Raises KeyError, with a near miss in its message, for one that does not exist."""
+    """The documentation of a code. Raises KeyError, suggesting a similar code, if it does not exist."""
     entry = CATALOGUE.get(code.upper())
     if entry is None:
-        raise KeyError(
-            f"there is no diagnostic `{code}`; {did_you_mean(code, CATALOGUE) or 'codes are written as E012'}"
-        )
+        raise KeyError(f"there is no diagnostic `{code}`; {did_you_mean(code, CATALOGUE) or 'codes look like E012'}")
     return entry.render()
 
 
 def reference() -> str:
-    """The whole catalogue as a page of the documentation (Markdown)."""
+    """The whole catalogue as a documentation page in Markdown."""
     parts = [
         "# Diagnostics",
-        "Every diagnostic of `midstride check`, by code: `E` is an error, `W` a warning. `midstride explain CODE` "
-        "shows the same on the terminal. Codes below 100 are about what a specification says, however it is written "
-        "down; those from 100 on about its text.",
+        "All diagnostics of `midstride check`, by code: `E` is an error, `W` a warning. `midstride explain CODE` "
+        "shows the same text on the terminal. Codes below 100 concern the meaning of a specification in any form; "
+        "codes from 100 on concern its text.",
     ]
     for entry in CATALOGUE.values():
         parts.append(f"## {entry.code}: {entry.title}")

@@ -1,14 +1,14 @@
-"""The part of the catalogue that is the model's (E001 to E099, W001 to W099): explanations and examples.
+"""The catalogue of the model's diagnostics (E001 to E099, W001 to W099): explanations and examples.
 
-Titles and advice are in :mod:`midstride.model.diagnostics`. Each entry: the explanation, and the examples, whose parts
-are those of :class:`midstride.lang.catalogue.Example`. The codes that only JSON can run into have examples in JSON.
+Titles and advice are in :mod:`midstride.model.diagnostics`. Each entry consists of the explanation and the arguments of
+each :class:`midstride.lang.catalogue.CatalogueExample`. Codes specific to JSON have examples in JSON.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-from midstride.lang.catalogue_text import TALKER, Parts
+from midstride.lang.catalogue_syntax import TALKER, ExampleParts
 
 _JSON: Final = "example.json"
 _LISTENER: Final = """component Listener {
@@ -30,19 +30,19 @@ def _component(body: str) -> str:
     return "system s\ncomponent C {\n" + body + "}\n"
 
 
-MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
+MODEL: Final[dict[str, tuple[str, tuple[ExampleParts, ...]]]] = {
     "E001": (
-        """A value of the JSON form has another type than its key asks for, or the file is no JSON at all.""",
+        """A value in the JSON form does not have the type that its key requires, or the file is not valid JSON.""",
         (('{"system": 5}\n', _JSON), ('{"system": "s"\n', _JSON), ('{"system": "s", "nodes": []}\n', _JSON)),
     ),
     "E002": (
-        """The JSON form has no such key here. Near misses are suggested.""",
+        """The JSON form has no such key here. A similar key is suggested if there is one.""",
         (('{"system": "s", "topic": {}}\n', _JSON),),
     ),
-    "E003": ("""The JSON form needs a key that is not there.""", (("{}\n", _JSON),)),
+    "E003": ("""A key that the JSON form requires is missing.""", (("{}\n", _JSON),)),
     "E004": (
-        """The number is not finite, or below what its meaning allows: rates and capacities are more than 0, times and
-        weights not less.""",
+        """The number is not finite or is out of range: rates and capacities must be greater than 0; times and
+        weights cannot be negative.""",
         (
             (_TALKING + "resource memory = -1\n",),
             (_TALKING + "limit talker.talk below baseline -1 s\n",),
@@ -54,7 +54,7 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E005": (
-        """The key takes one of a few words.""",
+        """The key accepts only certain values.""",
         (
             (
                 '{"system": "s", "topics": {"/a": {"type": "std_msgs/msg/String", "qos": {"reliability": "sure"}}}}\n',
@@ -63,12 +63,12 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E006": (
-        """What is written cannot be a name in ROS. Names have at most 255 characters.""",
+        """This is not a valid name in ROS. Names have at most 255 characters.""",
         (('{"system": "my robot"}\n', _JSON),),
     ),
     "E007": (
-        """Two things of one kind have one name, so that nobody could say which is meant. Included files share their
-        names with the file that includes them.""",
+        """Two declarations of the same kind have the same name, so references to it are ambiguous. Included files
+        share one set of names with the file that includes them.""",
         (
             (_START + _TOPIC + "node talker : Talker { out -> /chatter }\n",),
             (_TALKING + "node talker : Talker\n",),
@@ -80,9 +80,9 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E008": (
-        """A name is used that is declared nowhere: a contract, topic, component, node, port, functionality, mode,
-        resource or parameter. Names that are nearly the same are suggested. Relative names are in the namespace they
-        stand in.""",
+        """The name of a contract, topic, component, node, port, functionality, mode, resource or parameter is not
+        declared anywhere. A similar name is suggested if there is one. Relative names are resolved in the enclosing
+        namespace.""",
         (
             (_START + "node talker : Talkr { out -> /chatter }\n",),
             (_START + "node talker : Talker { out -> /chater }\n",),
@@ -111,23 +111,23 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E009": (
-        """A command is split into words as a shell would do it, and run without one. A quote in it is not closed, or
-        it has no words.""",
+        """A command is split into words as in a shell, but run without one. Here a quote is not closed, or the
+        command is empty.""",
         ((_component('  run "python3 -c \'print(1)"\n'),), (_component('  run ""\n'),)),
     ),
     "E010": (
-        """M1 of the semantics: the last mode of a functionality assumes nothing at all. Only so there is always a mode
-        that a functionality can be in, whatever else fails.""",
+        """Rule M1 of the semantics: the last mode of a functionality assumes nothing. This guarantees that each
+        functionality always has a mode it can be in, whatever fails.""",
         (("system s\n" + _TOPIC + _LISTENER.replace("mode deaf   { }", "mode deaf   { assume in }"),),),
     ),
     "E011": (
-        """M2 of the semantics: whatever a worse mode guarantees, every better mode guarantees as well. Otherwise a
-        functionality that recovers could take something away from those that rely on it.""",
+        """Rule M2 of the semantics: a better mode guarantees everything that a worse mode guarantees. Otherwise a
+        functionality that recovers could withdraw a guarantee that others depend on.""",
         ((_TALKING.replace("mode silent { }", "mode silent { guarantee out : std_msgs/msg/String @ 20 Hz }"),),),
     ),
     "E012": (
-        """M3 of the semantics: the guarantees of one output, in all modes, state one type and one QoS, because an
-        endpoint has but one. Two types need two outputs.""",
+        """Rule M3 of the semantics: the guarantees of one output state the same type and QoS in all modes, because
+        the output is a single endpoint. Use two outputs for two types.""",
         (
             (_TALKING.replace("mode silent { }", "mode silent { guarantee out : std_msgs/msg/Header @ 1 Hz }"),),
             (
@@ -139,13 +139,13 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E013": (
-        """What an output guarantees is set by the mode of the functionality that produces it. This one is produced by
-        none.""",
+        """The guarantee of an output depends on the mode of the functionality that produces it. No functionality
+        produces this one.""",
         ((_component("  output out\n"),),),
     ),
     "E014": (
-        """What an output guarantees is set by the mode of the one functionality that produces it. This one has
-        several.""",
+        """The guarantee of an output depends on the mode of the one functionality that produces it. Several
+        functionalities produce this one.""",
         (
             (
                 _component(
@@ -157,13 +157,13 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E015": (
-        """A functionality has at least two modes, best first: the normal one, and the degraded one that it falls
-        to.""",
+        """A functionality has at least two modes, best first: the normal mode, and the degraded mode that it falls
+        back to.""",
         ((_component("  functionality f {\n    mode only { }\n  }\n"),),),
     ),
     "E016": (
-        """All constraints on one field together are one set of values, and this one is empty: no message can meet
-        it.""",
+        """The constraints on a field together define a set of values, and this set is empty: no message satisfies
+        them.""",
         (
             ("system s\ncontract Wide = sensor_msgs/msg/Image where width >= 640, width < 320\n",),
             ("system s\ncontract None = sensor_msgs/msg/Image where encoding in {}\n",),
@@ -174,9 +174,9 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E020": (
-        """An output can be attached to a topic if what it guarantees in its normal mode satisfies the topic's
-        contract; an input if the topic's contract satisfies what the input assumes. The message says clause by clause
-        what falls short: the type, the rate, a QoS policy, a field.""",
+        """An output can be attached to a topic if the guarantee of its normal mode satisfies the contract of the
+        topic; an input can be attached if the contract of the topic satisfies the assumption of the input. The
+        message lists each mismatch: type, rate, QoS policy or field.""",
         (
             (_TALKING.replace("/msg/String @ 10 Hz\ncomponent", "/msg/String @ 20 Hz\ncomponent"),),
             (_PAIR.replace("input in : std_msgs/msg/String @ 5 Hz", "input in : std_msgs/msg/String @ 50 Hz"),),
@@ -195,12 +195,12 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E021": (
-        """A port is attached to a topic once or not at all.""",
+        """A port can be attached to a topic only once.""",
         ((_START + "node talker : Talker { out -> /chatter, /chatter }\n",),),
     ),
     "E022": (
-        """The topic caps its publishers, as an exclusive topic such as a velocity command does. Attached outputs
-        count, silent ones too, and so do guarantees of the environment on the topic.""",
+        """The topic limits the number of its publishers, as a velocity command does, for example. All attached
+        outputs count, including silent ones, as do environment guarantees on the topic.""",
         (
             (
                 _TALKING.replace("10 Hz\ncomponent", "10 Hz { publishers <= 1 }\ncomponent")
@@ -209,7 +209,7 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E023": (
-        """The nodes hold more of a resource together than there is of it. A device has the capacity 1.""",
+        """Together the nodes use more of a resource than its capacity. A device has capacity 1.""",
         (
             (
                 "system s\nresource /dev/video0\ncomponent Camera { holds /dev/video0 }\n"
@@ -219,15 +219,15 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "E024": (
-        """No plan could meet these constraints together.""",
+        """No plan can satisfy these constraints together.""",
         (
             (_PAIR + "order talker before listener\norder listener before talker\n",),
             (_PAIR + "order talker before talker\n",),
         ),
     ),
     "E025": (
-        """A node gives a parameter a value of another type than its component's own; ROS 2 would refuse it. A whole
-        number serves as a real one.""",
+        """A node sets a parameter to a value of a different type than its component declares, which ROS 2 would
+        reject. An integer is accepted for a floating-point parameter.""",
         (
             (
                 _START.replace("  output", "  parameters { volume = 0.5 }\n  output")
@@ -242,21 +242,21 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "W030": (
-        """A port of this node is attached to no topic: an output that nobody can hear, or an input that is never
+        """A port of this node is not attached to any topic: an output without subscribers, or an input that is never
         satisfied.""",
         ((_START + "node talker : Talker\n",),),
     ),
     "W031": (
-        """No one satisfies the topic: it has no publisher, or the environment's is not good enough. Inputs attached to
-        it will not be satisfied.""",
+        """Nothing satisfies the contract of the topic: it has no publisher, or the environment guarantees too
+        little. Inputs attached to it will not be satisfied.""",
         (
             ("system s\n" + _TOPIC,),
             ("system s\n" + _TOPIC + "environment { guarantee slow on /chatter : std_msgs/msg/String @ 1 Hz }\n",),
         ),
     ),
     "W032": (
-        """A mode assumes a predicate that no input of its functionality counts for and the environment does not offer,
-        so the functionality can never be in that mode.""",
+        """A mode assumes a predicate that neither an input of its functionality nor the environment can satisfy, so
+        the functionality can never be in that mode.""",
         (
             (
                 _component(
@@ -267,12 +267,12 @@ MODEL: Final[dict[str, tuple[str, tuple[Parts, ...]]]] = {
         ),
     ),
     "W033": (
-        """When the system is up, this functionality will not be in its normal mode. The message follows the chain of
-        reasons to what falls short.""",
+        """When the system starts, this functionality will not be in its normal mode. The message follows the chain
+        of reasons to the root cause.""",
         ((_PAIR.replace("node talker : Talker { out -> /chatter }\n", ""),),),
     ),
     "W034": (
-        """A `keep` asks for a mode that the functionality will not be in to begin with.""",
+        """A `keep` constraint requires a mode that the functionality will not be in when the system starts.""",
         ((_PAIR.replace("node talker : Talker { out -> /chatter }\n", "") + "keep listener.listen at normal\n",),),
     ),
 }

@@ -1,6 +1,6 @@
-"""From contract expressions to the model's predicates.
+"""Resolution of contract expressions to the model's predicates.
 
-A contract that cannot be resolved is None, and its fault has been reported: nothing is concluded from it.
+A contract that cannot be resolved is None; its error has been reported, and no further error is derived from it.
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ from dataclasses import replace
 from typing import Any, Final, get_args
 
 from midstride.lang.diagnostics import Reporter
-from midstride.lang.message_types import MessageDefinition, MessageTypes, Missing, field_kind
-from midstride.lang.near_miss import did_you_mean
+from midstride.lang.message_types import MessageDefinition, MessageTypes, MissingField, field_kind
 from midstride.lang.parse_contract import SECONDS
 from midstride.lang.source import Span
-from midstride.lang.syntax import ContractDeclaration, ContractExpression, FieldConstraint, Name, Policy
+from midstride.lang.syntax import ContractDeclaration, ContractExpression, FieldConstraint, Name, QoSPolicy
 from midstride.model.contract import (
     NOTHING,
     Contract,
@@ -29,6 +28,7 @@ from midstride.model.contract import (
     ValueSet,
     canonical_type,
 )
+from midstride.model.near_miss import did_you_mean
 
 _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "reliability": get_args(Reliability),
@@ -38,22 +38,22 @@ _WORDS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 _DURATIONS: Final = ("deadline", "lease", "lifespan")
 POLICIES: Final = (*_WORDS, *_DURATIONS, "depth")
-# ROS 2's own long name for the lease.
+# The long names that ROS 2 uses for the lease.
 _ALIASES: Final = {"liveliness_lease_duration": "lease", "lease_duration": "lease"}
 
 
-class Contracts:
-    """The named contracts of a system, and how expressions of them resolve."""
+class ContractResolver:
+    """Resolves contract expressions, and holds the named contracts of a system."""
 
     def __init__(
         self,
         declared: Mapping[str, ContractDeclaration],
-        lost: frozenset[str],
+        skipped: frozenset[str],
         messages: MessageTypes | None,
         reporter: Reporter,
     ) -> None:
         self.declared = declared
-        self.lost = lost
+        self.skipped = skipped
         self.messages = messages
         self.reporter = reporter
         self._resolved: dict[str, Contract | None] = {}
@@ -61,31 +61,31 @@ class Contracts:
         self._cache: dict[tuple[str, float | None], Predicate] = {}
 
     def resolve_all(self) -> None:
-        """Resolve each named contract, used or not, so that its faults are told."""
+        """Resolve every named contract, used or not, so that its errors are reported."""
         for name in self.declared:
             self._named(name, self.declared[name].name.span)
 
     def named(self, name: str) -> Contract | None:
-        """A named contract that has been resolved; None where it could not be."""
+        """A named contract; None if it could not be resolved."""
         return self._resolved.get(name)
 
     def predicate(self, expression: ContractExpression | None, what: str) -> Predicate | None:
-        """The predicate an expression states, or None. ``nothing`` is reported: ``what`` cannot be that."""
+        """The predicate that an expression states, or None. Reports ``nothing``, which ``what`` cannot be."""
         contract = self.contract(expression)
         if contract is NOTHING and expression is not None:
             message = f"{what} cannot be `nothing`"
-            self.reporter.report("E135", expression.span, message, help="only an output may guarantee nothing")
+            self.reporter.report("E135", expression.span, message, help="only an output can guarantee `nothing`")
             return None
         return contract if isinstance(contract, Predicate) else None
 
     def contract(self, expression: ContractExpression | None) -> Contract | None:
-        """What an expression states, or None where it cannot be told."""
+        """What an expression states, or None if it cannot be resolved."""
         if expression is None:
             return None
         if expression.base is None:
             if expression.rate or expression.qos or expression.where:
                 self.reporter.report(
-                    "E135", expression.span, "`nothing` has no rate, no QoS and no fields", help="write `nothing` alone"
+                    "E135", expression.span, "`nothing` has no rate, QoS or fields", help="write `nothing` alone"
                 )
             return NOTHING
         base = expression.base
@@ -106,7 +106,7 @@ class Contracts:
         else:
             named = self._named(base.text, base.span)
             if named is NOTHING and not (plain and expression.rate is None):
-                self.reporter.report("E135", expression.span, "`nothing` has no rate, no QoS and no fields")
+                self.reporter.report("E135", expression.span, "`nothing` has no rate, QoS or fields")
             if not isinstance(named, Predicate):
                 self._fields(expression, None, {})
                 return named
@@ -125,19 +125,19 @@ class Contracts:
     # -- names and types -------------------------------------------------------------------------------
 
     def _named(self, name: str, span: Span) -> Contract | None:
-        """The contract called ``name``. What it refines is resolved first, so that a long chain takes no stack."""
+        """The contract called ``name``. The contracts it refines are resolved first, without recursion."""
         chain: dict[str, None] = {}
         first = name
         while name not in self._resolved:
             declaration = self.declared.get(name)
             if declaration is None:
-                self._undeclared(name, span)
+                self._report_undeclared(name, span)
                 break
             if name in chain:
                 names = list(chain)
-                told = " is ".join(f"`{other}`" for other in _shortened([*names[names.index(name) :], name]))
-                message = f"contracts are defined by each other: {told}"
-                self.reporter.report("E136", declaration.name.span, message, help="let one of them name a message type")
+                message = f"contracts form a cycle: {cycle_text([*names[names.index(name) :], name], 'refines')}"
+                help = "base one of them on a message type"
+                self.reporter.report("E136", declaration.name.span, message, help=help)
                 self._resolved.update(dict.fromkeys(chain))
                 break
             chain[name] = None
@@ -153,15 +153,16 @@ class Contracts:
                 self._resolved[refined] = self.contract(contract) if known else None
         return self._resolved.get(first)
 
-    def _undeclared(self, name: str, span: Span) -> None:
-        if name not in self.lost:
-            help = did_you_mean(name, self.declared)
-            if help is None:
-                help = f"declare it (`contract {name} = …`), or name a message type (`std_msgs/msg/String`)"
-            self.reporter.report("E008", span, f"there is no contract `{name}`", help=help)
+    def _report_undeclared(self, name: str, span: Span) -> None:
+        if name in self.skipped or self.reporter.is_full:  # looking for near misses takes time
+            return
+        help = did_you_mean(name, self.declared)
+        if help is None:
+            help = f"declare it (`contract {name} = …`), or name a message type (`std_msgs/msg/String`)"
+        self.reporter.report("E008", span, f"there is no contract `{name}`", help=help)
 
     def _type(self, name: Name) -> bool:
-        """Whether a type may be used: it is known, or nothing is known of its package."""
+        """Whether a type can be used: it is known, or its package is unknown. Reports one that cannot."""
         found = self._types.get(name.text)
         if found is None:
             found = self._known(canonical_type(name.text))
@@ -176,7 +177,7 @@ class Contracts:
         return False
 
     def _known(self, name: str) -> MessageDefinition | bool:
-        """The message type; True where its package is not known; False where the package has no such type."""
+        """The message type; True if its package is unknown; False if the package has no such type."""
         if self.messages is None:
             return True
         found = self.messages.message(name)
@@ -186,7 +187,7 @@ class Contracts:
 
     # -- QoS ---------------------------------------------------------------------------------------------
 
-    def _qos(self, policies: tuple[Policy, ...], base: QoS) -> QoS:
+    def _qos(self, policies: tuple[QoSPolicy, ...], base: QoS) -> QoS:
         if not policies:
             return base
         stated: dict[str, Any] = {}
@@ -199,33 +200,30 @@ class Contracts:
                 )
                 continue
             if name in stated:
-                self.reporter.report(
-                    "E128", policy.name.span, f"`{name}` is stated already", help="keep one of the two"
-                )
+                self.reporter.report("E128", policy.name.span, f"duplicate policy `{name}`", help="keep one of them")
                 continue
             value = self._policy(name, policy)
             if value is not None:
                 stated[name] = value
         return replace(base, **stated)
 
-    def _policy(self, name: str, policy: Policy) -> object:
+    def _policy(self, name: str, policy: QoSPolicy) -> object:
         value, span, unit = policy.value.value, policy.value.span, policy.unit
         if name in _WORDS:
             if value in _WORDS[name]:
                 return value
             help = did_you_mean(str(value), _WORDS[name]) or f"one of {', '.join(_WORDS[name])}"
-            self.reporter.report("E131", span, f"`{span.text}` is no {name}", help=help)
+            self.reporter.report("E131", span, f"`{span.text}` is not a valid {name}", help=help)
         elif name == "depth":
             if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**31:
                 return value
-            self.reporter.report(
-                "E131", span, f"`{span.text}` is no depth", help="a depth is a whole number, 0 or more"
-            )
+            help = "the depth is a whole number, 0 or more"
+            self.reporter.report("E131", span, f"`{span.text}` is not a valid depth", help=help)
         elif isinstance(value, bool) or not isinstance(value, (int, float)) or value < 0:
-            self.reporter.report("E131", span, f"`{span.text}` is no duration", help=f"write `{name} = 0.1 s`")
+            self.reporter.report("E131", span, f"`{span.text}` is not a duration", help=f"write `{name} = 0.1 s`")
         elif unit is None or unit.text not in SECONDS:
             place = span if unit is None else unit.span
-            message = f"`{name}` needs its unit" if unit is None else f"`{unit.text}` is no unit of time"
+            message = f"`{name}` needs a unit" if unit is None else f"`{unit.text}` is not a unit of time"
             self.reporter.report("E127", place, message, help=f"write `{name} = {span.text} s`")
         else:
             return value * SECONDS[unit.text]
@@ -236,20 +234,22 @@ class Contracts:
     def _fields(
         self, expression: ContractExpression, type_: str | None, fields: dict[str, ValueSet]
     ) -> dict[str, ValueSet] | None:
-        """``fields`` narrowed by what the expression states, or None where a field is faulty."""
+        """``fields`` narrowed by the constraints of the expression, or None if one of them is invalid."""
         sound = True
         for constraint in expression.where:
             values = _values(constraint)
             before = fields.get(constraint.path.text)
-            together = values if before is None else before.intersection(values)
-            if together.is_empty:
+            declared_together = values if before is None else before.intersection(values)
+            if declared_together.is_empty:
                 path = constraint.path.text
-                also = "" if before is None or values.is_empty else f" together with {path} {before}"
-                message = f"no value of {path} meets `{constraint.span.text}`{also}"
+                stated = f"`{constraint.span.text}`"
+                if before is not None and not values.is_empty:
+                    stated = f"both {stated} and {path} {before}"
+                message = f"no value of {path} satisfies {stated}"
                 self.reporter.report("E016", constraint.span, message, help="widen one of the constraints")
                 sound = False
                 continue
-            fields[constraint.path.text] = together
+            fields[constraint.path.text] = declared_together
             sound &= type_ is None or self._field(type_, constraint, values)
         return fields if sound else None
 
@@ -262,7 +262,7 @@ class Contracts:
             return True
         path = constraint.path
         kind = field_kind(self.messages, known, path.text)
-        if isinstance(kind, Missing):
+        if isinstance(kind, MissingField):
             help = did_you_mean(kind.name, kind.known)
             if help is None and kind.known:
                 help = f"its fields: {', '.join(kind.known[:8])}" + (", …" if len(kind.known) > 8 else "")
@@ -272,32 +272,37 @@ class Contracts:
             return True
         stated = _kind_of(values)
         if kind not in {"number", "text", "boolean"}:
-            told = "a list" if kind == "list" else f"a {kind}"
-            self.reporter.report("E138", path.span, f"{path.text} of {type_} is {told}, and has no value to compare")
+            shown = "a list" if kind == "list" else f"a {kind}"
+            self.reporter.report("E138", path.span, f"{path.text} of {type_} is {shown}, which cannot be compared")
             return False
         if stated - {kind}:
-            told = " and ".join(sorted(_TOLD[name] for name in stated))
-            message = f"{path.text} of {type_} is {_TOLD[kind]}, and `{constraint.span.text}` asks for {told}"
-            self.reporter.report("E138", constraint.span, message, help=_by_value(known, constraint))
+            compared = " and ".join(sorted(_KIND_NAMES[name] for name in stated))
+            message = (
+                f"{path.text} of {type_} is {_KIND_NAMES[kind]},"
+                f" but `{constraint.span.text}` compares it with {compared}"
+            )
+            self.reporter.report("E138", constraint.span, message, help=_constant_hint(known, constraint))
             return False
         return True
 
 
-def _shortened(names: list[str]) -> list[str]:
-    return names if len(names) <= 8 else [*names[:4], "…", *names[-3:]]
+def cycle_text(names: list[str], verb: str) -> str:
+    """``A refines B refines A``; a long cycle is abbreviated."""
+    shown = names if len(names) <= 8 else [*names[:4], "…", *names[-3:]]
+    return f" {verb} ".join(f"`{name}`" for name in shown)
 
 
-_TOLD: Final = {"number": "a number", "text": "a text", "boolean": "true or false"}
+_KIND_NAMES: Final = {"number": "a number", "text": "a string", "boolean": "a boolean"}
 
 
-def _by_value(message: MessageDefinition, constraint: FieldConstraint) -> str | None:
-    """How the constraint reads with the value of the constant that it names."""
+def _constant_hint(message: MessageDefinition, constraint: FieldConstraint) -> str | None:
+    """The constraint rewritten with the value of the constant that it names."""
     for value in constraint.values:
         if isinstance(value.value, str) and value.value in message.constants:
             at = value.span.start - constraint.span.start
             text = constraint.span.text
             constant = message.constants[value.value]
-            return f"constants are written by their value: `{text[:at]}{constant}{text[at + len(value.span.text) :]}`"
+            return f"write the value of the constant: `{text[:at]}{constant}{text[at + len(value.span.text) :]}`"
     return None
 
 
@@ -311,7 +316,7 @@ def _values(constraint: FieldConstraint) -> ValueSet:
     if operator in {"=", "!=", "in {}"}:
         return OneOf.of(values)
     number = values[0]
-    assert isinstance(number, (int, float))  # the parser has seen to it
+    assert isinstance(number, (int, float))  # the parser guarantees it
     if operator == "in []":
         upper = values[1]
         assert isinstance(upper, (int, float))
@@ -322,5 +327,5 @@ def _values(constraint: FieldConstraint) -> ValueSet:
 
 
 def policy_words(name: str) -> tuple[str, ...]:
-    """The values of a QoS policy that has words for values; none for the others."""
+    """The values of a QoS policy that is an enumeration; empty for the other policies."""
     return _WORDS.get(name, ())

@@ -1,7 +1,7 @@
-"""All that the files of a system declare, by full name, with duplicates reported.
+"""The declarations of all files of a system, by full name; duplicates are reported.
 
-Namespaces are resolved here, as ROS does it: a relative name is in the namespace it stands in, one that begins with
-a slash is in none. Components, contracts and resources are in no namespace: they are kinds of things, not things.
+Names are resolved as in ROS: a relative name belongs to the enclosing namespace, one that starts with a slash is
+absolute. Components, contracts and resources are global: they are types, not instances.
 """
 
 from __future__ import annotations
@@ -11,13 +11,12 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TypeVar
 
 from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.files import Placed, join
+from midstride.lang.files import NamespacedFile, resolve_name
 from midstride.lang.source import Span
 from midstride.lang.syntax import (
     ComponentDeclaration,
     ConstraintStatement,
     ContractDeclaration,
-    Duration,
     EnvironmentBlock,
     EnvironmentOffer,
     IncludeStatement,
@@ -28,26 +27,27 @@ from midstride.lang.syntax import (
     OrderStatement,
     ParameterFile,
     ResourceDeclaration,
+    StepDuration,
     TimingBlock,
     TopicDeclaration,
 )
 
 T = TypeVar("T")
 
-# More of one kind in one declaration than this nobody wrote by hand; what is judged pair by pair would take long.
+# A limit per declaration that no hand-written file reaches: some checks compare all pairs.
 MAX_PARTS: Final = 1000
 
 
-def bounded(
-    entries: Sequence[T], what: str, span_of: Callable[[T], Span], reporter: Reporter, room: int = MAX_PARTS
+def limited(
+    entries: Sequence[T], what: str, span_of: Callable[[T], Span], reporter: Reporter, limit: int = MAX_PARTS
 ) -> Sequence[T]:
-    """``entries``, as many as are looked at (``room``); that there are more is reported."""
-    if len(entries) > room:
-        message = f"there are more than {MAX_PARTS} parts of one kind here: {what}"
+    """The first ``limit`` entries; reports that there are more."""
+    if len(entries) > limit:
+        message = f"more than {MAX_PARTS} entries of one kind: {what}"
         if any(other.code == "E145" and other.message == message for other in reporter.found):
-            return entries[: max(room, 0)]
-        reporter.report("E145", span_of(entries[max(room, 0)]), message, help="divide what they belong to")
-    return entries[: max(room, 0)]
+            return entries[: max(limit, 0)]
+        reporter.report("E145", span_of(entries[max(limit, 0)]), message, help="split the declaration")
+    return entries[: max(limit, 0)]
 
 
 class NodeEntry(NamedTuple):
@@ -66,14 +66,14 @@ class ConstraintEntry(NamedTuple):
     statement: ConstraintStatement
 
 
-class FileEntry(NamedTuple):
+class ParameterFileEntry(NamedTuple):
     namespace: str
     path: Name
 
 
 @dataclass(slots=True)
 class Declarations:
-    """By full name, in order of declaration."""
+    """All declarations by full name, in source order."""
 
     system: Name | None = None
     contracts: dict[str, ContractDeclaration] = field(default_factory=dict)
@@ -83,23 +83,22 @@ class Declarations:
     offers: dict[str, OfferEntry] = field(default_factory=dict)
     nodes: dict[str, NodeEntry] = field(default_factory=dict)
     constraints: list[ConstraintEntry] = field(default_factory=list)
-    parameter_files: list[FileEntry] = field(default_factory=list)
-    timing: dict[str, Duration] = field(default_factory=dict)
+    parameter_files: list[ParameterFileEntry] = field(default_factory=list)
+    timing: dict[str, StepDuration] = field(default_factory=dict)
 
 
-def topic_name(namespace: str, name: str, node: str | None = None) -> str:
-    """The full name of a topic: ``scan`` in ``robot1`` is ``/robot1/scan``; ``~/scan`` of a node is in the node's own
-    name."""
+def resolve_topic(namespace: str, name: str, node: str | None = None) -> str:
+    """The full name of a topic: ``scan`` in ``robot1`` is ``/robot1/scan``; ``~/scan`` is private to ``node``."""
     if name.startswith("~"):
-        return "/" + join(namespace, node or "") + name[1:]
-    return "/" + join(namespace, name)
+        return "/" + resolve_name(namespace, node or "") + name[1:]
+    return "/" + resolve_name(namespace, name)
 
 
-def collect(placed: Iterable[Placed], reporter: Reporter) -> Declarations:
-    """The declarations of all files."""
+def collect(files_in_order: Iterable[NamespacedFile], reporter: Reporter) -> Declarations:
+    """The declarations of all files; the first file names the system."""
     found = Declarations()
     collector = _Collector(found, reporter)
-    for index, place in enumerate(placed):
+    for index, place in enumerate(files_in_order):
         if index == 0:
             found.system = place.file.system
         collector.items(place.file.items, place.namespace)
@@ -116,7 +115,7 @@ class _Collector:
         found = self.found
         for item in items:
             if isinstance(item, NodeDeclaration):
-                role = join(namespace, item.name.text)
+                role = resolve_name(namespace, item.name.text)
                 self._add(
                     found.nodes,
                     role,
@@ -134,16 +133,16 @@ class _Collector:
             elif isinstance(item, ResourceDeclaration):
                 self._add(found.resources, item.name.text, item, item.name, "resource", lambda r: r.name.span)
             elif isinstance(item, EnvironmentBlock):
-                room = MAX_PARTS - len(found.offers)
-                for offer in bounded(item.offers, "guarantee", lambda offer: offer.name.span, self.reporter, room):
-                    name = join(namespace, offer.name.text).replace("/", "_")
+                limit = MAX_PARTS - len(found.offers)
+                for offer in limited(item.offers, "guarantee", lambda offer: offer.name.span, self.reporter, limit):
+                    name = resolve_name(namespace, offer.name.text).replace("/", "_")
                     entry = OfferEntry(namespace, offer)
                     self._add(
                         found.offers,
                         name,
                         entry,
                         offer.name,
-                        "guarantee of the environment",
+                        "environment guarantee",
                         lambda o: o.declaration.name.span,
                     )
             elif isinstance(item, TimingBlock):
@@ -152,13 +151,13 @@ class _Collector:
                         found.timing, duration.kind.text, duration, duration.kind, "time for", lambda d: d.kind.span
                     )
             elif isinstance(item, NamespaceBlock):
-                self.items(item.items, join(namespace, item.name.text))
+                self.items(item.items, resolve_name(namespace, item.name.text))
             elif isinstance(item, ParameterFile):
-                found.parameter_files.append(FileEntry(namespace, item.path))
+                found.parameter_files.append(ParameterFileEntry(namespace, item.path))
             elif isinstance(item, OrderStatement):
                 self.orders += 1
-                room = 1 if self.orders <= MAX_PARTS else 0
-                for order in bounded((item,), "order", lambda order: order.span, self.reporter, room):
+                limit = 1 if self.orders <= MAX_PARTS else 0
+                for order in limited((item,), "order", lambda order: order.span, self.reporter, limit):
                     found.constraints.append(ConstraintEntry(namespace, order))
             elif not isinstance(item, IncludeStatement):
                 found.constraints.append(ConstraintEntry(namespace, item))
@@ -166,10 +165,10 @@ class _Collector:
     def _topic(self, item: TopicDeclaration, namespace: str) -> None:
         name = item.name.text
         if name.startswith("~"):
-            message = f"`{name}` is private to a node, and no node is meant here"
+            message = f"`{name}` is private to a node, but this is not inside one"
             self.reporter.report("E139", item.name.span, message, help="write the full name: `/node/topic`")
             return
-        full = topic_name(namespace, name)
+        full = resolve_topic(namespace, name)
         self._add(self.found.topics, full, item, item.name, "topic", lambda t: t.name.span)
 
     def _add(self, table: dict[str, T], full: str, item: T, name: Name, what: str, span_of: object) -> None:
@@ -179,7 +178,6 @@ class _Collector:
         first: Span = span_of(table[full])  # type: ignore[operator]  # a function of the table's entries
         if first == name.span:
             return  # one declaration, included in several namespaces
-        note = Note("the first one is here", first)
-        self.reporter.report(
-            "E007", name.span, f"there is a {what} `{full}` already", help="give each its own name", notes=[note]
-        )
+        note = Note("first declared here", first)
+        message = f"{what} `{full}` is already declared"
+        self.reporter.report("E007", name.span, message, help="use another name", notes=[note])

@@ -1,6 +1,6 @@
-"""Diagnostics: what is wrong, where, and what to write instead; as text with carets, and as JSON.
+"""Diagnostics with their places, rendered as text with carets or as JSON.
 
-The codes are those of :mod:`midstride.lang.catalogue`; ``E…`` is an error, ``W…`` a warning.
+The codes are documented in :mod:`midstride.lang.catalogue`; ``E…`` is an error, ``W…`` a warning.
 """
 
 from __future__ import annotations
@@ -14,15 +14,15 @@ from midstride.lang.source import Span
 
 Severity = Literal["error", "warning"]
 
-# A text that is no Stride at all would yield an error for each of its lines.
+# A file in another language would produce an error per line.
 MAX_DIAGNOSTICS = 100
-# A line of a megabyte is not shown as one.
+# How many characters of a long line are shown.
 _SHOWN = 160
 
 
 @dataclass(frozen=True, slots=True)
 class Note:
-    """A second place that has to do with a diagnostic, such as the first declaration of a name."""
+    """A related place, such as the first declaration of a name."""
 
     message: str
     span: Span
@@ -30,9 +30,9 @@ class Note:
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """One thing that is wrong. ``span`` is None where no text exists to point at (``file`` names it then).
+    """One error or warning. ``span`` is None if there is no text to point at; ``file`` names the file then.
 
-    ``follows`` tells what it leads to, where that is not plain.
+    ``follows`` describes a consequence that is not obvious.
     """
 
     code: str
@@ -53,11 +53,11 @@ class Diagnostic:
 
     @property
     def position(self) -> tuple[int, int]:
-        """Line and column, from 1; the beginning of the file where there is no place."""
+        """Line and column, starting at 1; the start of the file if there is no span."""
         return self.span.source.position(self.span.start) if self.span is not None else (1, 1)
 
     def to_json(self) -> dict[str, Any]:
-        """The form of interfaces.md; ``end_line``, ``end_column`` (not included) and ``notes`` beside it."""
+        """The form printed by `midstride check --json`; ``end_column`` is exclusive."""
         line, column = self.position
         end_line, end_column = self.span.source.position(self.span.end) if self.span is not None else (line, column)
         return {
@@ -75,7 +75,7 @@ class Diagnostic:
         }
 
     def render(self) -> str:
-        """The diagnostic as a person reads it: heading, the line with a caret under the place, notes, help."""
+        """The diagnostic as text: heading, source line with carets, notes, consequence, help."""
         line, column = self.position
         parts = [f"{self.severity}[{self.code}]: {self.message}"]
         if self.span is None:
@@ -94,8 +94,8 @@ class Diagnostic:
 
     def __str__(self) -> str:
         line, column = self.position
-        told = f"{self.file_name}:{line}:{column}: {self.severity}[{self.code}]: {self.message}"
-        return f"{told} ({self.help})" if self.help else told
+        text = f"{self.file_name}:{line}:{column}: {self.severity}[{self.code}]: {self.message}"
+        return f"{text} ({self.help})" if self.help else text
 
 
 def _note_json(note: Note) -> dict[str, Any]:
@@ -121,7 +121,7 @@ def _excerpt(span: Span) -> list[str]:
 
 
 def _visible(character: str) -> str:
-    """A tab as a blank and a control character as a sign, so that carets stand where they belong."""
+    """A tab as a space and a control character as U+FFFD, so that the carets line up."""
     if character == "\t":
         return " "
     return "\ufffd" if unicodedata.category(character) in {"Cc", "Cs", "Cf"} else character
@@ -134,7 +134,7 @@ def _width(character: str) -> int:
 
 
 class Reporter:
-    """Collects diagnostics: each once, at most :data:`MAX_DIAGNOSTICS` errors, in the order of the text at the end."""
+    """Collects diagnostics, without duplicates and at most :data:`MAX_DIAGNOSTICS`."""
 
     __slots__ = ("_seen", "dropped", "found")
 
@@ -154,7 +154,7 @@ class Reporter:
         file: str = "",
         follows: str | None = None,
     ) -> None:
-        """Add a diagnostic; a second one of that code at the same place is the same one told twice."""
+        """Add a diagnostic, unless one with this code at this place has been added already."""
         key = (code, span.source.name if span else file + message, span.start if span else 0)
         if key in self._seen:
             return
@@ -166,13 +166,13 @@ class Reporter:
 
     @property
     def is_full(self) -> bool:
-        """Whether so much is wrong already that looking further helps nobody."""
+        """Whether there are so many diagnostics that looking for more is of no use."""
         return len(self.found) >= MAX_DIAGNOSTICS
 
     def finish(self, file: str) -> None:
-        """Say so where there was more to report than is kept."""
+        """Add a diagnostic if some were dropped."""
         if self.dropped or self.is_full:
-            self.found.append(Diagnostic("E199", "too much is wrong here to show it all", None, file=file))
+            self.found.append(Diagnostic("E199", "too many errors; the rest are not shown", None, file=file))
 
     @property
     def has_errors(self) -> bool:
@@ -180,7 +180,7 @@ class Reporter:
 
 
 def in_order(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
-    """By file in the order in which files first occur, then by place."""
+    """The diagnostics by file, in order of first occurrence, then by place."""
     listed = list(diagnostics)
     rank: dict[str, int] = {}
     for diagnostic in listed:
@@ -193,7 +193,7 @@ def has_errors(diagnostics: Iterable[Diagnostic]) -> bool:
 
 
 def render(diagnostics: Iterable[Diagnostic]) -> str:
-    """All of them as text, and a last line that counts them; empty where there are none."""
+    """All diagnostics as text, and a last line with their count; empty if there are none."""
     listed = list(diagnostics)
     if not listed:
         return ""

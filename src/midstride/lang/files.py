@@ -1,7 +1,7 @@
-"""Reading a file and all it includes, within bounds.
+"""Reading a file and everything it includes.
 
-Files are read through a ``read`` that may be anything (an editor's buffers, say). Whatever is on the
-disk, this ends: cycles are errors, and how much is read in all is limited.
+Files are read through a :data:`FileReader`, so an editor can supply its buffers. Reading always terminates: include
+cycles are errors, and the amount of text is limited.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from pathlib import Path
 from typing import Final
 
 from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.near_miss import did_you_mean
 from midstride.lang.parser import parse
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import File, IncludeStatement, Item, NamespaceBlock
+from midstride.model.near_miss import did_you_mean
 
-Read = Callable[[Path], str]
+FileReader = Callable[[Path], str]
 
-MAX_FILE: Final = 4 * 2**20  # characters of one file
-MAX_TOTAL: Final = 16 * 2**20  # characters of all files
-MAX_FILES: Final = 256  # files that are read
-MAX_PLACES: Final = 1024  # files times namespaces they are included in
-MAX_DEPTH: Final = 32  # includes of includes
-_MOST_NEARBY: Final = 1000  # files that a misspelt name is compared with
+MAX_FILE: Final = 4 * 2**20  # characters in one file
+MAX_TOTAL: Final = 16 * 2**20  # characters in all files
+MAX_FILES: Final = 256  # distinct files
+MAX_INCLUSIONS: Final = 1024  # files, counted once per namespace they are included in
+MAX_DEPTH: Final = 32  # nesting of includes
+_MAX_COMPARED: Final = 1000  # files compared with a misspelt name
 
 
 class Unreadable(Exception):
-    """A file cannot be read as text. ``str`` of it says why."""
+    """A file cannot be read as text; ``str(error)`` gives the reason."""
 
     def __init__(self, code: str, message: str, help: str | None = None) -> None:
         super().__init__(message)
@@ -40,28 +40,28 @@ class Unreadable(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
-    """The syntax of a file, and the namespace that its relative names are in (``""``: none)."""
+class NamespacedFile:
+    """The syntax of a file, and the namespace of its relative names (``""``: none)."""
 
     file: File
     namespace: str
 
 
 def read_text(path: Path) -> str:
-    """The text of a regular file in UTF-8, of bounded size. Raises Unreadable or OSError."""
+    """The text of a regular UTF-8 file of limited size. Raises Unreadable or OSError."""
     status = os.stat(path)
     if not stat.S_ISREG(status.st_mode):
-        raise Unreadable("E100", "it is no regular file")
+        raise Unreadable("E100", "it is not a regular file")
     with open(path, "rb") as stream:
         data = stream.read(MAX_FILE + 1)
     if len(data) > MAX_FILE:
-        raise Unreadable("E102", f"it is larger than {MAX_FILE // 2**20} MiB", "is this the file you meant?")
-    return decoded(data)
+        raise Unreadable("E102", f"it is larger than {MAX_FILE // 2**20} MiB", "check that this is the intended file")
+    return decode_utf8(data)
 
 
-def decoded(data: bytes) -> str:
-    """``data`` as UTF-8, a byte order mark left out. Raises Unreadable with the place of the first byte that is
-    none."""
+def decode_utf8(data: bytes) -> str:
+    """``data`` as UTF-8, without its byte order mark. Raises Unreadable with the position of the first invalid
+    byte."""
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -69,12 +69,12 @@ def decoded(data: bytes) -> str:
         line = before.count(b"\n") + 1
         column = len(before[before.rfind(b"\n") + 1 :].decode("utf-8-sig", "replace")) + 1
         if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            raise Unreadable("E101", "it is in UTF-16, not in UTF-8", "save it as UTF-8") from None
-        message = f"it is not in UTF-8: byte 0x{data[error.start]:02x} at line {line}, column {column}"
+            raise Unreadable("E101", "it is encoded in UTF-16, not UTF-8", "save it as UTF-8") from None
+        message = f"it is not valid UTF-8: byte 0x{data[error.start]:02x} at line {line}, column {column}"
         raise Unreadable("E101", message, "save it as UTF-8") from None
 
 
-def read_source(path: Path, read: Read, name: str | None = None) -> Source:
+def read_source(path: Path, read: FileReader, name: str | None = None) -> Source:
     """The source of a file. Raises Unreadable."""
     try:
         text = read(path)
@@ -84,27 +84,27 @@ def read_source(path: Path, read: Read, name: str | None = None) -> Source:
         reason = getattr(error, "strerror", None) or str(error)
         raise Unreadable("E100", reason[:1].lower() + reason[1:]) from None
     if len(text) > MAX_FILE:
-        raise Unreadable("E102", f"it is larger than {MAX_FILE // 2**20} MiB", "is this the file you meant?")
+        raise Unreadable("E102", f"it is larger than {MAX_FILE // 2**20} MiB", "check that this is the intended file")
     return Source(name or str(path), text, path)
 
 
 class Loader:
-    """Reads files with what they include. ``placed`` holds each file once for each namespace it is included in."""
+    """Reads files and their includes. ``files_in_order`` holds each file once per namespace it is included in."""
 
-    def __init__(self, read: Read, reporter: Reporter) -> None:
+    def __init__(self, read: FileReader, reporter: Reporter) -> None:
         self.read = read
         self.reporter = reporter
-        self.placed: list[Placed] = []
+        self.files_in_order: list[NamespacedFile] = []
         self.sources: list[Source] = []
-        self.lost: set[str] = set()
-        self.incomplete = False  # whether a file could not be read, so that anything may be declared in it
+        self.skipped: set[str] = set()
+        self.files_missing = False  # whether a file could not be read: any name may be declared in it
         self._files: dict[str, File | None] = {}
         self._done: set[tuple[str, str]] = set()
         self._stack: list[str] = []
         self._total = 0
 
     def load(self, source: Source) -> None:
-        """Take ``source`` as the outermost file, and all it includes."""
+        """Parse ``source`` and everything it includes."""
         file = self._parsed(source)
         key = os.path.normpath(source.path) if source.path is not None else source.name
         self._files[key] = file
@@ -114,62 +114,61 @@ class Loader:
         self.sources.append(source)
         self._total += len(source.text)
         file = parse(source, self.reporter)
-        self.lost |= file.lost
+        self.skipped |= file.skipped
         return file
 
     def _place(self, key: str, file: File, namespace: str) -> None:
         self._done.add((key, namespace))
         self._stack.append(key)
-        self.placed.append(Placed(file, namespace))
-        self._includes(file.items, Path(key).parent, namespace)
+        self.files_in_order.append(NamespacedFile(file, namespace))
+        self._follow_includes(file.items, Path(key).parent, namespace)
         self._stack.pop()
 
-    def _includes(self, items: tuple[Item, ...], folder: Path, namespace: str) -> None:
+    def _follow_includes(self, items: tuple[Item, ...], folder: Path, namespace: str) -> None:
         for item in items:
             if isinstance(item, NamespaceBlock):
-                self._includes(item.items, folder, join(namespace, item.name.text))
+                self._follow_includes(item.items, folder, resolve_name(namespace, item.name.text))
             elif isinstance(item, IncludeStatement):
                 self._include(item, folder, namespace)
 
     def _include(self, statement: IncludeStatement, folder: Path, namespace: str) -> None:
         span, text = statement.path.span, statement.path.text
         if not text or "\0" in text:
-            self.incomplete = True
-            self.reporter.report("E100", span, "this names no file")
+            self.files_missing = True
+            self.reporter.report("E100", span, "this is not a file name")
             return
         key = os.path.normpath(folder / text)
         if key in self._stack:
-            circle = [*self._stack[self._stack.index(key) :], key]
-            told = " includes ".join(os.path.basename(name) for name in circle)
-            self.reporter.report("E103", span, f"files include each other: {told}", help="take one of the includes out")
+            cycle = [*self._stack[self._stack.index(key) :], key]
+            chain = " includes ".join(os.path.basename(name) for name in cycle)
+            self.reporter.report("E103", span, f"include cycle: {chain}", help="remove one of the includes")
             return
         if (key, namespace) in self._done:
             return
-        bound = self._bound()
+        bound = self._exceeded_limit()
         if bound:
-            self.incomplete = True
-            self.reporter.report(
-                "E104", span, f"too much is included: {bound}", help="is a file included by what it includes?"
-            )
+            self.files_missing = True
+            help = "check whether a file includes itself indirectly"
+            self.reporter.report("E104", span, f"include limit exceeded: {bound}", help=help)
             return
         file = self._files[key] if key in self._files else self._read(key, text, span)
         self._files[key] = file
         if file is None:
-            self.incomplete = True
+            self.files_missing = True
             return
         if file.system is not None:
-            message = f"`{text}` is a system of its own, and only a fragment can be included"
-            note = Note("its system is named here", file.system.span)
-            self.reporter.report("E105", span, message, help="take the `system` line out of it", notes=[note])
+            message = f"`{text}` is a complete system; only a fragment can be included"
+            note = Note("system named here", file.system.span)
+            self.reporter.report("E105", span, message, help="remove its `system` line", notes=[note])
         self._place(key, file, namespace)
 
-    def _bound(self) -> str | None:
+    def _exceeded_limit(self) -> str | None:
         if len(self._stack) > MAX_DEPTH:
-            return f"more than {MAX_DEPTH} files, each included by the one before"
+            return f"includes are nested more than {MAX_DEPTH} deep"
         if len(self._files) >= MAX_FILES:
             return f"more than {MAX_FILES} files"
-        if len(self.placed) >= MAX_PLACES:
-            return f"more than {MAX_PLACES} times a file"
+        if len(self.files_in_order) >= MAX_INCLUSIONS:
+            return f"more than {MAX_INCLUSIONS} inclusions"
         if self._total > MAX_TOTAL:
             return f"more than {MAX_TOTAL // 2**20} MiB"
         return None
@@ -182,27 +181,27 @@ class Loader:
         try:
             return self._parsed(read_source(Path(key), self.read, shown))
         except Unreadable as error:
-            help = error.help or _nearby(key, shown)
+            help = error.help or _hint_for_missing(key, shown)
             self.reporter.report(error.code, span, f"`{text}` cannot be included: {error}", help=help)
             return None
 
 
-def _nearby(path: str, shown: str) -> str | None:
-    """What else may have been meant by a file that is not there; where it has been looked for, if nothing."""
+def _hint_for_missing(path: str, shown: str) -> str | None:
+    """A similar file name for one that does not exist, else where it was searched for."""
     if os.path.exists(path):
         return None
     folder, name = os.path.split(path)
     try:
         with os.scandir(folder or ".") as entries:
-            files = [entry.name for entry in islice(entries, _MOST_NEARBY) if entry.name.endswith(".stride")]
+            files = [entry.name for entry in islice(entries, _MAX_COMPARED) if entry.name.endswith(".stride")]
     except (OSError, ValueError):
         files = []
     near = did_you_mean(name, files)
-    return near or f"it is looked for beside this file, as `{shown}`"
+    return near or f"the path is relative to this file: `{shown}`"
 
 
-def join(namespace: str, name: str) -> str:
-    """``name`` in ``namespace``, as ROS resolves it: one that begins with a slash is in none."""
+def resolve_name(namespace: str, name: str) -> str:
+    """``name`` in ``namespace``, resolved as in ROS: a name that starts with a slash is absolute."""
     if name.startswith("/"):
         return name.strip("/")
     return f"{namespace}/{name}" if namespace else name

@@ -1,7 +1,7 @@
-"""What to write instead, in the language's own words, where the model can only tell what is wrong.
+"""Help for the model's problems in terms of the language: what to write instead.
 
-The model's advice holds for specifications of any form; here it is known how each declaration is written, and which
-topics a port could be attached to.
+The model's own help is independent of the form of the specification. Here it is known how each declaration is written,
+and which topics a port could be attached to.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from midstride.model.contract import Contract, Predicate, satisfies
 from midstride.model.diagnostics import Problem
 from midstride.model.specification import Specification
 
-# Looking for the topics that fit is linear in the system: for a port or a dozen, not for a thousand.
+# Searching for matching topics is linear in the size of the system, so the number of searches is limited.
 _SHOWN: Final = 3
-MAX_SOUGHT: Final = 20
+MAX_SEARCHES: Final = 20
 
-# How what is named is declared, by the section of the JSON form that it would be in.
+# How a name is declared, by the section of the JSON form that it would be in.
 _DECLARATIONS: Final = {
     "topics": "topic {name} : TYPE",
     "resources": "resource {name} = CAPACITY",
@@ -25,25 +25,25 @@ _DECLARATIONS: Final = {
 
 
 class Hints:
-    """Advice on the problems of one specification."""
+    """Help for the problems of one specification."""
 
     def __init__(self, specification: Specification) -> None:
         self._specification = specification
-        self._sought = 0
+        self._searches = 0
 
-    def on(self, problem: Problem, name: str) -> str | None:
-        """What to do about ``problem``, which is told at a place that reads ``name``; None where nothing is known."""
+    def help_for(self, problem: Problem, name: str) -> str | None:
+        """What to do about ``problem``, reported at a place with the text ``name``; None if nothing is known."""
         if problem.code == "E008" and not problem.help.startswith("did you mean"):
-            how = _declaration(problem, name)
-            if how is not None:
-                return f"{problem.help}; or {how}" if problem.help.startswith("known:") else how
-        if problem.code == "W030" and self._sought < MAX_SOUGHT:
-            self._sought += 1
+            declare = _declaration(problem, name)
+            if declare is not None:
+                return f"{problem.help}; or {declare}" if problem.help.startswith("known:") else declare
+        if problem.code == "W030" and self._searches < MAX_SEARCHES:
+            self._searches += 1
             return self._attachment(problem) or problem.help
         return problem.help or None
 
     def _attachment(self, problem: Problem) -> str | None:
-        """How the port would be attached to the topics that fit it."""
+        """How to attach the port to the topics whose contracts match."""
         _, role, _, name = problem.subject
         component = self._specification.components[self._specification.nodes[role].component]
         output = component.has_output(name)
@@ -53,16 +53,16 @@ class Hints:
             stated = owner.modes[0].guarantee(name)
         if not isinstance(stated, Predicate):
             return None
-        fitting = [
+        matching = [
             topic
             for topic, connector in sorted(self._specification.connectors.items())
             if (satisfies(stated, connector.guarantee) if output else satisfies(connector.guarantee, stated))
         ]
-        if not fitting:
+        if not matching:
             return None
         arrow = "->" if output else "<-"
-        told = " or ".join(f"`{name} {arrow} {topic}`" for topic in fitting[:_SHOWN])
-        return f"attach it, to what fits it: {told}{' …' if len(fitting) > _SHOWN else ''}"
+        examples = " or ".join(f"`{name} {arrow} {topic}`" for topic in matching[:_SHOWN])
+        return f"attach it to a topic that matches: {examples}{' …' if len(matching) > _SHOWN else ''}"
 
 
 def _declaration(problem: Problem, name: str) -> str | None:

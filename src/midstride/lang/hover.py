@@ -1,4 +1,4 @@
-"""What a name stands for, in a few lines of Markdown: contracts, modes, and in which mode it will be at first."""
+"""Hover texts in Markdown: contracts, modes, and the initial mode of functionalities."""
 
 from __future__ import annotations
 
@@ -14,19 +14,18 @@ from midstride.model.specification import Specification, initial
 
 
 def hover(symbol: Symbol, specification: Specification, *, runnable: bool) -> str | None:
-    """A symbol in words. ``runnable``: the specification has no errors, so that it is known what will be in which
-    mode."""
-    told = _Hover(specification, initial(specification) if runnable else None)
+    """Describe a symbol. ``runnable``: the specification has no errors, so the initial modes are known."""
+    text = _Hover(specification, initial(specification) if runnable else None)
     writers: dict[str, Callable[[Symbol], Iterator[str]]] = {
-        "topic": told.topic,
-        "component": told.component,
-        "node": told.node,
-        "port": told.port,
-        "functionality": told.functionality,
-        "mode": told.mode,
-        "resource": told.resource,
-        "guarantee": told.guarantee,
-        "parameter": told.parameter,
+        "topic": text.topic,
+        "component": text.component,
+        "node": text.node,
+        "port": text.port,
+        "functionality": text.functionality,
+        "mode": text.mode,
+        "resource": text.resource,
+        "guarantee": text.guarantee,
+        "parameter": text.parameter,
     }
     lines = list(writers[symbol.kind](symbol)) if symbol.kind in writers else []
     return "\n\n".join([f"**{symbol.kind}** `{symbol.name}`", *lines])
@@ -41,18 +40,19 @@ class _Hover:
         connector = self.specification.connectors.get(symbol.name)
         if connector is None:
             return
-        cap = "" if connector.max_publishers is None else f" (at most {connector.max_publishers} publishers)"
-        yield f"`{connector.guarantee}`{cap}"
+        limit = "" if connector.max_publishers is None else f" (at most {_publishers(connector.max_publishers)})"
+        yield f"`{connector.guarantee}`{limit}"
         if self.configuration is None:
             return
         for what, ports in (
-            ("from", self.configuration.publishers_on(symbol.name)),
-            ("to", self.configuration.subscribers_on(symbol.name)),
+            ("published by", self.configuration.publishers_on(symbol.name)),
+            ("subscribed by", self.configuration.subscribers_on(symbol.name)),
         ):
             if ports:
                 yield f"{what} {', '.join(f'`{port}`' for port in sorted(ports))}"
-        judge = Evaluator(self.configuration)
-        yield "satisfied" if judge.connector_satisfied(symbol.name) else judge.why_connector_unsatisfied(symbol.name)
+        evaluator = Evaluator(self.configuration)
+        satisfied = evaluator.connector_satisfied(symbol.name)
+        yield "satisfied" if satisfied else evaluator.why_connector_unsatisfied(symbol.name)
 
     def component(self, symbol: Symbol) -> Iterator[str]:
         component = self.specification.components.get(symbol.name)
@@ -63,7 +63,7 @@ class _Hover:
         for name in component.input_order:
             yield f"input `{name} : {component.inputs[name]}`"
         for name in component.outputs:
-            yield f"output `{name} : {_normally(component, name)}`"
+            yield f"output `{name} : {_normal_guarantee(component, name)}`"
         for functionality in component:
             yield f"functionality `{functionality.name}`: {', '.join(mode.name for mode in functionality.modes)}"
 
@@ -71,11 +71,11 @@ class _Hover:
         node = self.specification.nodes.get(symbol.name)
         if node is None or node.component not in self.specification.components:
             return
-        yield f"a `{node.component}`"
+        yield f"component `{node.component}`"
         for functionality in self.specification.components[node.component]:
-            yield from self._stands(FunctionalityRef(symbol.name, functionality.name))
+            yield from self._initial_mode(FunctionalityRef(symbol.name, functionality.name))
 
-    def _stands(self, ref: FunctionalityRef) -> Iterator[str]:
+    def _initial_mode(self, ref: FunctionalityRef) -> Iterator[str]:
         if self.configuration is None or ref not in self.configuration.modes:
             return
         yield f"`{ref}` will be in mode **{self.configuration.mode(ref).name}**"
@@ -98,7 +98,7 @@ class _Hover:
         yield f"modes: {', '.join(mode.name for mode in found.modes)}; weight {format_number(found.weight)}"
         for role in self.specification.roles():
             if self.specification.nodes[role].component == symbol.owner:
-                yield from self._stands(FunctionalityRef(role, symbol.name))
+                yield from self._initial_mode(FunctionalityRef(role, symbol.name))
 
     def mode(self, symbol: Symbol) -> Iterator[str]:
         component, _, name = symbol.owner.partition(".")
@@ -115,7 +115,7 @@ class _Hover:
         if declared is not None:
             yield f"capacity {format_number(declared.capacity)}"
             held = 0.0 if self.configuration is None else float(self.configuration.held.get(symbol.name, 0))
-            yield f"held at first: {format_number(held)}"
+            yield f"in use initially: {format_number(held)}"
 
     def guarantee(self, symbol: Symbol) -> Iterator[str]:
         for offer in self.specification.environment:
@@ -133,7 +133,11 @@ class _Hover:
         return None if found is None else found.functionalities.get(functionality)
 
 
-def _normally(component: ComponentSpec, output: str) -> str:
+def _publishers(count: int) -> str:
+    return f"{count} publisher{'' if count == 1 else 's'}"
+
+
+def _normal_guarantee(component: ComponentSpec, output: str) -> str:
     owner = component.find_owner(output)
     if owner is None or not owner.modes:
         return "nothing"

@@ -1,4 +1,4 @@
-"""What follows from an attachment whose contracts do not fit: who cannot be at its normal mode on its account."""
+"""The impact of an attachment with mismatched contracts: the functionalities it keeps from their normal modes."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _SHOWN = 8
 
 
 class ImpactNotes:
-    """Tells what follows in one specification. Meaningful where nothing else is wrong with it."""
+    """Describes the impact of mismatches in a specification that has no other errors."""
 
     def __init__(self, specification: Specification) -> None:
         self.specification = specification
         self._initial: Configuration | None = None
 
     def of(self, problem: Problem) -> str | None:
-        """What follows from an unfit attachment (E020), or None where nothing does."""
+        """The impact of a mismatched attachment (E020), or None if there is none."""
         if self._initial is None:
             self._initial = initial(self.specification)
         configuration = self._initial
@@ -31,15 +31,15 @@ class ImpactNotes:
         first: Iterable[FunctionalityRef] = (
             configuration.consumers(topic) if configuration.is_output(attached) else configuration.users(attached)
         )
-        fallen = self._fallen(configuration, first)
-        if not fallen:
+        degraded = self._degraded(configuration, first)
+        if not degraded:
             return None
-        told = [f"{ref} will be in mode {configuration.mode(ref).name}" for ref in fallen[:_SHOWN]]
-        more = len(fallen) - _SHOWN
-        return ", ".join(told) + (f", and {more} more below their normal modes" if more > 0 else "")
+        shown = [f"{ref} will be in mode {configuration.mode(ref).name}" for ref in degraded[:_SHOWN]]
+        more = len(degraded) - _SHOWN
+        return ", ".join(shown) + (f", and {more} more below their normal modes" if more > 0 else "")
 
-    def _fallen(self, configuration: Configuration, first: Iterable[FunctionalityRef]) -> list[FunctionalityRef]:
-        """Those below their normal modes among ``first``, and those that fall with them, nearest first."""
+    def _degraded(self, configuration: Configuration, first: Iterable[FunctionalityRef]) -> list[FunctionalityRef]:
+        """Those of ``first`` that are below their normal modes, and those degraded as a consequence, nearest first."""
         found: dict[FunctionalityRef, None] = {}
         waiting = deque(dict.fromkeys(first))
         while waiting:

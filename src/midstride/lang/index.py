@@ -1,6 +1,6 @@
-"""Every name in the files of a system: what it stands for, where it is declared and where it is used.
+"""The symbols of a system: where each is declared and used.
 
-For editors: going to a definition, renaming, hovering. A name that stands for nothing is not in the index.
+For editors: go to definition, rename, hover. Names that cannot be resolved are not in the index.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from midstride.lang.check import Resolved
-from midstride.lang.declarations import NodeEntry, topic_name
-from midstride.lang.files import join
+from midstride.lang.declarations import NodeEntry, resolve_topic
+from midstride.lang.files import resolve_name
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import (
-    Assumed,
+    AssumptionExpression,
     ComponentDeclaration,
     ContractExpression,
     FunctionalityDeclaration,
@@ -26,8 +26,8 @@ from midstride.lang.syntax import (
 
 
 class Symbol(NamedTuple):
-    """What a name stands for. ``owner`` is the component of a port, functionality or parameter, and ``C.f`` of a
-    mode."""
+    """What a name refers to. ``owner`` is the component of a port, functionality or parameter; for a mode it is
+    ``Component.functionality``."""
 
     kind: str
     name: str
@@ -36,7 +36,7 @@ class Symbol(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Occurrence:
-    """A place where a symbol is named. ``namespace`` is that of relative names there."""
+    """An occurrence of a symbol. ``namespace`` is that of relative names at this place."""
 
     symbol: Symbol
     span: Span
@@ -44,15 +44,15 @@ class Occurrence:
     namespace: str = ""
 
 
-class Index:
-    """The occurrences of all names of a system."""
+class SymbolIndex:
+    """The occurrences of all symbols of a system."""
 
     def __init__(self, resolved: Resolved) -> None:
         self.resolved = resolved
-        self.occurrences = list(_Walk(resolved).all())
+        self.occurrences = list(_SymbolWalker(resolved).all())
 
     def at(self, source: Source, offset: int) -> Occurrence | None:
-        """What is named at an offset of a source (the place behind the last character counts)."""
+        """The occurrence at an offset of a source; the position after its last character counts."""
         for occurrence in self.occurrences:
             span = occurrence.span
             if span.source.name == source.name and span.start <= offset <= span.end:
@@ -62,9 +62,9 @@ class Index:
     def declaration(self, symbol: Symbol) -> Occurrence | None:
         return next((found for found in self.occurrences if found.symbol == symbol and found.declares), None)
 
-    def together(self, symbol: Symbol) -> Iterator[tuple[Symbol, Occurrence]]:
-        """The symbol, and those declared at the same place (by a file that is included in several namespaces); each
-        with its declaration."""
+    def declared_together(self, symbol: Symbol) -> Iterator[tuple[Symbol, Occurrence]]:
+        """The symbols with the same declaration (in a file included in several namespaces), each with its own
+        occurrence of it."""
         here = self.declaration(symbol)
         if here is None:
             return
@@ -72,13 +72,13 @@ class Index:
             if found.declares and found.symbol.kind == symbol.kind and found.span == here.span:
                 yield found.symbol, found
 
-    def all_of(self, symbol: Symbol) -> list[Occurrence]:
-        """The places where a symbol is named, each once."""
+    def occurrences_of(self, symbol: Symbol) -> list[Occurrence]:
+        """The occurrences of a symbol, in source order, each place once."""
         found = {(o.span.source.name, o.span.start): o for o in self.occurrences if o.symbol == symbol}
         return [found[key] for key in sorted(found)]
 
 
-class _Walk:
+class _SymbolWalker:
     def __init__(self, resolved: Resolved) -> None:
         self.resolved = resolved
         self.declarations = resolved.declarations
@@ -107,8 +107,8 @@ class _Walk:
             if isinstance(statement, (KeepStatement, LimitStatement)):
                 yield from self._functionality_name(namespace, statement)
             else:
-                yield Occurrence(Symbol("node", join(namespace, statement.first.text)), statement.first.span)
-                yield Occurrence(Symbol("node", join(namespace, statement.then.text)), statement.then.span)
+                yield Occurrence(Symbol("node", resolve_name(namespace, statement.first.text)), statement.first.span)
+                yield Occurrence(Symbol("node", resolve_name(namespace, statement.then.text)), statement.then.span)
 
     def _contract(self, expression: ContractExpression | None) -> Iterator[Occurrence]:
         if (
@@ -119,12 +119,12 @@ class _Walk:
             yield Occurrence(Symbol("contract", expression.base.text), expression.base.span)
 
     def _topic(self, namespace: str, name: Name, node: str | None) -> Occurrence:
-        return Occurrence(Symbol("topic", topic_name(namespace, name.text, node)), name.span, namespace=namespace)
+        return Occurrence(Symbol("topic", resolve_topic(namespace, name.text, node)), name.span, namespace=namespace)
 
     # -- components --------------------------------------------------------------------------------------
 
     def _owner(self, component: str, kind: str, name: str) -> str:
-        """The component that declares a part, which may be one that ``component`` is like."""
+        """The component that declares a part: ``component``, or one that it is like."""
         seen: set[str] = set()
         current: str | None = component
         while current is not None and current in self.declarations.components and current not in seen:
@@ -174,7 +174,7 @@ class _Walk:
                 yield self._part(own, "port", guarantee.output)
                 yield from self._contract(guarantee.contract)
 
-    def _assumption(self, own: str, assumed: Assumed) -> Iterator[Occurrence]:
+    def _assumption(self, own: str, assumed: AssumptionExpression) -> Iterator[Occurrence]:
         if isinstance(assumed, NamedAssumption):
             for name in assumed.inputs:
                 yield self._part(own, "port", name)
@@ -200,8 +200,8 @@ class _Walk:
 
     def _functionality_name(self, namespace: str, statement: KeepStatement | LimitStatement) -> Iterator[Occurrence]:
         role, name = statement.functionality
-        yield Occurrence(Symbol("node", join(namespace, role.text)), role.span)
-        entry = self.declarations.nodes.get(join(namespace, role.text))
+        yield Occurrence(Symbol("node", resolve_name(namespace, role.text)), role.span)
+        entry = self.declarations.nodes.get(resolve_name(namespace, role.text))
         if entry is None or entry.declaration.component is None:
             return
         found = self._part(entry.declaration.component.text, "functionality", name)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 
+from midstride.codec.reading import parse_json
+from midstride.codec.specification import decode_specification
 from midstride.errors import SpecificationError
 from midstride.lang.diagnostics import Diagnostic, Reporter, in_order
 from midstride.lang.source import Source, Span
 from midstride.model.diagnostics import Problem
-from midstride.model.document import parse_json, specification_from_document
 from midstride.model.specification import Specification
 from midstride.model.specification_checks import check
 
@@ -22,7 +23,7 @@ def check_json(source: Source) -> tuple[Specification | None, tuple[Diagnostic, 
     specification: Specification | None = None
     problems: tuple[Problem, ...]
     try:
-        specification = specification_from_document(parse_json(source.text))
+        specification = decode_specification(parse_json(source.text))
         problems = check(specification)
     except SpecificationError as error:
         problems = tuple(problem for problem in error.problems if isinstance(problem, Problem))

@@ -1,7 +1,7 @@
-"""From text to tokens. Every text has tokens: what is none is reported once and left out.
+"""The lexer. It accepts every text: invalid characters are reported once and skipped.
 
 A token's kind is ``name`` (``scan``), ``path`` (``/scan``, ``sensor_msgs/msg/Image``, ``~/reset``), ``number``,
-``string``, ``end``, or, for a sign, the sign itself. Comments are kept beside the tokens, for the printer.
+``string``, ``end``, or the punctuation itself. Comments are kept separately, for the printer.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from typing import Final
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.source import Source, Span
 
-# The alternatives are tried in this order. A word may hold slashes, and letters that no name may have: it is judged
-# whole.
+# The alternatives are tried in this order. A word may contain slashes and letters that are invalid in names: it is
+# validated as a whole, so that it is reported once.
 _PATTERN: Final = re.compile(
     r"""
       (?P<blank>[ \t\n\f\v]+)
@@ -30,14 +30,14 @@ _PATTERN: Final = re.compile(
 )
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _PATH: Final = re.compile(r"(?:~|(?:~?/)?[A-Za-z_][A-Za-z0-9_]*(?:/[A-Za-z_0-9][A-Za-z0-9_]*)*)")
-_LONGEST_NAME: Final = 255  # what ROS 2 allows of a node's name
-_LONGEST_TEXT: Final = 8192
+_MAX_NAME: Final = 255  # the limit of ROS 2 for node names
+_MAX_STRING: Final = 8192
 _ESCAPES: Final = {"n": "\n", "t": "\t", '"': '"', "\\": "\\"}
 
 
 @dataclass(frozen=True, slots=True)
 class Tokens:
-    """The tokens of a source as parallel lists, the last of kind ``end``; the comments as (start, end)."""
+    """The tokens of a source as parallel lists, the last of kind ``end``; the comments as (start, end) offsets."""
 
     source: Source
     kinds: list[str]
@@ -51,7 +51,7 @@ class Tokens:
 
 
 def tokenize(source: Source, reporter: Reporter) -> Tokens:
-    """The tokens of ``source``. Linear in its length, whatever it holds."""
+    """The tokens of ``source``, in time linear in its length."""
     kinds: list[str] = []
     texts: list[str] = []
     starts: list[int] = []
@@ -65,15 +65,15 @@ def tokenize(source: Source, reporter: Reporter) -> Tokens:
         text, start = match.group(), match.start()
         if group == "word":
             kind = "name" if is_name(text) else "path"
-            if len(text) > _LONGEST_NAME or (kind == "path" and not _PATH.fullmatch(text)):
-                _bad_word(Span(source, start, match.end()), reporter)
+            if len(text) > _MAX_NAME or (kind == "path" and not _PATH.fullmatch(text)):
+                _invalid_word(Span(source, start, match.end()), reporter)
         elif group == "sign":
             kind = text
         elif group == "comment":
             comments.append((start, match.end()))
             if text[0] == "/":
                 span = Span(source, start, start + 2)
-                reporter.report("E110", span, "`//` begins no comment here", help="comments begin with `#`")
+                reporter.report("E110", span, "`//` does not start a comment", help="comments start with `#`")
             continue
         elif group == "number":
             kind = "number"
@@ -81,7 +81,7 @@ def tokenize(source: Source, reporter: Reporter) -> Tokens:
             kind = "string"
             _check_string(Span(source, start, match.end()), reporter)
         else:
-            _bad_characters(Span(source, start, match.end()), reporter)
+            _invalid_characters(Span(source, start, match.end()), reporter)
             continue
         add_kind(kind)
         add_text(text)
@@ -93,81 +93,79 @@ def tokenize(source: Source, reporter: Reporter) -> Tokens:
 
 
 def string_value(text: str) -> str:
-    """What a string token stands for; faults in it have been reported by :func:`tokenize`."""
+    """The value of a string token; :func:`tokenize` has reported any errors in it."""
     quote = text[0]
     body = text[1:-1] if len(text) > 1 and text[-1] == quote else text[1:]
-    body = body[:_LONGEST_TEXT]
+    body = body[:_MAX_STRING]
     if "\\" not in body:
         return body
     return re.sub(r"\\(.)", lambda match: _ESCAPES.get(match[1], match[0]), body)
 
 
 def is_topic_name(text: str) -> bool:
-    """Whether ``text`` is a name or path as ROS has them."""
-    return len(text) <= _LONGEST_NAME and _PATH.fullmatch(text) is not None
+    """Whether ``text`` is a valid ROS name or path."""
+    return len(text) <= _MAX_NAME and _PATH.fullmatch(text) is not None
 
 
-def _bad_word(span: Span, reporter: Reporter) -> None:
+def _invalid_word(span: Span, reporter: Reporter) -> None:
     text = span.text
     odd = next((at for at, character in enumerate(text) if character == "-" or not character.isascii()), None)
-    if len(text) > _LONGEST_NAME:
-        help = f"a name has at most {_LONGEST_NAME} characters"
-        reporter.report("E111", span, f"`{_short(text)}` is too long for a name", help=help)
+    if len(text) > _MAX_NAME:
+        help = f"names have at most {_MAX_NAME} characters"
+        reporter.report("E111", span, f"`{_truncated(text)}` is too long for a name", help=help)
     elif odd is not None:
         place = Span(span.source, span.start + odd, span.start + odd + 1)
         shown = f"`{text[odd]}`" if text[odd].isprintable() else f"the character U+{ord(text[odd]):04X}"
-        help = "a name has the letters a to z and A to Z, digits and `_`, as in ROS"
+        help = "names consist of ASCII letters, digits and `_`, as in ROS"
         if text.startswith("/") and text[odd] == "-":
-            help += f'; the path of a device may stand in double quotes: "{_short(text)}"'
-        reporter.report("E110", place, f"{shown} may not stand in a name", help=help)
+            help += f'; put the path of a device in double quotes: "{_truncated(text)}"'
+        reporter.report("E110", place, f"{shown} is not allowed in a name", help=help)
     else:
-        message = f"`{_short(text)}` is no name as ROS has them"
-        reporter.report("E111", span, message, help="no part of it may be empty or begin with a digit: `/front/scan`")
+        message = f"`{_truncated(text)}` is not a valid ROS name"
+        help = "no part of a name can be empty or start with a digit; for example `/front/scan`"
+        reporter.report("E111", span, message, help=help)
 
 
 def _check_string(span: Span, reporter: Reporter) -> None:
     text = span.text
-    if len(text) > _LONGEST_TEXT:
-        reporter.report("E113", span, "this text is too long", help=f"a text has at most {_LONGEST_TEXT} characters")
+    if len(text) > _MAX_STRING:
+        reporter.report("E113", span, "this string is too long", help=f"strings have at most {_MAX_STRING} characters")
         return
     if text[0] == "'":
         reporter.report(
-            "E112", span, "a text stands in double quotes", help=f'write "{_short(text[1:].rstrip(chr(39)))}"'
+            "E112", span, "strings use double quotes", help=f'write "{_truncated(text[1:].rstrip(chr(39)))}"'
         )
         return
     closed = re.fullmatch(r'"(?:[^"\\]|\\.)*"', text)
     if closed is None:
-        reporter.report("E113", span, "this text is not closed", help='end it with `"` on the same line')
+        reporter.report("E113", span, "unterminated string", help='end it with `"` on the same line')
         return
     for escape in re.finditer(r"\\(.)", text):
         if escape[1] not in _ESCAPES:
             place = Span(span.source, span.start + escape.start(), span.start + escape.end())
-            shown = escape[0] if escape[1].isprintable() else "that"
-            message = f"`{shown}` stands for nothing in a text"
-            reporter.report(
-                "E114", place, message, help=r"write `\\` for a backslash; beside it there are `\"`, `\n` and `\t`"
-            )
+            shown = f"`{escape[0]}`" if escape[1].isprintable() else "this"
+            help = r"the escape sequences are `\\`, `\"`, `\n` and `\t`"
+            reporter.report("E114", place, f"{shown} is not an escape sequence", help=help)
             return
 
 
-def _bad_characters(span: Span, reporter: Reporter) -> None:
+def _invalid_characters(span: Span, reporter: Reporter) -> None:
     text = span.text
     if "\0" in text:
         at = span.start + text.index("\0")
         place = Span(span.source, at, at + 1)
-        reporter.report("E115", place, "there is a NUL byte here: this is no text", help="is this the file you meant?")
+        reporter.report("E115", place, "NUL byte in the text", help="check that this is the intended file")
         return
     hints = {
-        ";": "a statement needs no end: leave it out",
-        "-": "a name has letters, digits and `_`; a path with other characters stands in double quotes",
-        "*": "a comment begins with `#` and ends with the line",
-        "|": "alternatives are joined by `or`",
-        "$": "nothing is substituted: write the name itself",
+        ";": "statements need no terminator; remove it",
+        "-": "names consist of letters, digits and `_`; put a path with other characters in double quotes",
+        "*": "comments start with `#` and end with the line",
+        "|": "join alternatives with `or`",
+        "$": "there is no variable substitution; write the name itself",
     }
-    shown = text[0] if text[0].isprintable() else f"the character U+{ord(text[0]):04X}"
-    shown = f"`{shown}`" if len(shown) == 1 else shown
-    reporter.report("E110", span, f"{shown} means nothing here", help=hints.get(text[0]))
+    shown = f"`{text[0]}`" if text[0].isprintable() else f"U+{ord(text[0]):04X}"
+    reporter.report("E110", span, f"unexpected character {shown}", help=hints.get(text[0]))
 
 
-def _short(text: str) -> str:
+def _truncated(text: str) -> str:
     return text if len(text) <= 40 else text[:39] + "…"

@@ -1,4 +1,4 @@
-"""The way in: a system from a file, in the Stride language or in JSON."""
+"""The entry point: loads a system from a file, in the Stride language or in JSON."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from midstride.errors import SpecificationError
 from midstride.lang.check import Resolved, check_files
 from midstride.lang.diagnostics import Diagnostic, has_errors
-from midstride.lang.files import Read, Unreadable, read_source, read_text
+from midstride.lang.files import FileReader, Unreadable, read_source, read_text
 from midstride.lang.json_form import check_json
 from midstride.lang.message_types import MessageTypes
 from midstride.lang.source import Source
@@ -17,9 +17,9 @@ from midstride.model.specification import Specification
 
 @dataclass(frozen=True, slots=True)
 class Loaded:
-    """What came of a file. ``specification`` is None iff there are errors; ``files`` are all that were read.
+    """The result of loading a file. ``specification`` is None iff there are errors; ``files`` are all files read.
 
-    ``resolved`` holds the declarations behind it, errors or not; None for JSON, and for a file that cannot be read.
+    ``resolved`` holds the declarations behind it, with or without errors; None for JSON and for an unreadable file.
     """
 
     specification: Specification | None
@@ -32,16 +32,16 @@ class Loaded:
         return has_errors(self.diagnostics)
 
     def require(self) -> Specification:
-        """The specification. Raises SpecificationError, carrying the diagnostics, where there are errors."""
+        """The specification. Raises SpecificationError with the diagnostics if there are errors."""
         if self.specification is None:
             raise SpecificationError([d for d in self.diagnostics if d.severity == "error"])
         return self.specification
 
 
-def load(path: Path | str, *, read: Read = read_text, messages: MessageTypes | None = None) -> Loaded:
-    """The system that a file declares: JSON where its name ends in ``.json``, else the Stride language.
+def load(path: Path | str, *, read: FileReader = read_text, messages: MessageTypes | None = None) -> Loaded:
+    """Load the system that a file declares: JSON if its name ends in ``.json``, else the Stride language.
 
-    ``read`` gives the text of each file; ``messages`` knows message types (None: types and fields are not checked).
+    ``read`` returns the text of each file. Types and fields are looked up in ``messages``; None: they are not checked.
     """
     path = Path(path)
     try:
@@ -49,7 +49,7 @@ def load(path: Path | str, *, read: Read = read_text, messages: MessageTypes | N
     except Unreadable as error:
         diagnostic = Diagnostic(error.code, f"`{path}` cannot be read: {error}", help=error.help, file=str(path))
         return Loaded(None, (diagnostic,))
-    return _loaded(source, read, messages)
+    return _load_source(source, read, messages)
 
 
 def load_text(
@@ -57,14 +57,14 @@ def load_text(
     name: str = "<text>",
     *,
     path: Path | None = None,
-    read: Read = read_text,
+    read: FileReader = read_text,
     messages: MessageTypes | None = None,
 ) -> Loaded:
-    """The system that a text declares. Includes are relative to ``path``, or to ``name`` where that is None."""
-    return _loaded(Source(name, text, path or Path(name)), read, messages)
+    """Load the system that a text declares. Includes are relative to ``path``, or to ``name`` if that is None."""
+    return _load_source(Source(name, text, path or Path(name)), read, messages)
 
 
-def _loaded(source: Source, read: Read, messages: MessageTypes | None) -> Loaded:
+def _load_source(source: Source, read: FileReader, messages: MessageTypes | None) -> Loaded:
     if source.name.endswith(".json"):
         specification, diagnostics = check_json(source)
         return Loaded(specification, diagnostics, (source,))

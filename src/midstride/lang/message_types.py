@@ -1,8 +1,8 @@
-"""Message types that are known here, so that a misspelt type or field is found before anything runs.
+"""Known message types, so that misspelt types and fields are found before anything runs.
 
-``MessageTypes`` is what the checker asks; :func:`installed` answers from the interface files of installed
-message packages (``share/<package>/msg``, as ROS 2 and ROS 1 lay them out), and, for packages that are not
-there, from the type store of ``rosbags``. Nothing of ROS is imported.
+The checker uses :class:`MessageTypes`. :func:`installed` reads the interface files of installed message packages
+(``share/<package>/msg``, the layout of ROS 2 and ROS 1) and, for other packages, the type store of ``rosbags``. No ROS
+library is imported.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ _FIELD: Final = re.compile(r"\s*([A-Za-z][\w/]*)(<=\d+)?(\[[^\]]*\])?\s+([A-Za-z
 _NUMBERS: Final = frozenset(
     "byte char int8 uint8 int16 uint16 int32 uint32 int64 uint64 float32 float64 octet float double".split()
 )
-# Fields that hold fields of their own, though they are primitive in ROS 1's language.
+# Primitive types of ROS 1 that have fields.
 _TIMES: Final = {"time": ("secs", "nsecs"), "duration": ("secs", "nsecs")}
 _LARGEST: Final = 1 << 20
 
 
 @dataclass(frozen=True, slots=True)
 class MessageDefinition:
-    """The fields of a message type. The type of a field: ``number``, ``text``, ``boolean``, ``list``, or a message
-    type. ``constants`` have their values as they are written."""
+    """The fields of a message type by kind (``number``, ``text``, ``boolean``, ``list`` or a message type), and its
+    constants with their values as written."""
 
     name: str
     fields: Mapping[str, str] = field(default_factory=dict)
@@ -37,40 +37,40 @@ class MessageDefinition:
 
 
 class MessageTypes(Protocol):
-    """What is known of message types."""
+    """Looks up message types."""
 
     def message(self, name: str) -> MessageDefinition | None:
-        """The type of that canonical name; None where it is not known."""
+        """The type with that canonical name; None if it is unknown."""
 
     def types(self, package: str) -> Iterable[str]:
-        """The names (``Image``) of the package's message types; empty where the package is not known."""
+        """The names (``Image``) of the package's message types; empty if the package is unknown."""
 
 
-class Missing(NamedTuple):
-    """A field that is not there: what it would be in, its name, and the names there are."""
+class MissingField(NamedTuple):
+    """A field that does not exist: the message it would be in, its name, and the existing fields."""
 
     owner: str
     name: str
     known: tuple[str, ...]
 
 
-def field_kind(messages: MessageTypes, message: MessageDefinition, path: str) -> str | Missing:
-    """What the field at the dotted ``path`` is; ``unknown`` where the way leads through a type that is not known."""
+def field_kind(messages: MessageTypes, message: MessageDefinition, path: str) -> str | MissingField:
+    """The kind of the field at the dotted ``path``; ``unknown`` if a type on the way is unknown."""
     kind = message.name
     for name in path.split("."):
         if "/" not in kind:
-            return kind if kind == "unknown" else Missing(f"a {kind}", name, ())
+            return kind if kind == "unknown" else MissingField(f"a {kind}", name, ())
         found = message if kind == message.name else messages.message(kind)
         if found is None:
             return "unknown"
         if name not in found.fields:
-            return Missing(found.name, name, tuple(found.fields))
+            return MissingField(found.name, name, tuple(found.fields))
         kind = found.fields[name]
     return kind
 
 
-class Installed:
-    """The message types of the packages installed under ``folders``, and those of ``fallback`` for other packages."""
+class InstalledTypes:
+    """The message types of the packages under ``folders``, and those of ``fallback`` for other packages."""
 
     def __init__(self, folders: Iterable[Path], fallback: Callable[[], MessageTypes | None] | None = None) -> None:
         self._folders = tuple(folders)
@@ -88,7 +88,7 @@ class Installed:
         folder = self._folder(package)
         if folder is not None:
             return sorted(path.stem for path in folder.glob("*.msg"))
-        other = self._other()
+        other = self._fallback_types()
         return () if other is None else other.types(package)
 
     def _folder(self, package: str) -> Path | None:
@@ -101,7 +101,7 @@ class Installed:
         package, _, rest = canonical_type(name).partition("/msg/")
         folder = self._folder(package)
         if folder is None:
-            other = self._other()
+            other = self._fallback_types()
             return None if other is None else other.message(name)
         try:
             with open(folder / f"{rest}.msg", encoding="utf-8", errors="replace") as stream:
@@ -110,7 +110,7 @@ class Installed:
             return None
         return MessageDefinition(name, parse_fields(text, package), parse_constants(text))
 
-    def _other(self) -> MessageTypes | None:
+    def _fallback_types(self) -> MessageTypes | None:
         if self._load_fallback is not None:
             self._fallback, self._load_fallback = self._load_fallback(), None
         return self._fallback
@@ -129,7 +129,7 @@ def parse_fields(text: str, package: str) -> dict[str, str]:
     for line in text.splitlines():
         match = _FIELD.match(line.partition("#")[0])
         if match is None or match[5]:
-            continue  # no declaration, or that of a constant
+            continue  # not a declaration, or a constant
         base, array, name = match[1], match[3], match[4]
         fields[name] = "list" if array else _kind(base, package)
     return fields
@@ -156,7 +156,7 @@ def _kind(base: str, package: str) -> str:
 
 
 class _Rosbags:
-    """The type store of ``rosbags``: the messages of ROS's own packages, with no ROS installed."""
+    """The type store of ``rosbags``: the messages of the standard packages, without a ROS installation."""
 
     def __init__(self) -> None:
         from rosbags.typesys import Stores, get_typestore
@@ -193,7 +193,7 @@ def _rosbags() -> MessageTypes | None:
 
 
 def share_folders(environment: Mapping[str, str]) -> list[Path]:
-    """Where message packages are installed: what the sourced ROS names, then this interpreter's own environment."""
+    """Where message packages may be installed: the sourced ROS environment, then this interpreter's prefix."""
     prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     prefixes += environment.get("CMAKE_PREFIX_PATH", "").split(os.pathsep)
     folders = [Path(prefix) / "share" for prefix in [*prefixes, sys.prefix] if prefix]
@@ -202,5 +202,5 @@ def share_folders(environment: Mapping[str, str]) -> list[Path]:
 
 
 def installed(environment: Mapping[str, str] | None = None) -> MessageTypes:
-    """The message types installed here; ``environment`` stands for that of the process."""
-    return Installed(share_folders(os.environ if environment is None else environment), _rosbags)
+    """The installed message types; ``environment`` defaults to that of the process."""
+    return InstalledTypes(share_folders(os.environ if environment is None else environment), _rosbags)

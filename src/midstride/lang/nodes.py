@@ -1,4 +1,4 @@
-"""From node declarations to the model's nodes: attachments by full topic names, parameter values, parameter files."""
+"""Builds the model's nodes from their declarations: attachments, parameter values, parameter files."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from pathlib import Path
 
 from immutables import Map
 
-from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, bounded, topic_name
+from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, limited, resolve_topic
 from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.files import Read, Unreadable, read_source
-from midstride.lang.near_miss import did_you_mean
-from midstride.lang.parameter_files import Given, Section, read_sections
+from midstride.lang.files import FileReader, Unreadable, read_source
+from midstride.lang.parameter_files import ParameterSection, ParameterValueAt, read_sections
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import ComponentDeclaration, Name
 from midstride.model.component import ComponentSpec, ParameterSpec, ParameterValue
+from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Node
 
 
-class Nodes:
-    """Builds the nodes of a system. ``places`` tells where each parameter of each role is given."""
+class NodeBuilder:
+    """Builds the nodes of a system. ``parameter_spans`` maps (role, parameter) to where the value is given."""
 
     def __init__(
         self,
         declarations: Declarations,
         components: dict[str, ComponentSpec],
         merged: Mapping[str, ComponentDeclaration],
-        read: Read,
+        read: FileReader,
         reporter: Reporter,
     ) -> None:
         self.declarations = declarations
@@ -36,38 +36,37 @@ class Nodes:
         self.merged = merged
         self.read = read
         self.reporter = reporter
-        self.places: dict[tuple[str, str], Span] = {}
+        self.parameter_spans: dict[tuple[str, str], Span] = {}
         self.sources: list[Source] = []
-        self._files: dict[str, list[Section] | None] = {}
+        self._files: dict[str, list[ParameterSection] | None] = {}
 
     def build(self) -> dict[str, Node]:
-        """Every node declared whose component could be read. Components take up the parameters that files alone
-        give."""
+        """Every declared node that names a component. Parameters given only in files are added to the components."""
         from_files = {role: self._from_files(entry) for role, entry in self.declarations.nodes.items()}
-        self._declare(from_files)
+        self._declare_parameters(from_files)
         entries = self.declarations.nodes.items()
         return {role: self._node(entry, from_files[role]) for role, entry in entries if entry.declaration.component}
 
-    def _node(self, entry: NodeEntry, given: Mapping[str, Given]) -> Node:
+    def _node(self, entry: NodeEntry, given: Mapping[str, ParameterValueAt]) -> Node:
         declaration = entry.declaration
         values: dict[str, ParameterValue] = {}
         for name, (value, span) in given.items():
             values[name] = value
-            self.places[entry.role, name] = span
+            self.parameter_spans[entry.role, name] = span
         own: dict[str, Name] = {}
         for parameter in declaration.parameters:
             name = parameter.name.text
             if name in own:
-                note = Note("the first one is here", own[name].span)
-                message = f"there is one parameter `{name}` here already"
-                self.reporter.report("E007", parameter.name.span, message, help="keep one of the two", notes=[note])
+                note = Note("first set here", own[name].span)
+                message = f"duplicate parameter `{name}`"
+                self.reporter.report("E007", parameter.name.span, message, help="keep one of them", notes=[note])
                 continue
             if parameter.changeable:
-                message = "whether a parameter is changeable is said in the component"
-                self.reporter.report("E143", parameter.name.span, message, help=f"write `{name} = …` alone here")
+                message = "`changeable` belongs in the component, not in a node"
+                self.reporter.report("E143", parameter.name.span, message, help=f"write `{name} = …` here")
             own[name] = parameter.name
             values[name] = parameter.value.value
-            self.places[entry.role, name] = parameter.name.span
+            self.parameter_spans[entry.role, name] = parameter.name.span
         component = "" if declaration.component is None else declaration.component.text
         return Node(entry.role, component, self._attachments(entry), Map(values))
 
@@ -84,40 +83,42 @@ class Nodes:
                 self.reporter.report(
                     "E144", attachment.port.span, message, help=f"write `{port} {right} {attachment.topics[0].text}`"
                 )
-            room = MAX_PARTS - len(found.get(port, ()))
-            named = bounded(attachment.topics, "topic", lambda topic: topic.span, self.reporter, room)
-            topics = tuple(topic_name(entry.namespace, topic.text, declaration.name.text) for topic in named)
+            limit = MAX_PARTS - len(found.get(port, ()))
+            named = limited(attachment.topics, "topic", lambda topic: topic.span, self.reporter, limit)
+            topics = tuple(resolve_topic(entry.namespace, topic.text, declaration.name.text) for topic in named)
             found[port] = found.get(port, ()) + topics
         return Map(found)
 
     # -- parameter files -----------------------------------------------------------------------------------
 
-    def _from_files(self, entry: NodeEntry) -> dict[str, Given]:
-        """What parameter files give a node: those for everyone first, then its component's, then its own."""
-        given: dict[str, Given] = {}
+    def _from_files(self, entry: NodeEntry) -> dict[str, ParameterValueAt]:
+        """The parameters of a node from files: those for all nodes first, then its component's, then its own."""
+        given: dict[str, ParameterValueAt] = {}
         for namespace, path in self.declarations.parameter_files:
             if not namespace or entry.role.startswith(f"{namespace}/"):
-                self._take(given, entry.role, self._sections(path), namespace)
+                self._apply(given, entry.role, self._sections(path), namespace)
         declaration = entry.declaration
         component = None if declaration.component is None else self.merged.get(declaration.component.text)
         for path in component.files if component is not None else ():
-            self._take(given, entry.role, self._sections(path), entry.namespace)
+            self._apply(given, entry.role, self._sections(path), entry.namespace)
         for path in declaration.files:
             sections = self._sections(path)
-            if not self._take(given, entry.role, sections, entry.namespace) and sections is not None:
+            if not self._apply(given, entry.role, sections, entry.namespace) and sections is not None:
                 names = [section.pattern for section in sections]
                 help = did_you_mean(f"/{entry.role}", names) or f"its sections: {', '.join(names[:8])}"
                 message = f"`{path.text}` has no section for {entry.role}"
                 self.reporter.report("W160", path.span, message, help=help)
         return given
 
-    def _take(self, given: dict[str, Given], role: str, sections: Iterable[Section] | None, namespace: str) -> bool:
+    def _apply(
+        self, given: dict[str, ParameterValueAt], role: str, sections: Iterable[ParameterSection] | None, namespace: str
+    ) -> bool:
         matching = [section for section in sections or () if section.matches(role, namespace)]
         for section in matching:
             given.update(section.values)
         return bool(matching)
 
-    def _sections(self, path: Name) -> list[Section] | None:
+    def _sections(self, path: Name) -> list[ParameterSection] | None:
         base = path.span.source.path
         folder = Path() if base is None else base.parent
         key = os.path.normpath(folder / path.text) if path.text and "\0" not in path.text else ""
@@ -125,13 +126,13 @@ class Nodes:
             self._files[key] = self._read_file(key, path)
         return self._files[key]
 
-    def _read_file(self, key: str, path: Name) -> list[Section] | None:
+    def _read_file(self, key: str, path: Name) -> list[ParameterSection] | None:
         shown = key
         if not os.path.isabs(path.text):
             shown = os.path.normpath(os.path.join(os.path.dirname(path.span.source.name), path.text))
         try:
             if not key:
-                raise Unreadable("E100", "this names no file")
+                raise Unreadable("E100", "this is not a file name")
             source = read_source(Path(key), self.read, shown)
         except Unreadable as error:
             message = f"`{path.text}` cannot be read: {error}"
@@ -140,8 +141,8 @@ class Nodes:
         self.sources.append(source)
         return read_sections(source, self.reporter)
 
-    def _declare(self, from_files: Mapping[str, Mapping[str, Given]]) -> None:
-        """Let each component declare what files give all of its nodes; what only some of them get needs a default."""
+    def _declare_parameters(self, from_files: Mapping[str, Mapping[str, ParameterValueAt]]) -> None:
+        """Add the parameters that files give all nodes of a component to it; report those that only some nodes get."""
         users: dict[str, list[str]] = {}
         for role, entry in self.declarations.nodes.items():
             if entry.declaration.component is not None:
@@ -161,21 +162,21 @@ class Nodes:
                         partly.setdefault((role, lacking), []).append((parameter, span))
                     added[parameter] = ParameterSpec(value)
             for (role, lacking), given in partly.items():
-                self._given_to_some(name, role, lacking, given)
+                self._report_partly_given(name, role, lacking, given)
             if added:
                 self._extend(name, added)
 
-    def _given_to_some(self, name: str, role: str, lacking: str, given: list[tuple[str, Span]]) -> None:
-        """One mistake, one message: it is the other node's section that is missing, or the component's declarations."""
+    def _report_partly_given(self, name: str, role: str, lacking: str, given: list[tuple[str, Span]]) -> None:
+        """Report all such parameters at once: the other node's section is missing, or the component's declarations."""
         parameter, span = given[0]
         more = f" (and {len(given) - 1} more)" if len(given) > 1 else ""
         it = "them" if more else "it"
-        some = f"parameter `{parameter}`{more} is given for {role}, but not for {lacking}"
+        some = f"parameter `{parameter}`{more} is set for {role} but not for {lacking}"
         message = f"{some}, and {name} declares no value for {it}"
-        self.reporter.report("E151", span, message, help=f"declare {it} in component {name}, or give {it} to {lacking}")
+        self.reporter.report("E151", span, message, help=f"declare {it} in component {name}, or set {it} for {lacking}")
 
     def _extend(self, name: str, added: Mapping[str, ParameterSpec]) -> None:
-        """Components that are like ``name`` take the parameters over, as they take over declared ones."""
+        """Add the parameters to the components that are like ``name``, which inherit them like declared ones."""
         for other, declaration in self.merged.items():
             if other == name or self._is_like(declaration, name):
                 component = self.components[other]

@@ -1,8 +1,8 @@
-"""ROS parameter files: their sections, and which of them is a node's.
+"""ROS parameter files: their sections, and which nodes each section applies to.
 
-The layout is ROS 2's: a section is a node's name, with its namespace in front or in sections around it, or with
-wildcards (``/**``, ``/*/camera``), and holds ``ros__parameters``. The file is read event by event, so that neither its
-nesting nor its aliases can take more than is allowed here.
+The layout is that of ROS 2: a section is named after a node, with its namespace as a prefix or as enclosing sections,
+or with wildcards (``/**``, ``/*/camera``), and contains ``ros__parameters``. The YAML is parsed event by event, which
+limits its nesting and the expansion of aliases.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple, TypeAlias
 
 from midstride.lang.diagnostics import Reporter
-from midstride.lang.files import join
+from midstride.lang.files import resolve_name
 from midstride.lang.source import Source, Span
 from midstride.model.component import ParameterValue
 from midstride.model.contract import Scalar
@@ -29,62 +29,65 @@ _REAL: Final = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
 _NOT_FINITE: Final = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
-class Given(NamedTuple):
-    """A parameter's value, and where it is given."""
+class ParameterValueAt(NamedTuple):
+    """The value of a parameter, and where it is set."""
 
     value: ParameterValue
     span: Span
 
 
 @dataclass(slots=True)
-class Section:
-    """The parameters of the nodes that ``pattern`` matches, by dotted name."""
+class ParameterSection:
+    """The parameters of the nodes that match ``pattern``, by dotted name."""
 
     pattern: str
     span: Span
-    values: dict[str, Given] = field(default_factory=dict)
+    values: dict[str, ParameterValueAt] = field(default_factory=dict)
 
     def matches(self, role: str, namespace: str) -> bool:
-        """Whether the section is for the node ``role``, seen from ``namespace``."""
+        """Whether the section applies to the node ``role``, in a file used in ``namespace``."""
         full = "/" + role.strip("/")
-        return any(re.fullmatch(_regex(name), full) for name in (self.pattern, "/" + join(namespace, self.pattern)))
+        return any(
+            re.fullmatch(_regex(name), full) for name in (self.pattern, "/" + resolve_name(namespace, self.pattern))
+        )
 
 
-class _Refused(Exception):
+class _InvalidFile(Exception):
     def __init__(self, span: Span, message: str, help: str | None = None) -> None:
         super().__init__(message)
         self.span = span
         self.help = help
 
 
-# A value of the file, with its place: a mapping, a list, or a scalar.
+# A value of the file with its span: a mapping, a list or a scalar.
 _Tree: TypeAlias = "tuple[dict[str, _Tree] | list[_Tree] | Scalar | None, Span]"
 
 
-def read_sections(source: Source, reporter: Reporter) -> list[Section]:
-    """The sections of a parameter file. What is wrong with it is reported in it."""
+def read_sections(source: Source, reporter: Reporter) -> list[ParameterSection]:
+    """The sections of a parameter file; none if it is invalid, which is reported."""
     try:
-        tree = _Builder(source).build()
+        tree = _TreeBuilder(source).build()
         if tree is None:
             return []
         return list(_sections(tree, "", 0))
-    except _Refused as refused:
+    except _InvalidFile as refused:
         reporter.report("E150", refused.span, str(refused), help=refused.help)
         return []
 
 
-def _sections(tree: _Tree, prefix: str, depth: int) -> Iterator[Section]:
+def _sections(tree: _Tree, prefix: str, depth: int) -> Iterator[ParameterSection]:
     value, span = tree
     if not isinstance(value, dict):
-        help = f"a parameter file has the sections `node:` and, in each, `{KEY}:`"
-        raise _Refused(span, "a section of a parameter file is expected here", help)
+        help = f"a parameter file has a section `node:` per node, each with `{KEY}:`"
+        raise _InvalidFile(span, "expected a section of a ROS parameter file", help)
     for name, inner in value.items():
         content, place = inner
         pattern = name if name.startswith("/") or not prefix else f"{prefix}/{name}"
         if not isinstance(content, dict):
-            raise _Refused(place, f"`{name}` holds no `{KEY}`", f"write the parameters under `{name}: {KEY}:`")
+            help = f"write the parameters under `{name}: {KEY}:`"
+            raise _InvalidFile(place, f"section `{name}` has no `{KEY}`", help)
         if KEY in content:
-            section = Section("/" + pattern.strip("/"), place)
+            section = ParameterSection("/" + pattern.strip("/"), place)
             _flatten(content[KEY], "", section.values)
             yield section
         rest = {key: other for key, other in content.items() if key != KEY}
@@ -92,7 +95,7 @@ def _sections(tree: _Tree, prefix: str, depth: int) -> Iterator[Section]:
             yield from _sections((rest, place), pattern, depth + 1)
 
 
-def _flatten(tree: _Tree, prefix: str, into: dict[str, Given]) -> None:
+def _flatten(tree: _Tree, prefix: str, into: dict[str, ParameterValueAt]) -> None:
     value, span = tree
     if value is None and not prefix:
         return
@@ -100,24 +103,24 @@ def _flatten(tree: _Tree, prefix: str, into: dict[str, Given]) -> None:
         for name, inner in value.items():
             _flatten(inner, f"{prefix}.{name}" if prefix else name, into)
     elif isinstance(value, list):
-        into[prefix] = Given(_listed(prefix, value, span), span)
+        into[prefix] = ParameterValueAt(_listed(prefix, value, span), span)
     elif value is None:
-        raise _Refused(span, f"parameter `{prefix}` has no value")
+        raise _InvalidFile(span, f"parameter `{prefix}` has no value")
     else:
-        into[prefix] = Given(value, span)
+        into[prefix] = ParameterValueAt(value, span)
 
 
 def _listed(name: str, items: list[_Tree], span: Span) -> ParameterValue:
     values: list[Any] = []
     for value, place in items:
         if value is None or isinstance(value, (dict, list)):
-            raise _Refused(place, f"parameter `{name}`: the values of a list are texts, numbers, or true or false")
+            raise _InvalidFile(place, f"parameter `{name}`: list values must be strings, numbers or booleans")
         values.append(value)
     kinds = {type(value) for value in values}
     if kinds == {int, float}:
         return [float(value) for value in values]
     if len(kinds) > 1:
-        raise _Refused(span, f"parameter `{name}`: the values of a list are of one kind")
+        raise _InvalidFile(span, f"parameter `{name}`: a list cannot mix types")
     return values
 
 
@@ -129,8 +132,8 @@ def _regex(pattern: str) -> str:
     return "(/[^/]+)+" if parts == ["(/[^/]+)*"] else "".join(parts)
 
 
-class _Builder:
-    """Builds plain values from YAML's events, with bounds."""
+class _TreeBuilder:
+    """Builds values from YAML events, within limits."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
@@ -145,11 +148,11 @@ class _Builder:
             return self._build(yaml.parse(self.source.text, Loader=loader))
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark
-            told = error.problem or error.context or "it cannot be read"
-            raise _Refused(self._at(mark), f"this is no YAML: {told}", "indent with blanks, not with tabs") from None
+            reason = error.problem or error.context or "it cannot be parsed"
+            raise _InvalidFile(self._at(mark), f"invalid YAML: {reason}", "indent with spaces, not tabs") from None
         except yaml.YAMLError as error:
             first = str(error).splitlines()[0]
-            raise _Refused(Span(self.source, 0, 0), f"this is no YAML: {first}") from None
+            raise _InvalidFile(Span(self.source, 0, 0), f"invalid YAML: {first}") from None
 
     def _at(self, mark: Any) -> Span:
         if mark is None:
@@ -164,7 +167,7 @@ class _Builder:
         return Span(self.source, first, max(last, first))
 
     def _build(self, events: Iterator[Any]) -> _Tree | None:
-        # Each open collection: its value, its place, the key that waits for its value, its anchor, the count before it.
+        # Each open collection: its value, its span, the key without a value yet, its anchor, the count before it.
         stack: list[tuple[Any, Span, list[tuple[str, Span]], str | None, int]] = []
         root: _Tree | None = None
         documents = 0
@@ -173,15 +176,15 @@ class _Builder:
             if kind == "DocumentStartEvent":
                 documents += 1
                 if documents > 1:
-                    raise _Refused(self._span(event), "a parameter file is one YAML document")
+                    raise _InvalidFile(self._span(event), "a parameter file must be a single YAML document")
                 continue
             if kind in {"StreamStartEvent", "StreamEndEvent", "DocumentEndEvent"}:
                 continue
             if kind in {"MappingStartEvent", "SequenceStartEvent"}:
                 if len(stack) >= MAX_DEPTH:
-                    raise _Refused(self._span(event), f"this is nested more than {MAX_DEPTH} deep")
+                    raise _InvalidFile(self._span(event), f"this is nested more than {MAX_DEPTH} deep")
                 if stack and isinstance(stack[-1][0], dict) and not stack[-1][2]:
-                    raise _Refused(self._span(event), "the name of a parameter is a text")
+                    raise _InvalidFile(self._span(event), "a parameter name must be a string")
                 value: Any = {} if kind == "MappingStartEvent" else []
                 stack.append((value, self._span(event), [], event.anchor, self.count))
                 continue
@@ -192,7 +195,7 @@ class _Builder:
                     self.anchors[anchor] = (done, self.count - before)
             elif kind == "AliasEvent":
                 if event.anchor not in self.anchors:
-                    raise _Refused(self._span(event), f"`*{event.anchor}` stands for nothing here")
+                    raise _InvalidFile(self._span(event), f"undefined alias `*{event.anchor}`")
                 done, size = self.anchors[event.anchor]
                 self.count += size
             else:
@@ -201,7 +204,7 @@ class _Builder:
                 if event.anchor:
                     self.anchors[event.anchor] = (done, 1)
             if self.count > MAX_VALUES:
-                raise _Refused(done[1], f"this file gives more than {MAX_VALUES} values")
+                raise _InvalidFile(done[1], f"this file has more than {MAX_VALUES} values")
             if not stack:
                 root = done
             elif isinstance(stack[-1][0], list):
@@ -209,12 +212,12 @@ class _Builder:
             elif not stack[-1][2]:
                 key, place = done
                 if isinstance(key, (dict, list)) or key is None:
-                    raise _Refused(place, "the name of a parameter is a text")
+                    raise _InvalidFile(place, "a parameter name must be a string")
                 stack[-1][2].append((event.value if kind == "ScalarEvent" else str(key), place))
             else:
                 name, place = stack[-1][2].pop()
                 if name in stack[-1][0]:
-                    raise _Refused(place, f"`{name}` stands here already", "keep one of the two")
+                    raise _InvalidFile(place, f"duplicate key `{name}`", "keep one of them")
                 stack[-1][0][name] = done
         return root if root is None or root[0] is not None else None
 
@@ -224,7 +227,7 @@ def _scalar(event: Any, span: Span) -> Scalar | None:
     if event.tag not in {None, "!"}:
         if event.tag == "tag:yaml.org,2002:str":
             return text
-        raise _Refused(span, f"the tag {event.tag} is not for parameters")
+        raise _InvalidFile(span, f"parameters cannot have the tag {event.tag}")
     if not event.implicit[0]:
         return text  # quoted, or a block of text
     if text in {"", "~", "null", "Null", "NULL"}:
@@ -233,13 +236,13 @@ def _scalar(event: Any, span: Span) -> Scalar | None:
         return text in _TRUE
     if _INTEGER.fullmatch(text):
         if len(text) > 40 or not -(2**63) <= (number := int(text, 16 if "x" in text else 10)) < 2**63:
-            raise _Refused(span, "a whole number has at most 64 bits")
+            raise _InvalidFile(span, "integers have at most 64 bits")
         return number
     if _REAL.fullmatch(text):
         number_ = float(text)
         if number_ in (float("inf"), float("-inf")):
-            raise _Refused(span, "this number is too large")
+            raise _InvalidFile(span, "this number is too large")
         return number_
     if _NOT_FINITE.fullmatch(text):
-        raise _Refused(span, "a parameter's number is finite here", "write the largest number that means the same")
+        raise _InvalidFile(span, "parameter values must be finite", "use a large finite number instead")
     return text

@@ -1,22 +1,22 @@
-"""Parsing of components: their process, ports, functionalities and modes."""
+"""Parsing of components: command, resources, ports, functionalities and modes."""
 
 from __future__ import annotations
 
 from midstride.lang.parse_contract import ContractParser
 from midstride.lang.syntax import (
-    Allowed,
-    Assumed,
+    AllowedEndpoint,
+    AssumptionExpression,
     ComponentDeclaration,
     ContractExpression,
     FunctionalityDeclaration,
     GuaranteeStatement,
-    Held,
     InputDeclaration,
     ModeDeclaration,
     Name,
     NamedAssumption,
     Number,
     ParameterEntry,
+    ResourceUse,
     Run,
 )
 from midstride.lang.token_stream import RESERVED
@@ -25,22 +25,22 @@ ENDPOINT_KINDS = ("topic", "service", "ROS action")
 
 
 class ComponentParser(ContractParser):
-    """The part of the parser that reads components."""
+    """The part of the parser for components."""
 
     def component(self) -> ComponentDeclaration:
         first = self.i
         self.i += 1
-        name = self.name("the name of a component", ("{",))
+        name = self.name("a component name", ("{",))
         like = None
         if self.accept_word("like"):
-            like = self.name("the name of a component after `like`")
+            like = self.name("a component name after `like`")
         runs: list[Run] = []
-        holds: list[tuple[Held, ...]] = []
+        holds: list[tuple[ResourceUse, ...]] = []
         parameters: list[ParameterEntry] = []
         files: list[Name] = []
         inputs: list[InputDeclaration] = []
         outputs: list[Name] = []
-        allows: list[Allowed] = []
+        allows: list[AllowedEndpoint] = []
         functionalities: list[FunctionalityDeclaration] = []
         lost_parameters: frozenset[str] = frozenset()
 
@@ -48,9 +48,9 @@ class ComponentParser(ContractParser):
             nonlocal lost_parameters
             lost_parameters |= self.parameters(parameters, files)
 
-        lost: frozenset[str] = frozenset()
+        skipped: frozenset[str] = frozenset()
         if like is None or self.kinds[self.i] == "{":
-            lost = self.block(
+            skipped = self.block(
                 f"component `{name.text}`",
                 first,
                 {
@@ -64,7 +64,7 @@ class ComponentParser(ContractParser):
                 },
             )
         if lost_parameters:
-            lost |= {"parameters"}
+            skipped |= {"parameters"}
         return ComponentDeclaration(
             self.since(first),
             name,
@@ -77,7 +77,7 @@ class ComponentParser(ContractParser):
             tuple(outputs),
             tuple(allows),
             tuple(functionalities),
-            lost,
+            skipped,
         )
 
     def _run(self) -> Run:
@@ -87,12 +87,12 @@ class ComponentParser(ContractParser):
             words = self.rest_of_line()
             raise self.fail("a command in double quotes after `run`", f'write `run "{words}"`')
         command = self.text("a command in double quotes after `run`")
-        takes = self.seconds("the time that starting takes") if self.accept_word("takes") else None
-        return Run(command, takes, self.since(start))
+        startup = self.seconds("a startup time") if self.accept_word("takes") else None
+        return Run(command, startup, self.since(start))
 
-    def _holds(self) -> tuple[Held, ...]:
+    def _holds(self) -> tuple[ResourceUse, ...]:
         self.i += 1
-        found: list[Held] = []
+        found: list[ResourceUse] = []
         if self.at_word("nothing"):
             self.i += 1
             return ()
@@ -101,7 +101,7 @@ class ComponentParser(ContractParser):
             amount: Number | None = None
             if self.kinds[self.i] == "number":
                 amount = self.number("an amount")
-            found.append(Held(resource, amount))
+            found.append(ResourceUse(resource, amount))
             at = self.i + (self.kinds[self.i] == ",")
             if self.kinds[at] not in {"name", "path", "string"} or (
                 self.kinds[at] == "name" and self.texts[at] in RESERVED
@@ -111,13 +111,13 @@ class ComponentParser(ContractParser):
             self.layout.items.add(at)
 
     def resource(self, what: str) -> Name:
-        """A name, the path of a device, or such a path in double quotes."""
+        """A resource name or a device path, in double quotes or without."""
         return self.text(what) if self.kinds[self.i] == "string" else self.topic(what)
 
     def _input(self) -> InputDeclaration:
         self.i += 1
         self.layout.marks[self.i] = "port"
-        name = self.name("the name of an input", (":",))
+        name = self.name("an input name", (":",))
         self.layout.marks[self.i] = "input :"
         self.expect(":", f"after input `{name.text}`", ("name", "path"))
         return InputDeclaration(name, self.contract(f"for input `{name.text}`"))
@@ -125,19 +125,20 @@ class ComponentParser(ContractParser):
     def _output(self) -> Name:
         self.i += 1
         self.layout.marks[self.i] = "port"
-        name = self.name("the name of an output", ("output", ":"))
+        name = self.name("an output name", ("output", ":"))
         if self.kinds[self.i] == ":":
-            help = "what it guarantees stands in the modes: `guarantee NAME : …`"
-            self.reporter.report("E120", self.span(), f"output `{name.text}` has no contract of its own", help=help)
+            help = f"state it in the modes: `guarantee {name.text} : …`"
+            message = f"the declaration of output `{name.text}` cannot state a contract"
+            self.reporter.report("E120", self.span(), message, help=help)
             self.i += 1
             self.contract(f"for output `{name.text}`")
         return name
 
-    def _allows(self) -> Allowed:
+    def _allows(self) -> AllowedEndpoint:
         start = self.i
         self.i += 1
         if self.kinds[self.i] == "string":
-            kind = self.text("what is allowed")
+            kind = self.text("a kind of endpoint")
         elif self.at_word("ROS") and self.texts[self.i + 1] == "action":
             self.i += 2
             kind = Name("ROS action", self.span(self.i - 1))
@@ -147,18 +148,18 @@ class ComponentParser(ContractParser):
         else:
             raise self.fail("`topic`, `service` or `ROS action` after `allows`")
         if kind.text not in ENDPOINT_KINDS:
-            help = 'write `"ROS action"`' if kind.text == "action" else '`topic`, `service` or `"ROS action"`'
-            self.reporter.report("E120", kind.span, f"`{kind.text}` is no kind of endpoint", help=help)
+            help = 'write `"ROS action"`' if kind.text == "action" else 'use `topic`, `service` or `"ROS action"`'
+            self.reporter.report("E120", kind.span, f"`{kind.text}` is not a kind of endpoint", help=help)
             kind = Name("service", kind.span)
-        name = self.topic("the name of an endpoint")
-        return Allowed(kind.text, name, self.since(start))
+        name = self.topic("an endpoint name")
+        return AllowedEndpoint(kind.text, name, self.since(start))
 
     # -- functionalities ---------------------------------------------------------------------------------
 
     def _functionality(self) -> FunctionalityDeclaration:
         first = self.i
         self.i += 1
-        name = self.name("the name of a functionality", ("{",))
+        name = self.name("a functionality name", ("{",))
         weight: Number | None = None
         if self.accept_word("weight"):
             weight = self.number("a weight")
@@ -170,28 +171,28 @@ class ComponentParser(ContractParser):
             self.i += 1
             found.extend(self.names(what))
 
-        lost = self.block(
+        skipped = self.block(
             f"functionality `{name.text}`",
             first,
             {
-                "uses": lambda: listed(uses, "the name of an input"),
-                "produces": lambda: listed(produces, "the name of an output"),
+                "uses": lambda: listed(uses, "an input name"),
+                "produces": lambda: listed(produces, "an output name"),
                 "mode": lambda: modes.append(self._mode()),
             },
         )
-        broken = bool(lost) or any(mode.broken for mode in modes)
+        incomplete = bool(skipped) or any(mode.incomplete for mode in modes)
         return FunctionalityDeclaration(
-            self.since(first), name, weight, tuple(uses), tuple(produces), tuple(modes), broken
+            self.since(first), name, weight, tuple(uses), tuple(produces), tuple(modes), incomplete
         )
 
     def _mode(self) -> ModeDeclaration:
         first = self.i
         self.i += 1
-        name = self.name("the name of a mode", ("{",))
+        name = self.name("a mode name", ("{",))
         self.layout.marks[self.i] = "mode {"
-        assumptions: list[Assumed] = []
+        assumptions: list[AssumptionExpression] = []
         guarantees: list[GuaranteeStatement] = []
-        lost = self.block(
+        skipped = self.block(
             f"mode `{name.text}`",
             first,
             {
@@ -199,22 +200,22 @@ class ComponentParser(ContractParser):
                 "guarantee": lambda: guarantees.append(self._guarantee()),
             },
         )
-        return ModeDeclaration(self.since(first), name, tuple(assumptions), tuple(guarantees), bool(lost))
+        return ModeDeclaration(self.since(first), name, tuple(assumptions), tuple(guarantees), bool(skipped))
 
-    def _assumption(self) -> Assumed:
+    def _assumption(self) -> AssumptionExpression:
         self.i += 1
         start = self.i
         if self.kinds[start] != "name" or self.texts[start + 1] != "or" or self.kinds[start + 1] != "name":
-            return self.contract("or the name of an input after `assume`")
-        inputs = [self.name("the name of an input")]
+            return self.contract("or an input name after `assume`")
+        inputs = [self.name("an input name")]
         while self.accept_word("or"):
-            inputs.append(self.name("the name of an input after `or`"))
+            inputs.append(self.name("an input name after `or`"))
         return NamedAssumption(tuple(inputs), self.since(start))
 
     def _guarantee(self) -> GuaranteeStatement:
         start = self.i
         self.i += 1
-        output = self.name("the name of an output", (":",))
+        output = self.name("an output name", (":",))
         self.expect(":", f"after `{output.text}`", ("path",))
         contract: ContractExpression | None = self.contract(f"for output `{output.text}`")
         return GuaranteeStatement(output, contract, self.since(start))

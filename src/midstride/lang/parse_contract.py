@@ -1,4 +1,4 @@
-"""Parsing of contracts: types, rates, QoS profiles, field constraints; and of plain values."""
+"""Parsing of contracts (types, rates, QoS profiles, field constraints) and of plain values."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from typing import Final
 
 from midstride.lang.blocks import BlockParser
 from midstride.lang.lexer import string_value
-from midstride.lang.near_miss import nearest
 from midstride.lang.syntax import (
     ContractExpression,
     FieldConstraint,
     Name,
     Number,
     ParameterEntry,
-    Policy,
+    QoSPolicy,
     ScalarValue,
     Value,
 )
 from midstride.lang.token_stream import RESERVED, Panic
 from midstride.model.component import ParameterValue
 from midstride.model.contract import Scalar
+from midstride.model.near_miss import nearest
 
 HERTZ: Final = {"Hz": 1.0, "kHz": 1000.0}
 SECONDS: Final = {"s": 1.0, "ms": 0.001, "us": 0.000001, "min": 60.0}
@@ -32,14 +32,14 @@ _INT64: Final = 2**63
 
 
 class ContractParser(BlockParser):
-    """The part of the parser that reads contracts and values."""
+    """The part of the parser for contracts and values."""
 
     def contract(self, what: str) -> ContractExpression:
         """``TYPE or NAME [@ r Hz] [qos(…)] [where …]``, or ``nothing``."""
         start = self.i
         base = self._base(what)
         rate: Number | None = None
-        qos: tuple[Policy, ...] = ()
+        qos: tuple[QoSPolicy, ...] = ()
         where: tuple[FieldConstraint, ...] = ()
         stated: set[str] = set()
         while True:
@@ -47,12 +47,10 @@ class ContractParser(BlockParser):
             word = "rate" if kind == "@" else self.texts[self.i] if kind == "name" else ""
             if word == "where" or word == "rate" or (word == "qos" and self.kinds[self.i + 1] == "("):
                 if word in stated:
-                    message = (
-                        f"this contract has a `{word}` already"
-                        if word != "rate"
-                        else "this contract has a rate already"
+                    shown = "rate" if word == "rate" else f"`{word}`"
+                    self.reporter.report(
+                        "E128", self.span(), f"this contract already has a {shown}", help="keep one of them"
                     )
-                    self.reporter.report("E128", self.span(), message, help="keep one of the two")
                 stated.add(word)
                 self.i += 1
                 if word == "rate":
@@ -75,8 +73,8 @@ class ContractParser(BlockParser):
         if self.kinds[self.i] == "path":
             text, span = self.texts[self.i], self.span()
             if not _TYPE.fullmatch(text):
-                help = "a type is written `pkg/msg/Type` or `pkg/Type`"
-                self.reporter.report("E133", span, f"`{text}` is no message type", help=help)
+                help = "message types are written `pkg/msg/Type` or `pkg/Type`"
+                self.reporter.report("E133", span, f"`{text}` is not a message type", help=help)
                 self.i += 1
                 raise Panic
             self.i += 1
@@ -93,16 +91,17 @@ class ContractParser(BlockParser):
                 self.i += 1
             if len(parts) == 1:
                 return None if parts[0] == "nothing" else Name(parts[0], self.span(start))
-            help = f"write `{'/'.join(parts)}`" if len(parts) <= 3 else "a type is written `pkg/msg/Type`"
-            self.reporter.report("E133", self.since(start), f"`{self.since(start).text}` is no message type", help=help)
+            help = f"write `{'/'.join(parts)}`" if len(parts) <= 3 else "message types are written `pkg/msg/Type`"
+            message = f"`{self.since(start).text}` is not a message type"
+            self.reporter.report("E133", self.since(start), message, help=help)
             raise Panic
-        raise self.fail(f"a message type or the name of a contract {what}")
+        raise self.fail(f"a message type or contract name {what}")
 
     def rate(self) -> Number:
         number = self.quantity("a rate", HERTZ)
         if number.value <= 0:
             self.reporter.report(
-                "E126", number.span, "a rate is more than 0 Hz", help="leave the rate out where none is meant"
+                "E126", number.span, "a rate must be greater than 0 Hz", help="omit the rate if none is required"
             )
             return Number(1.0, number.span)
         return number
@@ -110,9 +109,9 @@ class ContractParser(BlockParser):
     def seconds(self, what: str) -> Number:
         return self.quantity(what, SECONDS)
 
-    def _qos(self) -> tuple[Policy, ...]:
+    def _qos(self) -> tuple[QoSPolicy, ...]:
         self.expect("(", "after `qos`")
-        policies: list[Policy] = []
+        policies: list[QoSPolicy] = []
         while not self.accept(")"):
             if policies:
                 self.accept(",")
@@ -130,7 +129,7 @@ class ContractParser(BlockParser):
             ):
                 unit = Name(self.texts[self.i], self.span())
                 self.i += 1
-            policies.append(Policy(name, value, unit))
+            policies.append(QoSPolicy(name, value, unit))
         return tuple(policies)
 
     def _where(self) -> tuple[FieldConstraint, ...]:
@@ -169,13 +168,13 @@ class ContractParser(BlockParser):
             raise self.fail(f"a comparison after `{path.text}`", "one of `=`, `<`, `<=`, `>`, `>=` and `in`")
         self.i += 1
         if operator == "==":
-            self.reporter.report("E132", sign, "`==` is no comparison here", help="write `=`")
+            self.reporter.report("E132", sign, "`==` is not a comparison operator here", help="write `=`")
             operator = "="
         elif operator == "!=":
-            self.reporter.report("E132", sign, "`!=` is no comparison here", help="say what the field may be: `in {…}`")
+            self.reporter.report("E132", sign, "`!=` is not supported", help="list the allowed values: `in {…}`")
         value = self.scalar(f"a value for `{path.text}`")
         if operator not in {"=", "!="} and (isinstance(value.value, (str, bool))):
-            message = f"`{operator}` compares numbers, and `{value.span.text}` is none"
+            message = f"`{operator}` compares numbers, but `{value.span.text}` is not a number"
             self.reporter.report("E132", value.span, message, help="write `=` or `in {…}`")
             operator = "="
         return FieldConstraint(path, operator, (value,), self.since(start))
@@ -191,7 +190,7 @@ class ContractParser(BlockParser):
                 if self.kinds[self.i] not in {"name", "string", "number"} or self.texts[self.i] in RESERVED:
                     panic = self.fail("`}` to close the set of values")
                     if self.kinds[self.i] == "name":
-                        break  # the next statement begins here: the brace was forgotten
+                        break  # the next statement starts here: the brace is missing
                     raise panic
                 self.layout.items.add(self.i)
             values.append(self.scalar("a value"))
@@ -221,7 +220,7 @@ class ContractParser(BlockParser):
         return Name("".join(self.texts[start : self.i]), self.since(start))
 
     def scalar(self, what: str) -> ScalarValue:
-        """A number, a text, ``true`` or ``false``, or a word, which stands for its own text."""
+        """A number, a string, ``true`` or ``false``, or a bare word, which is a string."""
         kind, text = self.kinds[self.i], self.texts[self.i]
         if kind == "number":
             whole = _INTEGER.fullmatch(text) is not None
@@ -230,7 +229,7 @@ class ContractParser(BlockParser):
             if whole and abs(number.value) >= 2**53 and len(text) <= 20:
                 value = int(text)
                 if not -_INT64 <= value < _INT64:
-                    self.reporter.report("E126", number.span, "a whole number has at most 64 bits")
+                    self.reporter.report("E126", number.span, "integers have at most 64 bits")
             return ScalarValue(value, number.span)
         if kind == "string":
             self.i += 1
@@ -241,7 +240,7 @@ class ContractParser(BlockParser):
         raise self.fail(what)
 
     def parameter_value(self) -> Value:
-        """A scalar, or a list of scalars of one kind."""
+        """A scalar, or a list of scalars of one type."""
         if self.kinds[self.i] != "[":
             scalar = self.scalar("a value")
             return Value(scalar.value, scalar.span)
@@ -260,10 +259,10 @@ class ContractParser(BlockParser):
         if kinds == {int, float}:
             values = [float(value) for value in values]
         elif len(kinds) > 1:
-            message = "the values of a list are of one kind: all numbers, all texts, or all true or false"
+            message = "a list cannot mix types: use only numbers, only strings or only booleans"
             odd = next(value for value in listed if type(value.value) is not type(listed[0].value))
             self.reporter.report("E134", odd.span, message)
-        result: ParameterValue = values  # type: ignore[assignment]  # of one kind, which has just been seen to
+        result: ParameterValue = values  # type: ignore[assignment]  # of one type: checked above
         return Value(result, self.since(start))
 
     def parameters(self, entries: list[ParameterEntry], files: list[Name]) -> frozenset[str]:
@@ -271,7 +270,7 @@ class ContractParser(BlockParser):
         first = self.i
         self.i += 1
         if self.kinds[self.i] == "string":
-            files.append(self.text("the name of a ROS parameter file"))
+            files.append(self.text("a ROS parameter file name"))
             return frozenset()
 
         def entry() -> bool:
@@ -281,19 +280,19 @@ class ContractParser(BlockParser):
                 return False
             changeable = self.kinds[self.i + 1] == "name" and self.accept_word("changeable")
             if self.kinds[self.i + 1] == "name" and nearest(self.texts[self.i], ["changeable"]):
-                self.fail("the name of a parameter", "did you mean `changeable`?")
+                self.fail("a parameter name", "did you mean `changeable`?")
                 self.i += 1
                 changeable = True
-            name = self.dotted("the name of a parameter")
+            name = self.dotted("a parameter name")
             self.expect("=", f"after `{name.text}`", ("name", "number", "string", "["))
             value = self.parameter_value()
             entries.append(ParameterEntry(name, value, changeable))
             if self.texts[self.i] in {*HERTZ, *SECONDS} and self.kinds[self.i + 1] not in {"=", ":", "."}:
-                help = f"write `{name.text} = {value.span.text}`: what it is measured in is the node's to know"
-                self.reporter.report("E120", self.span(), "a parameter's value has no unit", help=help)
+                help = f"write `{name.text} = {value.span.text}`; the node defines the unit"
+                self.reporter.report("E120", self.span(), "a parameter value cannot have a unit", help=help)
                 self.i += 1
             return True
 
         if self.kinds[self.i] != "{":
-            raise self.fail("`{` or the name of a parameter file in double quotes after `parameters`")
+            raise self.fail("`{` or a parameter file name in double quotes after `parameters`")
         return self.block("the parameters", first, {}, entry, ", ")

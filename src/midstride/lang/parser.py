@@ -1,7 +1,7 @@
-"""From tokens to the syntax of a file: recursive descent that goes on after errors.
+"""From tokens to the syntax of a file: a recursive-descent parser with error recovery.
 
-Every independent error is reported once, where it stands; a statement that cannot be read is left
-out, and no text makes this raise, loop or recurse without bound.
+Every independent error is reported once, at its place; a statement that cannot be parsed is skipped. Parsing always
+terminates, with bounded recursion, and does not raise.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from midstride.lang.source import Source
 from midstride.lang.syntax import (
     Attachment,
     ContractDeclaration,
-    Duration,
     EnvironmentBlock,
     EnvironmentOffer,
     File,
@@ -34,6 +33,7 @@ from midstride.lang.syntax import (
     ParameterEntry,
     ParameterFile,
     ResourceDeclaration,
+    StepDuration,
     TimingBlock,
     TopicDeclaration,
 )
@@ -43,12 +43,12 @@ MAX_NESTING: Final = 16
 
 
 def parse(source: Source, reporter: Reporter) -> File:
-    """The syntax of ``source``, as far as it can be read."""
+    """The syntax of ``source``, without the parts that cannot be parsed."""
     return Parser(tokenize(source, reporter), reporter).file()
 
 
 class Parser(ComponentParser):
-    """The whole parser; see its bases for contracts and components."""
+    """The parser for files; its base classes parse contracts and components."""
 
     _system: Name | None = None
     _depth = 0
@@ -57,15 +57,15 @@ class Parser(ComponentParser):
         items: list[Item] = []
         self._open.append((0, {}))
         handlers: dict[str, Callable[[], None]] = {"system": self._read_system, **self._handlers(items)}
-        self.statements("a file", None, handlers)
-        return File(self.tokens, self.layout, self._system, tuple(items), frozenset(self.lost))
+        self.statements("this file", None, handlers)
+        return File(self.tokens, self.layout, self._system, tuple(items), frozenset(self.skipped))
 
     def _read_system(self) -> None:
         self.i += 1
-        name = self.name("the name of the system")
+        name = self.name("a system name")
         if self._system is not None:
-            note = Note("the first one is here", self._system.span)
-            self.reporter.report("E128", name.span, "a file names its system once", notes=[note])
+            note = Note("first named here", self._system.span)
+            self.reporter.report("E128", name.span, "a file can name only one system", notes=[note])
             return
         self._system = name
 
@@ -92,61 +92,61 @@ class Parser(ComponentParser):
         self.i += 1
         if self.kinds[self.i] != "string":
             help = f'write `include "{self.texts[self.i]}.stride"`' if self.kinds[self.i] in {"name", "path"} else None
-            raise self.fail("the name of a file in double quotes after `include`", help)
-        path = self.text("the name of a file")
+            raise self.fail("a file name in double quotes after `include`", help)
+        path = self.text("a file name")
         return IncludeStatement(self.since(start), path)
 
     def _contract(self) -> ContractDeclaration:
         start = self.i
         self.i += 1
-        name = self.name("the name of a contract", ("=",))
+        name = self.name("a contract name", ("=",))
         self.layout.marks[self.i] = "contract ="
         try:
             if self.kinds[self.i] == ":":
-                message = "a contract is given with `=`"
+                message = "a contract is defined with `=`, not `:`"
                 self.reporter.report("E120", self.span(), message, help=f"write `contract {name.text} = …`")
                 self.i += 1
             else:
                 self.expect("=", f"after contract `{name.text}`", ("path",))
             return ContractDeclaration(self.since(start), name, self.contract(f"for `{name.text}`"))
         except Panic:
-            self._skip(start)
+            self._skip_statement(start)
             return ContractDeclaration(self.since(start), name, None)
 
     def _topic(self) -> TopicDeclaration:
         start = self.i
         self.i += 1
-        name = self.topic("the name of a topic")
-        cap: list[Number] = []
+        name = self.topic("a topic name")
+        limits: list[Number] = []
         self.layout.marks[self.i] = "topic :"
         try:
             self.expect(":", f"after topic `{name.text}`", ("path", "name"))
             contract = self.contract(f"for topic `{name.text}`")
             if self.kinds[self.i] == "{":
-                self.block(f"topic `{name.text}`", start, {}, lambda: self._publishers(cap))
+                self.block(f"topic `{name.text}`", start, {}, lambda: self._publishers(limits))
         except Panic:
-            self._skip(start)
+            self._skip_statement(start)
             return TopicDeclaration(self.since(start), name, None, None)
-        return TopicDeclaration(self.since(start), name, contract, cap[0] if cap else None)
+        return TopicDeclaration(self.since(start), name, contract, limits[0] if limits else None)
 
-    def _publishers(self, cap: list[Number]) -> bool:
+    def _publishers(self, limits: list[Number]) -> bool:
         if not self.at_word("publishers"):
             raise self.fail("`publishers <= N`")
-        if cap:
-            self.reporter.report("E128", self.span(), "the publishers are capped already", help="keep one of the two")
+        if limits:
+            self.reporter.report("E128", self.span(), "duplicate limit on publishers", help="keep one of them")
         self.i += 1
         self.expect("<=", "after `publishers`", ("number",))
         number = self.number("a number of publishers")
         if number.value != int(number.value):
-            self.reporter.report("E126", number.span, "a number of publishers is whole: 0, 1, 2, …")
+            self.reporter.report("E126", number.span, "the number of publishers must be a whole number")
             number = Number(float(int(number.value)), number.span)
-        cap.append(number)
+        limits.append(number)
         return True
 
     def _resource(self) -> ResourceDeclaration:
         start = self.i
         self.i += 1
-        name = self.resource("the name of a resource, or the path of a device")
+        name = self.resource("a resource name or device path")
         capacity: Number | None = None
         self.layout.marks[self.i] = "resource ="
         if self.accept("="):
@@ -162,7 +162,7 @@ class Parser(ComponentParser):
             start = self.i
             self.i += 1
             name = self.name("the name of a guarantee", (":",))
-            topic = self.topic("the name of a topic after `on`") if self.accept_word("on") else None
+            topic = self.topic("a topic name after `on`") if self.accept_word("on") else None
             self.expect(":", f"after `{name.text}`", ("path",))
             offers.append(EnvironmentOffer(self.since(start), name, topic, self.contract(f"for `{name.text}`")))
 
@@ -174,32 +174,32 @@ class Parser(ComponentParser):
     def _node(self) -> NodeDeclaration:
         first = self.i
         self.i += 1
-        name = self.name("the name of a node", (":",))
+        name = self.name("a node name", (":",))
         component: Name | None = None
         attachments: list[Attachment] = []
         parameters: list[ParameterEntry] = []
         files: list[Name] = []
-        lost: frozenset[str] = frozenset()
+        skipped: frozenset[str] = frozenset()
 
         def read_parameters() -> None:
-            nonlocal lost
-            lost |= self.parameters(parameters, files)
+            nonlocal skipped
+            skipped |= self.parameters(parameters, files)
 
         self.layout.marks[self.i] = "node :"
         try:
             self.expect(":", f"after node `{name.text}`", ("name",))
-            component = self.name("the name of a component", ("{",))
+            component = self.name("a component name", ("{",))
             if self.kinds[self.i] == "{":
                 self.layout.marks[self.i] = "node {"
-                lost |= self.block(
+                skipped |= self.block(
                     f"node `{name.text}`", first, {"parameters": read_parameters}, lambda: self._attachment(attachments)
                 )
         except Panic:
-            self._skip(first)
-            lost |= {"node"}
-        broken = bool(lost)
+            self._skip_statement(first)
+            skipped |= {"node"}
+        incomplete = bool(skipped)
         return NodeDeclaration(
-            self.since(first), name, component, tuple(attachments), tuple(parameters), tuple(files), broken
+            self.since(first), name, component, tuple(attachments), tuple(parameters), tuple(files), incomplete
         )
 
     def _attachment(self, attachments: list[Attachment]) -> bool:
@@ -231,11 +231,11 @@ class Parser(ComponentParser):
     def _namespace(self) -> NamespaceBlock:
         first = self.i
         self.i += 1
-        name = self.topic("the name of a namespace")
+        name = self.topic("a namespace name")
         items: list[Item] = []
         if self._depth >= MAX_NESTING:
-            message = f"namespaces are nested more than {MAX_NESTING} deep here"
-            self.reporter.report("E129", name.span, message, help="write the inner names as one: `namespace a/b`")
+            message = f"namespaces are nested more than {MAX_NESTING} deep"
+            self.reporter.report("E129", name.span, message, help="combine the inner names: `namespace a/b`")
             raise Panic
         self._depth += 1
         try:
@@ -248,7 +248,7 @@ class Parser(ComponentParser):
         start = self.i
         self.i += 1
         path = self.text(
-            "the name of a ROS parameter file in double quotes (values of their own belong in a component or a node)"
+            "a ROS parameter file name in double quotes (parameter values belong in a component or a node)"
         )
         return ParameterFile(self.since(start), path)
 
@@ -256,8 +256,8 @@ class Parser(ComponentParser):
 
     def _functionality_name(self) -> FunctionalityName:
         role = self.topic("a node and its functionality, `node.functionality`")
-        self.expect(".", f"after `{role.text}`, and the name of one of its functionalities", ())
-        return FunctionalityName(role, self.name("the name of a functionality"))
+        self.expect(".", f"after `{role.text}`, as in `node.functionality`", ())
+        return FunctionalityName(role, self.name("a functionality name"))
 
     def _keep(self) -> KeepStatement:
         start = self.i
@@ -265,7 +265,7 @@ class Parser(ComponentParser):
         self.layout.marks[self.i] = "constraint"
         functionality = self._functionality_name()
         self.expect_word("at", "and a mode after the functionality")
-        return KeepStatement(self.since(start), functionality, self.name("the name of a mode"))
+        return KeepStatement(self.since(start), functionality, self.name("a mode name"))
 
     def _limit(self) -> LimitStatement:
         start = self.i
@@ -280,14 +280,14 @@ class Parser(ComponentParser):
         start = self.i
         self.i += 1
         self.layout.marks[self.i] = "constraint"
-        before = self.topic("the name of a node after `order`")
+        before = self.topic("a node name after `order`")
         self.expect_word("before", "and another node")
-        return OrderStatement(self.since(start), before, self.topic("the name of a node after `before`"))
+        return OrderStatement(self.since(start), before, self.topic("a node name after `before`"))
 
     def _timing(self) -> TimingBlock:
         first = self.i
         self.i += 1
-        durations: list[Duration] = []
+        durations: list[StepDuration] = []
 
         def duration() -> bool:
             if self.kinds[self.i] != "name" or self.kinds[self.i + 1] not in {"number", "=", ":"}:
@@ -296,7 +296,7 @@ class Parser(ComponentParser):
             self.i += 1
             if self.kinds[self.i] != "number":
                 raise self.fail(f"a time after `{kind.text}`", f"write `{kind.text} 0.5 s`")
-            durations.append(Duration(kind, self.seconds("a time")))
+            durations.append(StepDuration(kind, self.seconds("a time")))
             return True
 
         self.block("the timing", first, {}, duration)

@@ -1,8 +1,8 @@
-"""Canonical text: `midstride fmt`.
+"""The formatter: `midstride fmt`.
 
-Line breaks, order and comments are the author's; blanks, commas and indentation are not. Statements that share a line
-are three blanks apart; adjacent lines of one kind are aligned; a comment behind code keeps its column where the code
-leaves room. Formatting the result changes nothing.
+Line breaks, order and comments are kept; spaces, commas and indentation are normalised. Statements on one line are
+separated by three spaces, adjacent lines of one kind are aligned, and a trailing comment keeps its column if the code
+leaves room. Formatting is idempotent.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from midstride.lang.source import Source
 from midstride.lang.syntax import File
 
 INDENT: Final = "  "
-# How far code and a comment behind it stay apart at least.
+# The least space between code and a trailing comment.
 _GAP: Final = 2
 _NO_SPACE_AFTER: Final = frozenset({"(", "[", "."})
 _NO_SPACE_BEFORE: Final = frozenset({")", "]", ".", "("})
@@ -25,14 +25,14 @@ _NO_SPACE_BEFORE: Final = frozenset({")", "]", ".", "("})
 
 @dataclass(frozen=True, slots=True)
 class Formatted:
-    """The canonical text, or None where the text cannot be read; ``diagnostics`` say why then."""
+    """The canonical text, or None if the text cannot be parsed; ``diagnostics`` says why."""
 
     text: str | None
     diagnostics: tuple[Diagnostic, ...] = ()
 
 
 def format_text(text: str, name: str = "<text>") -> Formatted:
-    """``text`` in canonical form. What it includes is not read."""
+    """``text`` in canonical form. Includes are not read."""
     reporter = Reporter()
     file = parse(Source(name, text, Path(name)), reporter)
     if reporter.has_errors:
@@ -42,7 +42,7 @@ def format_text(text: str, name: str = "<text>") -> Formatted:
 
 @dataclass(slots=True)
 class _Line:
-    """A line of the result. ``marks`` are the places in ``text`` (after the indentation) that are aligned, by kind."""
+    """A line of the result. ``marks`` are the columns in ``text`` (after the indentation) to align, by kind."""
 
     indent: str
     text: str = ""
@@ -69,7 +69,7 @@ class _Printer:
         self.multi = self._multi_line_blocks()
 
     def text(self) -> str:
-        """The whole text."""
+        """The formatted text."""
         self._lay_out()
         _align_marks(self.lines)
         _align_comments(self.lines)
@@ -90,7 +90,7 @@ class _Printer:
     def _place_comments(self) -> dict[int, list[tuple[int, int, bool]]]:
         """The comments after each token (-1: before all), as (start, end, whether on the token's line).
 
-        One between a heading and its opening brace moves behind the brace, since the brace stays with the heading.
+        A comment between a heading and its opening brace moves after the brace, which stays on the heading's line.
         """
         after: dict[int, list[tuple[int, int, bool]]] = {}
         starts, kinds, index = self.tokens.starts, self.tokens.kinds, 0
@@ -105,7 +105,7 @@ class _Printer:
         return after
 
     def _multi_line_blocks(self) -> set[int]:
-        """The opening braces of the blocks that stay on several lines."""
+        """The opening braces of the blocks that span several lines."""
         multi: set[int] = set()
         for opened, close in self.layout.blocks.items():
             commented = any(index in self.after for index in range(opened, close))
@@ -115,12 +115,12 @@ class _Printer:
         return multi
 
     def _lay_out(self) -> None:
-        """Cut the tokens and comments into lines."""
+        """Split the tokens and comments into lines."""
         kinds, texts = self.tokens.kinds, self.tokens.texts
         depth = 0
         self._comments(-1, 0)
         previous: int | None = None
-        fresh = True  # whether the next token begins a line whatever its kind
+        fresh = True  # whether the next token starts a line whatever its kind
         for index in range(len(kinds) - 1):
             if kinds[index] == ",":
                 fresh |= self._comments(index, depth)
@@ -130,7 +130,7 @@ class _Printer:
                 depth -= 1
             statement = index in self.layout.statements
             if previous is None or self._breaks(previous, index, fresh, statement, opened in self.multi):
-                if index in self.layout.items:  # the comma stays where the line ends
+                if index in self.layout.items:  # the comma stays at the end of the line
                     next(line for line in reversed(self.lines) if line.text).text += ","
                 continued = not statement and opened is None
                 line = _Line(INDENT * (depth + 2 * continued), texts[index])
@@ -149,7 +149,7 @@ class _Printer:
             previous = index
 
     def _breaks(self, previous: int, index: int, fresh: bool, statement: bool, closes_multi: bool) -> bool:
-        """Whether the token ``index`` begins a line."""
+        """Whether the token ``index`` starts a line."""
         if fresh or closes_multi or previous in self.multi:
             return True
         if index in self.layout.blocks or index in self.closing:
@@ -159,7 +159,7 @@ class _Printer:
         return self.of_token[index] > self.of_token[previous]
 
     def _holds_multi(self, start: int) -> bool:
-        """Whether the statement that begins at ``start`` holds a block of several lines."""
+        """Whether the statement at ``start`` contains a multi-line block."""
         index = start
         while index < len(self.tokens.kinds) - 1:
             if index in self.multi:
@@ -172,7 +172,7 @@ class _Printer:
         return False
 
     def _blank_before(self, index: int, previous: int | None) -> bool:
-        """Whether a blank line stands before the token; none does just inside of braces."""
+        """Whether a blank line precedes the token; never directly inside braces."""
         if previous is None:
             return bool(self.lines) and self._gap_before(self.tokens.starts[index])
         if index in self.closing or (previous in self.multi and previous not in self.after):
@@ -184,7 +184,7 @@ class _Printer:
         return text.count("\n", len(text[:offset].rstrip()), offset) >= 2
 
     def _comments(self, index: int, depth: int) -> bool:
-        """Add the comments after a token; whether there are any."""
+        """Add the comments after a token; returns whether there are any."""
         found = self.after.get(index, ())
         for number, (start, end, same_line) in enumerate(found):
             text = self.source.text[start:end].rstrip()
@@ -224,19 +224,19 @@ class _Printer:
 
 
 def _align_marks(lines: list[_Line]) -> None:
-    """Bring the marked tokens of adjacent lines of one kind under each other."""
+    """Align the marked tokens of adjacent lines of one kind."""
     first = 0
     while first < len(lines):
         last = first + 1
         if lines[first].marks:
             kind = lines[first].marks[0][0]
-            while last < len(lines) and _goes_on(lines[last - 1], lines[last]) and _kind(lines[last]) == kind:
+            while last < len(lines) and _continues(lines[last - 1], lines[last]) and _kind(lines[last]) == kind:
                 last += 1
             _align_group(lines[first:last])
         first = last
 
 
-def _goes_on(before: _Line, line: _Line) -> bool:
+def _continues(before: _Line, line: _Line) -> bool:
     return bool(line.text) and not line.blank_before and before.indent == line.indent
 
 
@@ -257,7 +257,7 @@ def _align_group(group: list[_Line]) -> None:
 
 
 def _align_comments(lines: list[_Line]) -> None:
-    """Keep comments behind code in their columns: those that shared one go on sharing it."""
+    """Keep trailing comments in their columns, shared ones together."""
     first = 0
     while first < len(lines):
         last = first + 1

@@ -1,8 +1,8 @@
-"""What an editor asks of the language, apart from any protocol: diagnostics, hover, definition, rename, completion,
-format.
+"""The language service for editors, independent of a protocol: diagnostics, hover, definition, rename, completion,
+formatting.
 
-Open files are taken from their buffers, all others from the disk. A fragment is looked at as part of the system that
-includes it: one that is open, or one in its own folder or the workspace's.
+Open files are read from their buffers, all others from disk. A fragment is analysed as part of the system that
+includes it: an open one, or one in its folder, in the parent folder or in the workspace.
 """
 
 from __future__ import annotations
@@ -15,46 +15,46 @@ from typing import Final
 
 from midstride.lang.completion import Completion, complete
 from midstride.lang.diagnostics import Diagnostic
-from midstride.lang.files import Read, Unreadable, join, read_text
+from midstride.lang.files import FileReader, Unreadable, read_text, resolve_name
 from midstride.lang.hover import hover
-from midstride.lang.index import Index, Occurrence
+from midstride.lang.index import Occurrence, SymbolIndex
 from midstride.lang.lexer import is_topic_name
 from midstride.lang.load import Loaded, load
 from midstride.lang.message_types import MessageTypes
 from midstride.lang.printer import format_text
 from midstride.lang.source import Source, Span
 
-# How many files of a folder are looked at to find the system that includes a fragment.
-_SEARCHED: Final = 200
+# How many files per folder are searched for the system that includes a fragment.
+_MAX_SEARCHED: Final = 200
 
 
 @dataclass(slots=True)
 class Analysis:
-    """A system as an editor sees it."""
+    """A loaded system and its symbols."""
 
     root: Path
     loaded: Loaded
-    index: Index | None
+    index: SymbolIndex | None
 
     def source(self, path: Path) -> Source | None:
         wanted = os.path.normpath(path)
         return next(
             (
-                configuration
-                for configuration in self.loaded.files
-                if configuration.path is not None and os.path.normpath(configuration.path) == wanted
+                source
+                for source in self.loaded.files
+                if source.path is not None and os.path.normpath(source.path) == wanted
             ),
             None,
         )
 
 
 class LanguageService:
-    """Holds the buffers of open files. ``roots`` are folders in which systems are looked for."""
+    """Holds the buffers of open files. ``roots`` are further folders to search for systems."""
 
     def __init__(
         self,
         roots: Iterable[Path] = (),
-        read: Read = read_text,
+        read: FileReader = read_text,
         messages: Callable[[], MessageTypes | None] = lambda: None,
     ) -> None:
         self.roots = list(roots)
@@ -64,12 +64,12 @@ class LanguageService:
         self._analyses: dict[str, Analysis] = {}
 
     def open(self, path: Path, text: str) -> None:
-        """Take ``text`` for the contents of a file from now on."""
+        """Use ``text`` as the contents of a file from now on."""
         self.buffers[os.path.normpath(path)] = text
         self._analyses.clear()
 
     def close(self, path: Path) -> None:
-        """Take the file from the disk again."""
+        """Read the file from disk again."""
         self.buffers.pop(os.path.normpath(path), None)
         self._analyses.clear()
 
@@ -90,17 +90,17 @@ class LanguageService:
             for root in self._candidates(path):
                 found = Analysis(root, load(root, read=self._read, messages=self._messages()), None)
                 if found.source(path) is not None:
-                    found.index = None if found.loaded.resolved is None else Index(found.loaded.resolved)
+                    found.index = None if found.loaded.resolved is None else SymbolIndex(found.loaded.resolved)
                     return found
-        return Analysis(path, own, None if own.resolved is None else Index(own.resolved))
+        return Analysis(path, own, None if own.resolved is None else SymbolIndex(own.resolved))
 
     def _candidates(self, path: Path) -> Iterable[Path]:
-        """Files that may be the system that includes ``path``: open ones first."""
+        """Files that may include ``path``, open ones first."""
         folders = [path.parent, path.parent.parent, *self.roots]
         listed: dict[str, None] = dict.fromkeys(self.buffers)
         for folder in folders:
             try:
-                names = sorted(os.listdir(folder))[:_SEARCHED]
+                names = sorted(os.listdir(folder))[:_MAX_SEARCHED]
             except OSError:
                 continue
             listed.update(dict.fromkeys(os.path.normpath(folder / name) for name in names if name.endswith(".stride")))
@@ -114,18 +114,18 @@ class LanguageService:
             if "system" in text and "include" in text:
                 yield Path(name)
 
-    # -- answers -----------------------------------------------------------------------------------------
+    # -- requests ----------------------------------------------------------------------------------------
 
     def diagnostics(self, path: Path) -> dict[Path, list[Diagnostic]]:
         """The diagnostics of the system that ``path`` belongs to, by file; a file without any has an empty list."""
         analysis = self.analysis(path)
         found: dict[Path, list[Diagnostic]] = {
-            configuration.path: [] for configuration in analysis.loaded.files if configuration.path is not None
+            source.path: [] for source in analysis.loaded.files if source.path is not None
         }
         found.setdefault(path, [])
         for diagnostic in analysis.loaded.diagnostics:
-            source = None if diagnostic.span is None else diagnostic.span.source
-            place = analysis.root if source is None or source.path is None else source.path
+            span = diagnostic.span
+            place = analysis.root if span is None or span.source.path is None else span.source.path
             found.setdefault(place, []).append(diagnostic)
         return found
 
@@ -137,7 +137,7 @@ class LanguageService:
         return analysis, analysis.index.at(source, source.offset(line, column))
 
     def hover(self, path: Path, line: int, column: int) -> str | None:
-        """What is named at a place (both counted from 1), as Markdown: its contract, its current best mode."""
+        """A description of the symbol at a position (both from 1) in Markdown, such as its contract or initial mode."""
         analysis, found = self._at(path, line, column)
         if found is None or analysis.loaded.resolved is None:
             return None
@@ -148,37 +148,37 @@ class LanguageService:
         return hover(found.symbol, analysis.loaded.resolved.specification, runnable=specification is not None)
 
     def definition(self, path: Path, line: int, column: int) -> Span | None:
-        """Where what is named at a place is declared."""
+        """The declaration of the symbol at a position."""
         analysis, found = self._at(path, line, column)
         declared = None if found is None or analysis.index is None else analysis.index.declaration(found.symbol)
         return None if declared is None else declared.span
 
     def references(self, path: Path, line: int, column: int) -> list[Span]:
-        """Every place where what is named there is named."""
+        """All occurrences of the symbol at a position."""
         analysis, found = self._at(path, line, column)
         if found is None or analysis.index is None:
             return []
-        return [occurrence.span for occurrence in analysis.index.all_of(found.symbol)]
+        return [occurrence.span for occurrence in analysis.index.occurrences_of(found.symbol)]
 
     def rename(self, path: Path, line: int, column: int, name: str) -> list[tuple[Span, str]]:
-        """The edits that give what is named at a place another name. Raises ValueError for what can be no name of
-        it, and where the system would be in error with it."""
+        """The edits that rename the symbol at a position. Raises ValueError if the name is invalid for it, or if the
+        rename would cause an error."""
         analysis, found = self._at(path, line, column)
         if found is None or analysis.index is None or analysis.index.declaration(found.symbol) is None:
-            raise ValueError("nothing that has a name of its own is named here")
+            raise ValueError("there is no symbol to rename at this position")
         if not is_topic_name(name) or (("/" in name or name.startswith("~")) and found.symbol.kind != "topic"):
-            raise ValueError(f"`{name}` cannot name a {found.symbol.kind}")
+            raise ValueError(f"`{name}` is not a valid {found.symbol.kind} name")
         edits: dict[tuple[str, int], tuple[Span, str]] = {}
-        for symbol, occurrence in analysis.index.together(found.symbol):
+        for symbol, occurrence in analysis.index.declared_together(found.symbol):
             namespace = found.namespace if symbol == found.symbol else occurrence.namespace
-            for place in analysis.index.all_of(symbol):
-                text = _renamed(place, name, "/" + join(namespace, name))
+            for place in analysis.index.occurrences_of(symbol):
+                text = _renamed(place, name, "/" + resolve_name(namespace, name))
                 edits[place.span.source.name, place.span.start] = place.span, text
-        self._must_not_break(analysis, list(edits.values()))
+        self._check_renamed(analysis, list(edits.values()))
         return list(edits.values())
 
-    def _must_not_break(self, analysis: Analysis, edits: list[tuple[Span, str]]) -> None:
-        """Raises ValueError where there would be an error that there was not: a name that is taken, for one."""
+    def _check_renamed(self, analysis: Analysis, edits: list[tuple[Span, str]]) -> None:
+        """Raises ValueError if the edits cause a new error, such as a duplicate name."""
         texts: dict[str, str] = {}
         for span, text in sorted(edits, key=lambda edit: -edit[0].start):
             key = os.path.normpath(span.source.path or span.source.name)
@@ -192,10 +192,10 @@ class LanguageService:
         known = {diagnostic.message for diagnostic in analysis.loaded.diagnostics}
         for diagnostic in load(analysis.root, read=read, messages=self._messages()).diagnostics:
             if diagnostic.severity == "error" and diagnostic.message not in known:
-                raise ValueError(f"it would be an error: {diagnostic.message}")
+                raise ValueError(f"the rename would cause an error: {diagnostic.message}")
 
     def complete(self, path: Path, line: int, column: int) -> list[Completion]:
-        """What may be written at a place."""
+        """The words that can be written at a position."""
         analysis = self.analysis(path)
         source = analysis.source(path)
         if source is None or analysis.loaded.resolved is None:
@@ -203,7 +203,7 @@ class LanguageService:
         return complete(source, source.offset(line, column), analysis.loaded.resolved)
 
     def format(self, path: Path) -> str | None:
-        """The canonical text of a file; None where it has errors that prevent it."""
+        """The canonical text of a file; None if it cannot be parsed or read."""
         try:
             return format_text(self._read(path), str(path)).text
         except (Unreadable, OSError):
@@ -211,15 +211,15 @@ class LanguageService:
 
 
 def _renamed(occurrence: Occurrence, name: str, full: str) -> str:
-    """What is to be written at a place for a symbol that is called ``name`` now; ``full`` is a topic's whole name."""
+    """The new text of an occurrence of a symbol renamed to ``name``; ``full`` is a topic's full name."""
     text = occurrence.span.text
     if occurrence.symbol.kind == "node":
         return f"{text[: text.rfind('/') + 1]}{name}"
-    return _topic_from(occurrence, full) if occurrence.symbol.kind == "topic" else name
+    return _relative_topic(occurrence, full) if occurrence.symbol.kind == "topic" else name
 
 
-def _topic_from(occurrence: Occurrence, full: str) -> str:
-    """A topic's full name as it is written in a namespace where it was written relatively before."""
+def _relative_topic(occurrence: Occurrence, full: str) -> str:
+    """A topic's full name, relative to the namespace if the occurrence was."""
     prefix = f"/{occurrence.namespace}/" if occurrence.namespace else "/"
     if occurrence.span.text.startswith("/") or not full.startswith(prefix):
         return full

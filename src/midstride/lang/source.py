@@ -1,4 +1,4 @@
-"""Source texts and places in them."""
+"""Source texts and positions in them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from typing import NamedTuple
 
 
 class Source:
-    """A text with a name to show. Line ends are ``\\n`` alone: ``\\r\\n`` and ``\\r`` are read as that, a BOM is
-    dropped."""
+    """A text with a display name. Line ends are normalised to ``\\n``, and a byte order mark is dropped."""
 
     __slots__ = ("_starts", "name", "path", "text")
 
@@ -25,7 +24,7 @@ class Source:
 
     @property
     def starts(self) -> list[int]:
-        """The offset at which each line begins."""
+        """The offset of the start of each line."""
         if self._starts is None:
             starts, at = [0], self.text.find("\n")
             while at >= 0:
@@ -35,19 +34,19 @@ class Source:
         return self._starts
 
     def position(self, offset: int) -> tuple[int, int]:
-        """Line and column, both from 1; columns count characters."""
+        """Line and column, both starting at 1; columns count characters."""
         starts = self.starts
         line = bisect_right(starts, offset)
         return line, offset - starts[line - 1] + 1
 
     def offset(self, line: int, column: int) -> int:
-        """The offset of a line and column, both from 1; one outside the text is brought inside."""
+        """The offset of a line and column, both starting at 1, clamped to the text."""
         line = min(max(line, 1), len(self.starts))
         start = self.starts[line - 1]
         return min(start + max(column - 1, 0), start + len(self.line(line)))
 
     def line(self, number: int) -> str:
-        """The text of a line, counted from 1, without its end."""
+        """The text of a line (the first is 1) without its line end."""
         start = self.starts[number - 1]
         end = self.text.find("\n", start)
         return self.text[start:] if end < 0 else self.text[start:end]
@@ -57,7 +56,7 @@ class Source:
 
 
 class Span(NamedTuple):
-    """A stretch of a source text, the end not included."""
+    """A range of a source text; ``end`` is exclusive."""
 
     source: Source
     start: int
@@ -68,5 +67,5 @@ class Span(NamedTuple):
         return self.source.text[self.start : self.end]
 
     def to(self, other: Span) -> Span:
-        """From the beginning of this one to the end of ``other``, of the same source."""
+        """The range from the start of this span to the end of ``other``, in the same source."""
         return Span(self.source, self.start, other.end)

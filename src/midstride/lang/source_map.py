@@ -1,7 +1,7 @@
-"""From the subjects of the model's problems to places in the text.
+"""Maps the subjects of the model's problems to places in the text.
 
-A subject is a path through the JSON form (``components``, ``Talker``, ``outputs``, ``0``); its place is the finest
-part of the declaration that it leads to.
+A subject is a path in the JSON form (``components``, ``Talker``, ``outputs``, ``0``); its place is the most specific
+part of the declaration that the path identifies.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Subject = Sequence[str]
 
 
 class SourceMap:
-    """Finds the place of a problem's subject; None where it is in no text."""
+    """Finds where the subject of a problem is declared."""
 
     def __init__(
         self,
@@ -39,7 +39,8 @@ class SourceMap:
         self.merged = merged
         self.parameters = parameters
 
-    def of(self, problem: Problem) -> Span | None:
+    def span_of(self, problem: Problem) -> Span | None:
+        """The place of a problem's subject; None if the text has none."""
         subject, found = problem.subject, self.declarations
         kind, name, rest = (*subject, "", "")[0], (*subject, "", "")[1], subject[2:]
         if kind == "components" and name in self.merged:
@@ -48,8 +49,8 @@ class SourceMap:
             return self._node(name, rest)
         if kind == "topics" and name in found.topics:
             topic = found.topics[name]
-            if rest[:1] == ("max_publishers",) and topic.cap is not None:
-                return topic.cap.span
+            if rest[:1] == ("max_publishers",) and topic.max_publishers is not None:
+                return topic.max_publishers.span
             return topic.name.span if not rest or topic.contract is None else _contract(topic.contract, rest)
         if kind == "environment" and name in found.offers:
             offer = found.offers[name].declaration
@@ -69,8 +70,8 @@ class SourceMap:
         kind, name, inner = (*rest, "", "")[0], (*rest, "", "")[1], rest[2:]
         if kind == "run" and declaration.runs:
             return declaration.runs[0].command.span
-        if kind == "takes_seconds" and declaration.runs and declaration.runs[0].takes is not None:
-            return declaration.runs[0].takes.span
+        if kind == "takes_seconds" and declaration.runs and declaration.runs[0].startup is not None:
+            return declaration.runs[0].startup.span
         if kind == "holds":
             held = next((h for statement in declaration.holds for h in statement if h.resource.text == name), None)
             if held is not None:

@@ -1,8 +1,7 @@
-"""The syntax of a ``.stride`` file as frozen values, each with its place.
+"""The syntax tree of a ``.stride`` file: frozen values with their spans.
 
-Names are not resolved here and nothing is judged: this is what the file says. A part that could
-not be read is left out, and the declaration it belongs to says so (``broken``, ``lost``), so that nothing
-is concluded from what is missing.
+Names are not resolved and nothing is checked here. A part that could not be parsed is missing, and the declaration it
+belongs to records that (``incomplete``, ``skipped``), so that no error is derived from what is missing.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from midstride.model.contract import Scalar
 
 
 class Name(NamedTuple):
-    """A word of the file: a name, a path, dotted names, or what stands in a text."""
+    """A name, a path, dotted names, or the value of a string."""
 
     text: str
     span: Span
@@ -29,7 +28,7 @@ class Number(NamedTuple):
 
 
 class Value(NamedTuple):
-    """A value a field or parameter is given."""
+    """The value of a parameter."""
 
     value: ParameterValue
     span: Span
@@ -44,8 +43,8 @@ class ScalarValue(NamedTuple):
 
 
 class FieldConstraint(NamedTuple):
-    """``path operator values``: one of ``= < <= > >=`` with one value, ``in {}`` with any, ``in []`` with two
-    numbers."""
+    """``path operator values``: one of ``= < <= > >=`` with one value, ``in {}`` with any number of values, ``in []``
+    with two numbers."""
 
     path: Name
     operator: str
@@ -53,8 +52,8 @@ class FieldConstraint(NamedTuple):
     span: Span
 
 
-class Policy(NamedTuple):
-    """One QoS policy, ``name = value``, with the unit of a duration where one stands there."""
+class QoSPolicy(NamedTuple):
+    """One QoS policy, ``name = value``, with the unit of a duration if one is given."""
 
     name: Name
     value: ScalarValue
@@ -62,17 +61,17 @@ class Policy(NamedTuple):
 
 
 class ContractExpression(NamedTuple):
-    """A message type or a named contract, and what is stated beside it. ``base`` None: `nothing`."""
+    """A message type or a named contract, with rate, QoS and field constraints. ``base`` None: `nothing`."""
 
     span: Span
     base: Name | None
     rate: Number | None = None
-    qos: tuple[Policy, ...] = ()
+    qos: tuple[QoSPolicy, ...] = ()
     where: tuple[FieldConstraint, ...] = ()
 
     @property
     def is_bare_name(self) -> bool:
-        """Whether it is one name and no more, as an input's name would be."""
+        """Whether it is a single name, as an input's name would be."""
         plain = self.rate is None and not self.qos and not self.where
         return plain and self.base is not None and "/" not in self.base.text
 
@@ -82,11 +81,11 @@ class ContractExpression(NamedTuple):
 
 class Run(NamedTuple):
     command: Name
-    takes: Number | None
+    startup: Number | None
     span: Span
 
 
-class Held(NamedTuple):
+class ResourceUse(NamedTuple):
     resource: Name
     amount: Number | None
 
@@ -102,7 +101,7 @@ class InputDeclaration(NamedTuple):
     contract: ContractExpression | None
 
 
-class Allowed(NamedTuple):
+class AllowedEndpoint(NamedTuple):
     kind: str
     name: Name
     span: Span
@@ -121,15 +120,15 @@ class GuaranteeStatement(NamedTuple):
     span: Span
 
 
-Assumed: TypeAlias = "NamedAssumption | ContractExpression"
+AssumptionExpression: TypeAlias = "NamedAssumption | ContractExpression"
 
 
 class ModeDeclaration(NamedTuple):
     span: Span
     name: Name
-    assumptions: tuple[Assumed, ...]
+    assumptions: tuple[AssumptionExpression, ...]
     guarantees: tuple[GuaranteeStatement, ...]
-    broken: bool
+    incomplete: bool
 
 
 class FunctionalityDeclaration(NamedTuple):
@@ -139,7 +138,7 @@ class FunctionalityDeclaration(NamedTuple):
     uses: tuple[Name, ...]
     produces: tuple[Name, ...]
     modes: tuple[ModeDeclaration, ...]
-    broken: bool
+    incomplete: bool
 
 
 class ComponentDeclaration(NamedTuple):
@@ -147,14 +146,14 @@ class ComponentDeclaration(NamedTuple):
     name: Name
     like: Name | None
     runs: tuple[Run, ...]
-    holds: tuple[tuple[Held, ...], ...]
+    holds: tuple[tuple[ResourceUse, ...], ...]
     parameters: tuple[ParameterEntry, ...]
     files: tuple[Name, ...]
     inputs: tuple[InputDeclaration, ...]
     outputs: tuple[Name, ...]
-    allows: tuple[Allowed, ...]
+    allows: tuple[AllowedEndpoint, ...]
     functionalities: tuple[FunctionalityDeclaration, ...]
-    lost: frozenset[str]  # the first words of the statements that could not be read
+    skipped: frozenset[str]  # the first words of the statements that could not be parsed
 
 
 # -- the rest of a file ---------------------------------------------------------------------------------
@@ -175,7 +174,7 @@ class TopicDeclaration(NamedTuple):
     span: Span
     name: Name
     contract: ContractExpression | None
-    cap: Number | None
+    max_publishers: Number | None
 
 
 class ResourceDeclaration(NamedTuple):
@@ -197,7 +196,7 @@ class EnvironmentBlock(NamedTuple):
 
 
 class Attachment(NamedTuple):
-    """``port <- topic`` (an input) or ``port -> topic`` (an output); several topics may stand there."""
+    """``port <- topic, …`` (an input) or ``port -> topic, …`` (an output)."""
 
     port: Name
     is_output: bool
@@ -211,7 +210,7 @@ class NodeDeclaration(NamedTuple):
     attachments: tuple[Attachment, ...]
     parameters: tuple[ParameterEntry, ...]
     files: tuple[Name, ...]
-    broken: bool
+    incomplete: bool
 
 
 class NamespaceBlock(NamedTuple):
@@ -221,7 +220,7 @@ class NamespaceBlock(NamedTuple):
 
 
 class ParameterFile(NamedTuple):
-    """``parameters "nav2.yaml"`` outside of any component or node: for every role it has a section for."""
+    """``parameters "nav2.yaml"`` outside any component or node: applies to every role the file has a section for."""
 
     span: Span
     path: Name
@@ -256,14 +255,14 @@ class OrderStatement(NamedTuple):
     then: Name
 
 
-class Duration(NamedTuple):
+class StepDuration(NamedTuple):
     kind: Name
     seconds: Number
 
 
 class TimingBlock(NamedTuple):
     span: Span
-    durations: tuple[Duration, ...]
+    durations: tuple[StepDuration, ...]
 
 
 ConstraintStatement: TypeAlias = "KeepStatement | LimitStatement | OrderStatement"
@@ -275,11 +274,11 @@ Item: TypeAlias = (
 
 @dataclass(frozen=True, slots=True)
 class SourceLayout:
-    """What the printer must know of the tokens beside their text, by index.
+    """What the printer needs to know about the tokens besides their text, by token index.
 
-    ``statements``: the first token of each statement, with what separates it from one before it on its line.
-    ``items``: the tokens that a comma stands before. ``blocks``: the opening brace of each block with its closing one
-    (braces of value sets are none). ``marks``: tokens that stand under each other on adjacent lines, by kind of line.
+    ``statements``: the first token of each statement, with its separator from a previous one on the same line.
+    ``items``: the tokens that follow a comma. ``blocks``: the opening and closing braces of blocks (not of value sets).
+    ``marks``: the tokens to align on adjacent lines, by kind of line.
     """
 
     statements: dict[int, str] = field(default_factory=dict)
@@ -289,10 +288,10 @@ class SourceLayout:
 
 
 class File(NamedTuple):
-    """A whole file. ``lost`` holds the words of the parts that could not be read: one of them may be a declaration."""
+    """A whole file. ``skipped`` holds the names in the parts that could not be parsed, which may declare them."""
 
     tokens: Tokens
     layout: SourceLayout
     system: Name | None
     items: tuple[Item, ...]
-    lost: frozenset[str]
+    skipped: frozenset[str]

@@ -1,6 +1,6 @@
-"""What the parser's parts share: looking at tokens, and expecting them.
+"""The base of the parser: inspecting tokens and expecting them.
 
-An error is reported where it is found, and the statement it stands in is given up (:class:`Panic`).
+An error is reported where it is found, and the statement is abandoned (:class:`Panic`, as in panic-mode recovery).
 """
 
 from __future__ import annotations
@@ -10,39 +10,39 @@ from typing import Final
 
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.lexer import Tokens, string_value
-from midstride.lang.near_miss import nearest
 from midstride.lang.source import Span
 from midstride.lang.syntax import Name, Number, SourceLayout
+from midstride.model.near_miss import nearest
 
-# The words that begin a statement, with the block they belong to. No declared name may be one: lists need no comma, so
-# the next statement must be told from the next name.
-BELONGS: Final[Mapping[str, str]] = {
+# The keywords that start statements, with the blocks they belong to. They cannot be declared names: lists need no
+# comma, so the next statement must be distinguishable from the next name.
+KEYWORD_PLACES: Final[Mapping[str, str]] = {
     **dict.fromkeys(
         "system include contract topic resource environment component node namespace keep limit order timing".split(),
-        "at the outermost level or in a namespace",
+        "at the top level or in a namespace",
     ),
     **dict.fromkeys("run holds input output allows functionality".split(), "in a component"),
-    "parameters": "in a component, in a node or at the outermost level",
+    "parameters": "in a component, in a node or at the top level",
     **dict.fromkeys("uses produces mode".split(), "in a functionality"),
     "assume": "in a mode",
     "guarantee": "in a mode or in the environment",
 }
-RESERVED: Final = frozenset(BELONGS)
+RESERVED: Final = frozenset(KEYWORD_PLACES)
 
-# Signs that other languages have where this one has the other, or none (`node: talker`).
-_CONFUSED: Final = {":", "="}
+# Punctuation that other languages have where this one has the other, or none (`node: talker`).
+_MISTAKEN_SIGNS: Final = {":", "="}
 
-# Longer digits say nothing more, and turning them into numbers takes time.
-_LONGEST_NUMBER: Final = 40
-_LARGEST: Final = 1e18
+# Converting longer numbers takes time and adds no precision.
+_MAX_DIGITS: Final = 40
+_MAX_NUMBER: Final = 1e18
 
 
 class Panic(Exception):
-    """The statement at hand cannot be read on; its error has been reported."""
+    """The current statement cannot be parsed further; its error has been reported."""
 
 
 class TokenStream:
-    """A place in the tokens, and how to move on from it."""
+    """The tokens and the current position in them."""
 
     def __init__(self, tokens: Tokens, reporter: Reporter) -> None:
         self.tokens = tokens
@@ -52,13 +52,13 @@ class TokenStream:
         self.i = 0
         self.layout = SourceLayout()
 
-    # -- looking -------------------------------------------------------------------------------------
+    # -- inspecting -------------------------------------------------------------------------------------
 
     def span(self, index: int | None = None) -> Span:
         return self.tokens.span(self.i if index is None else index)
 
     def since(self, start: int) -> Span:
-        """From the token ``start`` to the last one read."""
+        """The range from token ``start`` to the last token read."""
         return self.span(start).to(self.span(max(start, self.i - 1)))
 
     def at_word(self, word: str) -> bool:
@@ -68,14 +68,14 @@ class TokenStream:
         return self.tokens.source.position(self.tokens.starts[index])[0]
 
     def _place(self) -> Span:
-        """Where something is missing: at the token found, or just behind the last one if that ends its line."""
+        """Where something is missing: at the current token, or after the previous one if that ends its line."""
         if self.i and (self.kinds[self.i] == "end" or self._line(self.i) > self._line(self.i - 1)):
             end = self.span(self.i - 1).end
             return Span(self.tokens.source, end, end)
         return self.span()
 
     def rest_of_line(self) -> str:
-        """What stands from here to the end of the line, or to where the next statement or a brace begins."""
+        """The text from here to the end of the line, the next statement or the next brace."""
         start, line = self.i, self._line(self.i)
         end = start + 1
         while (
@@ -87,19 +87,19 @@ class TokenStream:
         return self.span(start).to(self.span(end - 1)).text
 
     def found(self) -> str:
-        """The token found, in words."""
+        """A description of the current token."""
         kind, text = self.kinds[self.i], self.texts[self.i]
         if kind == "end":
-            return "the end of the file"
+            return "end of file"
         if kind == "string":
-            return "a text"
+            return "a string"
         shown = text if len(text) <= 40 else text[:39] + "…"
-        return f"the word `{shown}`" if kind == "name" and text in RESERVED else f"`{shown}`"
+        return f"keyword `{shown}`" if kind == "name" and text in RESERVED else f"`{shown}`"
 
     # -- reading ---------------------------------------------------------------------------------------
 
     def fail(self, expected: str, help: str | None = None) -> Panic:
-        """Report that something else was expected here, and yield the exception to raise."""
+        """Report what was expected here; returns the exception to raise."""
         self.reporter.report("E120", self._place(), f"expected {expected}, found {self.found()}", help=help)
         return Panic()
 
@@ -116,13 +116,12 @@ class TokenStream:
         return False
 
     def expect(self, sign: str, before: str, follow: tuple[str, ...] = ()) -> None:
-        """Read ``sign``. Where one of ``follow`` stands instead, it was merely forgotten, and reading goes on; so it
-        does behind `:` for `=` and the other way round."""
+        """Read ``sign``. If one of ``follow`` comes instead, or `:` for `=` or vice versa, report it and continue."""
         if self.kinds[self.i] == sign:
             self.i += 1
             return
         panic = self.fail(f"`{sign}` {before}")
-        if {sign, self.kinds[self.i]} == _CONFUSED:
+        if {sign, self.kinds[self.i]} == _MISTAKEN_SIGNS:
             self.i += 1
             return
         if self.kinds[self.i] not in follow or (self.kinds[self.i] == "name" and self.texts[self.i] in RESERVED):
@@ -133,20 +132,19 @@ class TokenStream:
             raise self.fail(f"`{word}` {after}")
 
     def name(self, what: str, then: tuple[str, ...] = ()) -> Name:
-        """A declared name, or a use of one. A word of the language is none, and is taken for one only before
-        ``then``."""
+        """A declared name, or a use of one. A keyword is an error, and is taken for a name only before ``then``."""
         if self.kinds[self.i] != "name":
-            if self.kinds[self.i] in _CONFUSED and self.kinds[self.i + 1] == "name":
-                self.fail(what, "leave it out")
+            if self.kinds[self.i] in _MISTAKEN_SIGNS and self.kinds[self.i + 1] == "name":
+                self.fail(what, "remove it")
                 self.i += 1
                 return self.name(what, then)
             number = self.kinds[self.i] == "number"
-            raise self.fail(what, "a name begins with a letter" if number else None)
+            raise self.fail(what, "names start with a letter" if number else None)
         text = self.texts[self.i]
         if text in RESERVED:
             if self.kinds[self.i + 1] not in then:
                 raise self.fail(what)
-            message = f"`{text}` is a word of the language and cannot be {what}"
+            message = f"`{text}` is a keyword and cannot be used as {what}"
             self.reporter.report("E125", self.span(), message, help=f"choose another name, such as `{text}_1`")
         self.i += 1
         return Name(text, self.span(self.i - 1))
@@ -159,7 +157,7 @@ class TokenStream:
         return self.name(what, (":", "{", ".", "->", "<-"))
 
     def text(self, what: str) -> Name:
-        """What stands in double quotes."""
+        """The value of a string."""
         if self.kinds[self.i] != "string":
             raise self.fail(what)
         self.i += 1
@@ -170,30 +168,30 @@ class TokenStream:
             raise self.fail(what)
         self.i += 1
         text, span = self.texts[self.i - 1], self.span(self.i - 1)
-        value = float(text) if len(text) <= _LONGEST_NUMBER else float("inf")
-        if abs(value) > _LARGEST:
+        value = float(text) if len(text) <= _MAX_DIGITS else float("inf")
+        if abs(value) > _MAX_NUMBER:
             self.reporter.report(
-                "E126", span, "this number is too large, or written with too many digits", help="at most 1e18"
+                "E126", span, "this number is too large, or written with too many digits", help="the maximum is 1e18"
             )
             value = 1.0
         return Number(value, span)
 
     def quantity(self, what: str, units: Mapping[str, float]) -> Number:
-        """A number with its unit, in the base unit, which is the first of ``units``."""
+        """A number with a unit, converted to the base unit, which is the first of ``units``."""
         number = self.number(what)
         base = next(iter(units))
         unit = self.texts[self.i]
         example = f"write `{number.span.text} {base}`"
         if self.kinds[self.i] != "name" or (unit not in units and unit in RESERVED):
-            self.reporter.report("E127", number.span, f"{what} needs its unit", help=example)
+            self.reporter.report("E127", number.span, f"{what} needs a unit", help=example)
             return number
         if unit not in units:
             close = next((known for known in units if known.lower() == unit.lower()), None)
             if close is None and self.kinds[self.i + 1] in {"number", ":", "=", "<-", "->", ".", ","}:
-                self.reporter.report("E127", number.span, f"{what} needs its unit", help=example)
+                self.reporter.report("E127", number.span, f"{what} needs a unit", help=example)
                 return number
             help = f"write `{number.span.text} {close}`" if close else f"{example}; known units: {', '.join(units)}"
-            self.reporter.report("E127", self.span(), f"`{unit}` is no unit of {what}", help=help)
+            self.reporter.report("E127", self.span(), f"`{unit}` is not a valid unit for {what}", help=help)
             self.i += 1
             return number
         self.i += 1
@@ -212,6 +210,6 @@ class TokenStream:
             found.append(self.name(what))
 
     def _is_misspelt_statement(self, at: int) -> bool:
-        """Whether the name at ``at`` rather begins a statement: `mod normal {`."""
+        """Whether the name at ``at`` probably starts a statement: `mod normal {`."""
         heads = self.kinds[at + 1] == "name" and self.kinds[min(at + 2, len(self.kinds) - 1)] in {"{", ":"}
         return heads and nearest(self.texts[at], RESERVED) is not None

@@ -6,10 +6,11 @@ specification says, however it is written down, and live here; a concrete syntax
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeAlias
+
+from midstride.model.near_miss import did_you_mean, nearest
 
 Severity: TypeAlias = Literal["error", "warning"]
 
@@ -131,20 +132,9 @@ def suggested(found: list[Problem]) -> list[Problem]:
 def suggestion(wrong: str, known: Iterable[str]) -> str:
     """``did you mean `x`?`` for a near miss, else what is known, else nothing."""
     names = sorted(set(known))
-    near = difflib.get_close_matches(wrong, names, n=1, cutoff=0.6)
-    if not near:  # a beginning, and what differs in case or slashes alone, are near as well
-        bare = _bare(wrong)
-        near = [name for name in names if len(bare) > 2 and _bare(name).startswith(bare)]
-    if near:
-        return f"did you mean `{near[0]}`?"
-    if not names:
-        return ""
-    shown = ", ".join(names[:8])
-    return f"known: {shown}" + (", …" if len(names) > 8 else "")
-
-
-def _bare(name: str) -> str:
-    return name.strip("/").lower().replace("_", "")
+    if (hint := did_you_mean(wrong, names)) is not None or not names:
+        return hint or ""
+    return f"known: {', '.join(names[:8])}" + (", …" if len(names) > 8 else "")
 
 
 def independent(form: Iterable[Problem], names: Iterable[Problem]) -> list[Problem]:
@@ -160,7 +150,7 @@ def independent(form: Iterable[Problem], names: Iterable[Problem]) -> list[Probl
         if declared[:-1] in lacking or any(subject[:-1] == declared for subject in unread):
             return True  # the section itself, or one of its entries
         return any(
-            subject[:-1] == declared[:-1] and difflib.SequenceMatcher(None, subject[-1], declared[-1]).ratio() > 0.6
+            subject[:-1] == declared[:-1] and nearest(subject[-1], declared[-1:]) is not None
             for subject in strayed  # the section itself, misspelt
         )
 

@@ -1,63 +1,73 @@
-"""The agent: the control side of a component. It carries out the manager's commands and answers for its state.
+"""The agent: the control thread's side of a component. It carries out commands and reports the component's state.
 
-The rules of the envelope (wire/messages.py) are here: token, revision, repeated ids. What each
-command does is in :mod:`midstride.node.command_handlers`. It never runs user code: whatever does is
-handed to the data side, in bounded time.
+The rules of the envelope are here: token, revision, repeated requests (docs/semantics.md section 7). What each command
+does is in :mod:`midstride.node.command_handlers`. It never runs user code: that is handed to the data thread, in
+bounded time.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import hmac
-import threading
 import uuid
 from collections import OrderedDict
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
+from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
-from midstride.model import component as model
-from midstride.model.document import component_to_document
-from midstride.node.arguments import Arguments
+from midstride.model.component import ComponentSpec
 from midstride.node.command_handlers import CommandHandlers
+from midstride.node.declared_parts import DeclaredParts
 from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
+from midstride.node.revision import Revision
 from midstride.node.standalone import FLAG, Attachments, best_modes
-from midstride.wire.commands import BETWEEN, CHANGING, READING
-from midstride.wire.messages import Announcement, Command, Reply
+from midstride.wire.command_server import CommandServer
+from midstride.wire.commands import (
+    AttachCommand,
+    Command,
+    Done,
+    ModesCommand,
+    ObserveCommand,
+    PingCommand,
+    ReleaseCommand,
+    StopCommand,
+    WelcomeCommand,
+)
+from midstride.wire.frames import (
+    PROTOCOL,
+    Greeting,
+    Registration,
+    Reply,
+    Request,
+    StateChanged,
+    decode_command,
+    encode_value,
+)
+from midstride.wire.state import ComponentState, Value
 
-if TYPE_CHECKING:
-    from midstride.node.component import Component
-
-# How often a component that has no manager yet says who it is (s).
-ANNOUNCE_EVERY: Final = 0.1
-# How many answers are kept for repeated commands.
+# How often the state is reported while nothing changes (s): what is busy, and that the component is alive.
+HEARTBEAT: Final = 0.5
+# How many replies are kept for repeated requests.
 REMEMBERED: Final = 1000
+# How long requests under way may take to be answered when the component ends (s).
+LAST_ANSWERS: Final = 1.0
 _NOT_OURS: Final = "this is not the token of the system that the component belongs to"
 
 
-class Revision:
-    """Counts the changes of a component. Both sides count up, so it has a lock; reading needs none."""
-
-    def __init__(self) -> None:
-        self.value = 0
-        self._lock = threading.Lock()
-
-    def bump(self) -> None:
-        with self._lock:
-            self.value += 1
-
-
 class Agent:
+    """``token`` is the one that the process was started with, empty where it was started by hand."""
+
     def __init__(
         self,
-        component: Component,
-        declaration: model.ComponentSpec,
+        parts: DeclaredParts,
+        declaration: ComponentSpec,
         host: Host,
         token: str,
         pid: int,
         standalone: Attachments | None,
     ) -> None:
-        self._component = component
         self._declaration = declaration
         self._host = host
         self._token = token
@@ -70,165 +80,178 @@ class Agent:
         self._turn = asyncio.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._welcomed = False
+        self._ready = asyncio.Event()
         self._stopping = asyncio.Event()
-        self._free = asyncio.Event()  # released, or stopping
-        self._operations = CommandHandlers(component, host, self._revision, self._degraded, self._publish_state)
-        self._operations.belongs_to(token)
+        greeting = Greeting(
+            protocol=PROTOCOL, instance=host.instance, uuid=self._uuid, pid=pid, start_token=self._start_token
+        )
+        self._server = CommandServer(greeting, self.serve)
+        self._handlers = CommandHandlers(parts, host, self._revision, self._degraded, self.report_state, self._caller)
+
+    def _caller(self) -> str:
+        """The token with which this component calls its peers."""
+        return self._token
 
     # -- life --------------------------------------------------------------------------------------
 
     async def main(self) -> None:
         """From set-up to the end in order. Cancelled by a signal, it ends in order as well."""
         self._loop = asyncio.get_running_loop()
-        operations, host = self._operations, self._host
-        await host.on_data(operations.set_up)
+        handlers, host = self._handlers, self._host
+        if host.transport is not None and self._standalone is None:
+            await self._server.open(host.transport)
+        heartbeat = asyncio.ensure_future(self._beat())
         try:
-            await host.on_data(operations.begin)
-            self._publish_state()
-            if self._standalone is not None:
-                await self._run_alone(self._standalone)
-            while not self._stopping.is_set():
-                self._free.clear()
-                if self._standalone is None:
-                    await self._announce()
-                await self._free.wait()
-        except asyncio.CancelledError:
-            pass  # SIGTERM, SIGINT
-        await operations.end()
+            await host.on_data(handlers.set_up)
+            try:
+                await host.on_data(handlers.begin)
+                if self._standalone is not None:
+                    await self._run_alone(self._standalone)
+                self._register()
+                await self._stopping.wait()
+            except asyncio.CancelledError:
+                pass  # SIGTERM, SIGINT
+            self._stopping.set()
+            await handlers.end()
+        finally:
+            heartbeat.cancel()
+            with contextlib.suppress(asyncio.CancelledError):
+                # Requests that wait for a set-up that has failed are never answered.
+                await self._server.close(LAST_ANSWERS if self._ready.is_set() else 0.0)
 
-    async def _announce(self) -> None:
-        announcement = self._announcement()
-        if not self._start_token:
+    def _register(self) -> None:
+        """Say what the component is, to whichever manager connects."""
+        self._ready.set()
+        self.report_state()
+        declaration = NamedComponentForm.of(self._declaration)
+        self._server.register(Registration(declaration=declaration, endpoints=self._host.extra_endpoints()))
+        if not self._start_token and self._standalone is None:
+            remappings = " ".join(f"{port}:=/{port}" for port in self._declaration.ports())
             self._host.logger.info(
-                f"{self._host.instance} waits for a manager, degraded and unattached; "
-                f"to run it by itself: {FLAG} {' '.join(f'{port}:=/{port}' for port in self._declaration.ports())}"
+                f"{self._host.instance} waits for a manager, degraded and unattached ({self._host.reachable()}); "
+                f"to run it without a manager: {FLAG} {remappings}"
             )
-        while not self._welcomed and not self._stopping.is_set():
-            self._host.announce(announcement)
-            await self._host.sleep(ANNOUNCE_EVERY)
 
-    def _announcement(self, *, degraded: bool = False) -> Announcement:
-        return Announcement(
-            self._host.instance,
-            self._uuid,
-            self._pid,
-            self._start_token,
-            component_to_document(self._declaration),
-            tuple(dict(endpoint) for endpoint in self._host.extra_endpoints()),
-            degraded,
-        )
+    async def _beat(self) -> None:
+        while True:
+            await self._host.sleep(HEARTBEAT)
+            if self._ready.is_set():
+                self._report()
 
     async def _run_alone(self, attachments: Attachments) -> None:
         for port, topics in attachments.items():
             for topic in topics:
-                await self._operations.carry_out("attach", {"port": port, "topic": topic}, None)
+                await self._handlers.carry_out(AttachCommand(port=port, topic=topic), None)
         chosen = best_modes(self._declaration, attachments)
         modes = {name: self._declaration.functionalities[name].modes[index].name for name, index in chosen.items()}
-        arguments = {"modes": modes, "because": "started alone: its best mode with what is attached"}
-        await self._operations.carry_out("modes", arguments, None)
-        told = ", ".join(f"{name} in mode {mode}" for name, mode in modes.items())
-        self._host.logger.warning(f"{self._host.instance} runs alone, managed by nobody: {told}")
+        because = "started standalone: the best mode with what is attached"
+        await self._handlers.carry_out(ModesCommand(modes=modes, because=because), None)
+        listed = ", ".join(f"{name} in mode {mode}" for name, mode in modes.items())
+        self._host.logger.warning(f"{self._host.instance} runs without a manager: {listed}")
 
     # -- commands ----------------------------------------------------------------------------------
 
-    async def serve(self, command: Command) -> Reply:
-        """Carry out one command; whatever is wrong with it comes back as a refusal with its reason."""
-        if refused := self._wrong_sender(command):
-            return self._refusal(refused)
-        if command.op in CHANGING:
-            return await self._once(command)
-        if command.op in READING or command.op in BETWEEN:
-            return await self._carry_out(command, None)
-        known = ", ".join(sorted(READING | CHANGING | BETWEEN))
-        return self._refusal(f"there is no command {command.op!r}; the commands are: {known}")
+    async def serve(self, request: Request, token: str) -> Reply:
+        """Carry out one request; whatever is wrong with it comes back as a refusal with its reason."""
+        try:
+            command = decode_command(request)
+            self._check_sender(command, token)
+        except CommandRefused as error:
+            return self._refusal(request, str(error))
+        if not isinstance(command, PingCommand):  # which says that the process has come up
+            await self._ready.wait()
+        if command.kind == "changing":
+            return await self._once(request, command, token)
+        return await self._carry_out(request, command, token)
 
-    def _wrong_sender(self, command: Command) -> str | None:
-        if self._standalone is not None:
-            return f"{self._host.instance} was started with {FLAG} and is managed by nobody"
-        if not self._token and command.token and command.op in ("observe", "welcome"):
-            return None  # started by hand: it belongs to whoever welcomes it first, and who is to asks it before
-        return None if self._is_ours(command) else _NOT_OURS
+    def _check_sender(self, command: Command[Any], token: str) -> None:
+        """Raises CommandRefused for a sender that this component does not belong to."""
+        if not self._token and isinstance(command, (WelcomeCommand, ObserveCommand)):
+            return  # it belongs to no system yet: any of this user's managers may have it
+        if not self._is_ours(token):
+            raise CommandRefused(_NOT_OURS)
 
-    def _is_ours(self, command: Command) -> bool:
-        return bool(self._token) and hmac.compare_digest(command.token.encode(), self._token.encode())
+    def _is_ours(self, token: str) -> bool:
+        return bool(self._token) and hmac.compare_digest(token.encode(), self._token.encode())
 
-    async def _once(self, command: Command) -> Reply:
-        """A changing command: in turn, at the expected revision, and a repeat gets the first answer."""
-        if not command.id:
-            return self._refusal(f"`{command.op}` changes something, so it must have an id")
-        answer = self._answers.get(command.id)
+    async def _once(self, request: Request, command: Command[Any], token: str) -> Reply:
+        """A changing command: in turn, at the expected revision; a repeated request gets the first reply."""
+        if not request.id:
+            return self._refusal(request, f"`{command.name}` changes something, so its request must have an id")
+        answer = self._answers.get(request.id)
         if answer is None:
-            # A task of its own: whoever asked may give up, and the command must not end half-way.
-            answer = asyncio.get_running_loop().create_task(self._changing(command))
-            self._answers[command.id] = answer
+            # A task of its own: the sender may give up, and the command must not end half-way.
+            answer = asyncio.get_running_loop().create_task(self._changing(request, command, token))
+            self._answers[request.id] = answer
             while len(self._answers) > REMEMBERED:
                 self._answers.popitem(last=False)
         return await asyncio.shield(answer)
 
-    async def _changing(self, command: Command) -> Reply:
+    async def _changing(self, request: Request, command: Command[Any], token: str) -> Reply:
         async with self._turn:
             if self._stopping.is_set():
-                return self._refusal("the component is ending")
-            expected, own = command.revision, self._revision.value
-            if expected != own:
-                said = "none was given" if expected is None else f"{expected} was expected"
-                return self._refusal(f"the component is at revision {own}, and {said}: look at its state again")
-            return await self._carry_out(command, expected)
+                return self._refusal(request, "the component is ending")
+            expected, actual = request.revision, self._revision.value
+            if expected != actual:
+                named = "the request names none" if expected is None else f"the request expects {expected}"
+                return self._refusal(
+                    request, f"the component is at revision {actual}, and {named}: observe it again, then retry"
+                )
+            return await self._carry_out(request, command, token)
 
-    async def _carry_out(self, command: Command, expected: int | None) -> Reply:
+    async def _carry_out(self, request: Request, command: Command[Any], token: str) -> Reply:
         try:
-            if command.op in ("welcome", "observe"):
-                result = self._welcome(command) if command.op == "welcome" else self._state()
-            elif command.op == "stop":
-                self._stopping.set()
-                self._free.set()
-                result = {}
-            elif command.op == "release":
-                result = await self._release(command)
-            else:
-                result = await self._operations.carry_out(command.op, command.arguments, expected)
+            result: Value
+            match command:
+                case ObserveCommand():
+                    result = self.state()
+                case WelcomeCommand(manager=manager):
+                    self._welcome(manager, token)
+                    result = Done()
+                case StopCommand():
+                    self._stopping.set()
+                    result = Done()
+                case ReleaseCommand():
+                    await self._release(command)
+                    result = Done()
+                case _:
+                    result = await self._handlers.carry_out(command, request.revision)
         except MidstrideError as error:
-            return self._refusal(str(error))
+            return self._refusal(request, str(error))
         except Exception as error:
-            self._host.logger.error(f"`{command.op}` failed: {type(error).__name__}: {error}")
-            return self._refusal(f"`{command.op}` failed: {type(error).__name__}: {error}")
-        if command.op in CHANGING:
+            self._host.logger.error(f"`{command.name}` failed: {type(error).__name__}: {error}")
+            return self._refusal(request, f"`{command.name}` failed: {type(error).__name__}: {error}")
+        if command.kind == "changing":
             self._revision.bump()
-            self._publish_state()
-            if command.op == "welcome":
-                result["revision"] = self._revision.value
-        return Reply(self._revision.value, result)
+            self.report_state()  # before the reply: whoever has that knows the state that it led to
+            if isinstance(command, WelcomeCommand):
+                result = self.state()
+        return Reply(id=request.id, revision=self._revision.value, result=encode_value(result))
 
-    def _refusal(self, words: str) -> Reply:
-        return Reply(self._revision.value, {}, words)
+    def _refusal(self, request: Request, words: str) -> Reply:
+        return Reply(id=request.id, revision=self._revision.value, refused=words)
 
-    def _welcome(self, command: Command) -> dict[str, Any]:
-        manager = Arguments("welcome", command.arguments).text("manager")
+    def _welcome(self, manager: str, token: str) -> None:
         if not self._token:
-            self._token = command.token
-            self._operations.belongs_to(command.token)
-        elif not self._is_ours(command):  # of two who came at once the first has it
+            self._token = token
+        elif not self._is_ours(token):  # of two managers that came at once the first has it
             raise CommandRefused(_NOT_OURS)
         if not self._welcomed:
             self._host.logger.info(f"{self._host.instance} is managed by {manager}")
         self._welcomed = True
-        return self._state()
 
-    async def _release(self, command: Command) -> dict[str, Any]:
+    async def _release(self, command: ReleaseCommand) -> None:
         if self._start_token:
-            raise CommandRefused("it was started by its manager, and is for it to end")
-        await self._operations.release(Arguments("release", command.arguments))
+            raise CommandRefused("its manager started it, so it is the manager's to end")
+        await self._handlers.release(command.timeout)
         self._token = ""
-        self._operations.belongs_to("")
         self._welcomed = False
-        self._free.set()
-        return {}
 
     # -- state -------------------------------------------------------------------------------------
 
-    def _state(self) -> dict[str, Any]:
-        identity = {"instance": self._host.instance, "uuid": self._uuid, "pid": self._pid}
-        return {**identity, "revision": self._revision.value, **self._operations.state(), "waiting": self._waiting()}
+    def state(self) -> ComponentState:
+        """Read without waiting for the data thread."""
+        return self._handlers.state(self._host.instance, self._uuid, self._pid, self._waiting())
 
     def _waiting(self) -> str | None:
         if self._standalone is None and not self._welcomed:
@@ -237,17 +260,21 @@ class Agent:
             return "use_sim_time is on, and nothing has come on /clock yet: nothing that has a rate is called"
         return None
 
-    def _publish_state(self) -> None:
-        self._host.publish_state(self._state())
+    def report_state(self) -> None:
+        """The state has changed: to every client, and where the platform's own tools look."""
+        self._host.publish_state(self._report())
+
+    def _report(self) -> ComponentState:
+        state = self.state()
+        self._server.report(StateChanged(state=state))
+        return state
 
     def _degraded(self, runner: FunctionalityRunner) -> None:
-        """On the data side: a functionality has degraded by itself. The revision tells at once, the rest may follow."""
+        """On the data thread: a functionality has degraded by itself. The revision changes now, the rest follows."""
         self._revision.bump()
         if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._tell_degraded, runner)
+            self._loop.call_soon_threadsafe(self._report_degraded, runner)
 
-    def _tell_degraded(self, runner: FunctionalityRunner) -> None:
+    def _report_degraded(self, runner: FunctionalityRunner) -> None:
         self._host.logger.error(f"{runner.name} is in mode {runner.mode.name}: {runner.because}")
-        self._publish_state()
-        if self._welcomed and not self._stopping.is_set():  # whoever relies on it is the manager's to lower
-            self._host.announce(self._announcement(degraded=True))
+        self.report_state()

@@ -10,13 +10,22 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from functools import partial
-from typing import Any, Final
+from typing import Final
 
 from midstride.errors import CommandRefused
-from midstride.node.arguments import Arguments
 from midstride.node.host import Host, Publisher, Subscription
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
+from midstride.wire.commands import (
+    AttachCommand,
+    Attached,
+    AwaitWriteCommand,
+    DetachCommand,
+    Detached,
+    Done,
+    GateCommand,
+    GatedWrites,
+)
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
 SETTLE: Final = 0.05
@@ -61,44 +70,42 @@ class Attachments:
 
     # -- commands ----------------------------------------------------------------------------------
 
-    async def attach(self, arguments: Arguments) -> dict[str, Any]:
-        topic, peers = arguments.text("topic"), arguments.whole("peers", 0)
-        timeout = arguments.seconds("timeout", 5.0)
-        port = self.port(arguments.text("port"))
+    async def attach(self, command: AttachCommand) -> Attached:
+        topic, timeout = command.topic, command.timeout
+        port = self.port(command.port)
         if port.link(topic) is not None:
             raise CommandRefused(f"{port.name} is attached to {topic} already")
+        opened = isinstance(port, Output) and command.gate == "open"
         if isinstance(port, Output):
-            opened = arguments.gate("gate", "open")
             link = await self._data.run(lambda: self._publish(port, topic), timeout)
             undo: Callable[[], None] = partial(self._unpublish, link)
             endpoint: Publisher | Subscription = link.publisher
         else:
-            opened = False
             inlet = await self._data.run(lambda: self._subscribe(port, topic), timeout)
             assert inlet.subscription is not None
             undo = partial(self._unsubscribe, port, inlet)
             endpoint = inlet.subscription
         try:
-            await self._match(endpoint, peers, timeout, topic)
-            matched = await self._reach(endpoint, peers, arguments)
+            await self._match(endpoint, command.peers, timeout, topic)
+            matched = await self._match_everyone(endpoint, command)
             if opened:
                 await self._data.run(lambda: self._open(link), timeout)
         except CommandRefused:
             # As soon as user code returns, however long that takes: a refused command has changed nothing.
             await within(self._host, self._host.on_data(undo), timeout)
             raise
-        return {"matched": matched}
+        return Attached(matched=matched)
 
-    async def detach(self, arguments: Arguments) -> dict[str, Any]:
-        topic, timeout = arguments.text("topic"), arguments.seconds("timeout", 2.0)
-        port = self.port(arguments.text("port"))
+    async def detach(self, command: DetachCommand) -> Detached:
+        topic, timeout = command.topic, command.timeout
+        port = self.port(command.port)
         link = port.link(topic)
         if link is None:
             raise CommandRefused(f"{port.name} is not attached to {topic}")
         if isinstance(link, InputLink):
             assert isinstance(port, Input)
             await self._data.run(lambda: self._unsubscribe(port, link), timeout)
-            return {"acknowledged": None, "last": None}
+            return Detached(acknowledged=None, last=None)
         was_open = link.gate == "open"
         await self._data.run(lambda: link.set_gate(False), timeout)
         acknowledged = await link.publisher.acknowledged(timeout)
@@ -107,25 +114,24 @@ class Attachments:
         except CommandRefused:
             self._host.on_data(lambda: link.set_gate(was_open))
             raise
-        return {"acknowledged": acknowledged, "last": link.count}
+        return Detached(acknowledged=acknowledged, last=link.count)
 
-    async def gate(self, arguments: Arguments) -> dict[str, Any]:
-        link = self.link(arguments.text("port"), arguments.text("topic"))
-        opened = arguments.gate("gate")
+    async def gate(self, command: GateCommand) -> Done:
+        link = self.link(command.port, command.topic)
         if link.cut is not None:
             raise CommandRefused(f"{link} is part of a cut under way; cancel the cut first")
-        await self._data.run(lambda: link.set_gate(opened), arguments.seconds("timeout", 2.0))
-        return {}
+        await self._data.run(lambda: link.set_gate(command.gate == "open"), command.timeout)
+        return Done()
 
-    async def await_write(self, arguments: Arguments) -> dict[str, Any]:
-        link = self.link(arguments.text("port"), arguments.text("topic"))
-        deadline = self._host.steady() + int(arguments.seconds("timeout", 5.0) * 1e9)
+    async def await_write(self, command: AwaitWriteCommand) -> GatedWrites:
+        link = self.link(command.port, command.topic)
+        deadline = self._host.steady() + int(command.timeout * 1e9)
         owner = link.output.owner
         while not link.gated and link.output.wrong_type is None and self._host.steady() < deadline:
             if owner is not None and owner.failed:
                 break  # it will not write any more
             await self._host.sleep(TICK)
-        return {"gated": link.gated, "wrong_type": link.output.wrong_type}
+        return GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
 
     async def close_all(self, timeout: float) -> None:
         """The end of the component: every reader has what was written, then the endpoints go.
@@ -140,7 +146,7 @@ class Attachments:
 
     def _publish(self, port: Output, topic: str) -> OutputLink:
         link = OutputLink(port, topic, self._host.create_publisher(topic, port.type, port.qos))
-        if port.last is not None and (port.latched or (port.owner is not None and port.owner.mode.driven == "none")):
+        if port.last is not None and (port.latched or (port.owner is not None and port.owner.driven == "none")):
             link.write_gated(port.last)  # what is written once was written before, attached to nothing: it is not lost
         port.wrong_type = None
         port.links = (*port.links, link)
@@ -195,12 +201,11 @@ class Attachments:
         if peers:
             await self._host.sleep(SETTLE)
 
-    async def _reach(self, endpoint: Publisher | Subscription, peers: int, arguments: Arguments) -> int:
-        """Wait for ``everyone``: for those as well that are none of the system's, as far as ``patience`` (s) goes."""
-        everyone = arguments.whole("everyone", 0)
-        deadline = self._host.steady() + int(arguments.seconds("patience", 0.0) * 1e9)
-        while (matched := endpoint.matched()) < everyone and self._host.steady() < deadline:
+    async def _match_everyone(self, endpoint: Publisher | Subscription, command: AttachCommand) -> int:
+        """Wait for ``everyone``, endpoints outside the system included, as far as ``patience`` (s) goes."""
+        deadline = self._host.steady() + int(command.patience * 1e9)
+        while (matched := endpoint.matched()) < command.everyone and self._host.steady() < deadline:
             await self._host.sleep(TICK)
-        if everyone > peers:
+        if command.everyone > command.peers:
             await self._host.sleep(SETTLE)
         return matched

@@ -1,4 +1,4 @@
-"""What each command of wire/commands.py does to a component. Control side.
+"""What each command of wire/commands.py does to a component. Control thread.
 
 Every handler checks before it changes; where one fails half-way it puts back what it did, so that
 a refused command has changed nothing.
@@ -7,124 +7,145 @@ a refused command has changed nothing.
 from __future__ import annotations
 
 import asyncio
-import base64
-import binascii
 import contextlib
-from collections.abc import Awaitable, Callable, Mapping
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from collections.abc import Awaitable, Callable
+from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
-from midstride.node.arguments import Arguments
 from midstride.node.attachments import Attachments
+from midstride.node.declared_parts import DeclaredParts
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, told_by
 from midstride.node.handover_commands import HandoverCommands
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
-
-if TYPE_CHECKING:
-    from midstride.node.agent import Revision
-    from midstride.node.component import Component
+from midstride.node.revision import Revision
+from midstride.wire.commands import (
+    AttachCommand,
+    AwaitCutCommand,
+    AwaitWriteCommand,
+    CancelCutCommand,
+    Command,
+    CutInCommand,
+    CutOutCommand,
+    CutTakenCommand,
+    DetachCommand,
+    Done,
+    ExportedState,
+    ExportStateCommand,
+    GateCommand,
+    GridCommand,
+    ImportStateCommand,
+    MeetCommand,
+    ModesBefore,
+    ModesCommand,
+    ParametersBefore,
+    PingCommand,
+    Receipt,
+    RecordCommand,
+    Recording,
+    Records,
+    RecordsCommand,
+    SetParametersCommand,
+)
+from midstride.wire.state import ComponentState, FunctionalityState, LinkState, Value
 
 T = TypeVar("T")
-Handler = Callable[[Arguments], Awaitable[dict[str, Any]]]
+Handler = Callable[[Any], Awaitable[Value]]
 
-# How long user code may take over what is no mode change, where the command does not say (s).
-PATIENCE: Final = 2.0
 # How long the end takes beside the author's own part in it (s): its endpoints and the platform are left in order.
 LEAVING: Final = 1.0
 
 
 class CommandHandlers:
-    """``degraded`` is called on the data side when a functionality degrades by itself."""
+    """``degraded`` is called on the data thread when a functionality degrades by itself, ``changed`` after a cut.
+
+    ``token`` gives the token with which peers are called.
+    """
 
     def __init__(
         self,
-        component: Component,
+        parts: DeclaredParts,
         host: Host,
         revision: Revision,
         degraded: Callable[[FunctionalityRunner], None],
         changed: Callable[[], None],
+        token: Callable[[], str],
     ) -> None:
-        self._component = component
+        self._parts = parts
         self._host = host
         self._revision = revision
         self._degraded = degraded
         self._runners: list[FunctionalityRunner] = []
         self._data = DataExecutor(host, self._busy_words)
-        self._attachments = Attachments(component.inputs, component.outputs, host, self._data)
-        self._handovers = HandoverCommands(self._attachments, host, self._data, changed)
-        self._handlers: dict[str, Handler] = {
-            "attach": self._attachments.attach,
-            "detach": self._attachments.detach,
-            "gate": self._attachments.gate,
-            "await_write": self._attachments.await_write,
-            "grid": self._handovers.grid,
-            "meet": self._handovers.meet,
-            "cut_out": self._handovers.cut_out,
-            "cut_in": self._handovers.cut_in,
-            "cancel_cut": self._handovers.cancel_cut,
-            "await_cut": self._handovers.await_cut,
-            "taken": self._handovers.taken,
-            "set": self._set,
-            "export_state": self._export_state,
-            "import_state": self._import_state,
-            "record": self._record,
-            "records": self._records,
-            "ping": self._ping,
+        self._attachments = Attachments(parts.inputs, parts.outputs, host, self._data)
+        self._handovers = HandoverCommands(self._attachments, host, self._data, changed, token)
+        self._handlers: dict[type[Command[Any]], Handler] = {
+            AttachCommand: self._attachments.attach,
+            DetachCommand: self._attachments.detach,
+            GateCommand: self._attachments.gate,
+            AwaitWriteCommand: self._attachments.await_write,
+            GridCommand: self._handovers.grid,
+            MeetCommand: self._handovers.meet,
+            CutOutCommand: self._handovers.cut_out,
+            CutInCommand: self._handovers.cut_in,
+            CancelCutCommand: self._handovers.cancel_cut,
+            AwaitCutCommand: self._handovers.await_cut,
+            CutTakenCommand: self._handovers.taken,
+            SetParametersCommand: self._set_parameters,
+            ExportStateCommand: self._export_state,
+            ImportStateCommand: self._import_state,
+            RecordCommand: self._record,
+            RecordsCommand: self._records,
+            PingCommand: self._ping,
         }
 
-    async def carry_out(self, op: str, values: Mapping[str, Any], expected: int | None) -> dict[str, Any]:
+    async def carry_out(self, command: Command[Any], expected: int | None) -> Value:
         """Carry out one command. Raises CommandRefused, and then nothing has changed."""
-        arguments = Arguments(op, values)
-        if op == "modes":
-            return await self._modes(arguments, expected)
-        return await self._handlers[op](arguments)
-
-    def belongs_to(self, token: str) -> None:
-        """The system's token, by which peers know each other."""
-        self._handovers.token = token
+        if isinstance(command, ModesCommand):
+            return await self._modes(command, expected)
+        return await self._handlers[type(command)](command)
 
     # -- beginning and end -------------------------------------------------------------------------
 
     def set_up(self) -> None:
         """Data side, first of all: parameters and whatever else the author wants. What it raises ends the start."""
-        for parameter in self._component.parameters.values():
+        for parameter in self._parts.parameters.values():
             value = self._host.parameter(parameter.name, parameter.value, parameter.change)
             parameter.begin_with(value)
-        if self._component.hooks.setup is not None:
-            self._component.hooks.setup(self._host.ros_node)
+        if self._parts.hooks.setup is not None:
+            self._parts.hooks.setup(self._host.ros_node)
 
     def begin(self) -> None:
         """Data side: every functionality into its last mode."""
-        for functionality in self._component.functionalities.values():
+        for functionality in self._parts.functionalities.values():
             runner = FunctionalityRunner(functionality, self._host, self._degraded)
-            functionality.runner = runner
+            functionality.start(runner.current_mode)
             for port in functionality.outputs:
                 port.owner = runner
             self._runners.append(runner)
         for runner in self._runners:
             runner.begin()
 
-    async def release(self, arguments: Arguments) -> None:
+    async def release(self, timeout: float) -> None:
         """Degraded and unattached, as at first. Raises CommandRefused where user code does not return in time."""
         modes = {runner.name: runner.chain[runner.last].name for runner in self._runners}
-        timeout = arguments.seconds("timeout", PATIENCE)
-        because = "released: nobody manages it any more"
-        await self._modes(Arguments("release", {"modes": modes, "timeout": timeout, "because": because}), None)
+        because = "released: it has no manager any more"
+        await self._modes(ModesCommand(modes=modes, timeout=timeout, because=because), None)
         await self._attachments.close_all(timeout)
+        self._handovers.disconnect()
 
     async def end(self) -> None:
         """No call any more, the author's last word, then the endpoints; each in bounded time, whatever fails."""
         self._handovers.close()
-        timeout = self._component.hooks.stop_timeout
+        timeout = self._parts.hooks.stop_timeout
         try:
             await self._data.run(self._leave_all, timeout)
             await self._idle(timeout)
         except CommandRefused as error:
             self._host.logger.error(f"{self._host.instance} ends although {error}")
-        if self._component.hooks.stop is not None:
+        if self._parts.hooks.stop is not None:
             try:
-                if not await self._data.drive(self._component.hooks.stop, timeout):
+                if not await self._data.drive(self._parts.hooks.stop, timeout):
                     self._host.logger.error(f"on_stop did not return within {timeout:g} s")
             except CAUGHT as error:
                 self._host.logger.error(f"on_stop raised: {told_by(error)}")
@@ -145,28 +166,36 @@ class CommandHandlers:
 
     # -- state -------------------------------------------------------------------------------------
 
-    def state(self) -> dict[str, Any]:
-        """The part of State that is the data side's doing, read without waiting for it."""
+    def state(self, instance: str, uuid: str, pid: int, waiting: str | None) -> ComponentState:
+        """The component's state, read without waiting for the data thread."""
         now = self._host.steady()
         functionalities = {}
         for runner in self._runners:
             busy = runner.busy
-            functionalities[runner.name] = {
-                "mode": runner.mode.name,
-                "since": (now - runner.since) / 1e9,
-                "because": runner.because,
-                "busy": None if busy is None else (now - busy) / 1e9,
-            }
-        ports: dict[str, dict[str, Any]] = {}
-        for output in self._component.outputs.values():
+            functionalities[runner.name] = FunctionalityState(
+                mode=runner.mode.name,
+                since=(now - runner.since) / 1e9,
+                because=runner.because,
+                busy=None if busy is None else (now - busy) / 1e9,
+            )
+        ports: dict[str, dict[str, LinkState]] = {}
+        for output in self._parts.outputs.values():
             ports[output.name] = {
-                link.topic: {"gate": link.gate, "count": link.count, "gated": link.gated} for link in output.links
+                link.topic: LinkState(gate=link.gate, count=link.count, gated=link.gated) for link in output.links
             }
-        for port in self._component.inputs.values():
-            ports[port.name] = {link.topic: {"gate": None, "count": link.count, "gated": 0} for link in port.links}
-        parameters = {parameter.name: parameter.value for parameter in self._component.parameters.values()}
-        stopping = self._component.hooks.stop_timeout + LEAVING
-        return {"functionalities": functionalities, "ports": ports, "parameters": parameters, "stopping": stopping}
+        for port in self._parts.inputs.values():
+            ports[port.name] = {link.topic: LinkState(gate=None, count=link.count) for link in port.links}
+        return ComponentState(
+            instance=instance,
+            uuid=uuid,
+            pid=pid,
+            revision=self._revision.value,
+            functionalities=functionalities,
+            ports=ports,
+            parameters={parameter.name: parameter.value for parameter in self._parts.parameters.values()},
+            stopping=self._parts.hooks.stop_timeout + LEAVING,
+            waiting=waiting,
+        )
 
     def _busy_words(self) -> str:
         now = self._host.steady()
@@ -176,33 +205,31 @@ class CommandHandlers:
 
     # -- modes -------------------------------------------------------------------------------------
 
-    async def _modes(self, arguments: Arguments, expected: int | None) -> dict[str, Any]:
-        timeout = arguments.seconds("timeout", PATIENCE)
-        targets = {name: self._mode_index(name, mode) for name, mode in arguments.table("modes").items()}
+    async def _modes(self, command: ModesCommand, expected: int | None) -> ModesBefore:
+        targets = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
         loop, settled = asyncio.get_running_loop(), asyncio.Event()
-        because = arguments.text_or("because", "the manager asked for it")
 
         def guard() -> str | None:
             if expected is not None and expected != self._revision.value:
-                return "a functionality has degraded by itself meanwhile: look at the component's state again"
+                return "a functionality has degraded by itself meanwhile: observe the component again, then retry"
             return None
 
         def tell() -> None:
             loop.call_soon_threadsafe(settled.set)
 
-        switch = ModeSwitch(targets, self._runners, because, guard, tell)
+        switch = ModeSwitch(targets, self._runners, command.because, guard, tell)
         attempt = asyncio.ensure_future(self._host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
-        if await within(self._host, settled.wait(), timeout) is None and switch.claim():
+        if await within(self._host, settled.wait(), command.timeout) is None and switch.claim():
             self._host.on_data(switch.release)
             raise CommandRefused(
                 f"the change of {', '.join(targets)} was taken back: "
-                f"user code did not return within {timeout:g} s{self._busy_words()}"
+                f"user code did not return within {command.timeout:g} s{self._busy_words()}"
             )
         await settled.wait()
         if switch.refused is not None:
             raise CommandRefused(switch.refused)
-        return {"from": switch.before}
+        return ModesBefore(before=switch.before or {})
 
     def _log_failure(self, work: asyncio.Future[Any]) -> None:
         if not work.cancelled() and (error := work.exception()) is not None:
@@ -220,37 +247,32 @@ class CommandHandlers:
 
     # -- parameters and state ----------------------------------------------------------------------
 
-    async def _set(self, arguments: Arguments) -> dict[str, Any]:
-        values = arguments.table("parameters")
-        declared = self._component.parameters
-        for name in values:
+    async def _set_parameters(self, command: SetParametersCommand) -> ParametersBefore:
+        declared = self._parts.parameters
+        for name in command.parameters:
             if name not in declared:
                 raise CommandRefused(f"there is no parameter {name}; there are: {', '.join(declared) or 'none'}")
-        before = {name: declared[name].value for name in values}
-        await self._data.run(lambda: self._host.set_parameters(values), arguments.seconds("timeout", PATIENCE))
-        return {"from": before}
+        before = {name: declared[name].value for name in command.parameters}
+        await self._data.run(lambda: self._host.set_parameters(command.parameters), command.timeout)
+        return ParametersBefore(before=before)
 
-    async def _export_state(self, arguments: Arguments) -> dict[str, Any]:
-        export = self._component.hooks.export_state
+    async def _export_state(self, command: ExportStateCommand) -> ExportedState:
+        export = self._parts.hooks.export_state
         if export is None:
-            return {"state": None}
-        state = await self._users(export, "on_export_state", arguments)
+            return ExportedState(state=None)
+        state = await self._run_hook(export, "on_export_state", command.timeout)
         if not isinstance(state, (bytes, bytearray)):
             raise CommandRefused(f"on_export_state returned {type(state).__name__}, not bytes")
-        return {"state": base64.b64encode(state).decode("ascii")}
+        return ExportedState(state=bytes(state))
 
-    async def _import_state(self, arguments: Arguments) -> dict[str, Any]:
-        take_up = self._component.hooks.import_state
-        if take_up is None:
+    async def _import_state(self, command: ImportStateCommand) -> Done:
+        hook = self._parts.hooks.import_state
+        if hook is None:
             raise CommandRefused("the component takes no state: it has no on_import_state")
-        try:
-            state = base64.b64decode(arguments.text("state"), validate=True)
-        except binascii.Error as error:
-            raise CommandRefused(f"import_state: not base64 ({error})") from None
-        await self._users(lambda: take_up(state), "on_import_state", arguments)
-        return {}
+        await self._run_hook(lambda: hook(command.state), "on_import_state", command.timeout)
+        return Done()
 
-    async def _users(self, function: Callable[[], T], what: str, arguments: Arguments) -> T:
+    async def _run_hook(self, function: Callable[[], T], what: str, timeout: float) -> T:
         """Run a function of the author's. Raises CommandRefused with what it raised."""
 
         def guarded() -> T:
@@ -259,30 +281,29 @@ class CommandHandlers:
             except CAUGHT as error:
                 raise CommandRefused(f"{what} raised: {told_by(error)}") from None
 
-        return await self._data.run(guarded, arguments.seconds("timeout", PATIENCE))
+        return await self._data.run(guarded, timeout)
 
     # -- measuring ---------------------------------------------------------------------------------
 
-    async def _record(self, arguments: Arguments) -> dict[str, Any]:
-        ports = [self._attachments.input(name) for name in arguments.words("inputs")]
-        on = arguments.flag("on")
+    async def _record(self, command: RecordCommand) -> Recording:
+        ports = [self._attachments.input(name) for name in command.inputs]
 
         def turn() -> None:
             for port in ports:
-                port.record(on)
+                port.record(command.on)
 
-        await self._data.run(turn, arguments.seconds("timeout", PATIENCE))
-        return {"now": self._host.steady()}
+        await self._data.run(turn, command.timeout)
+        return Recording(now=self._host.steady())
 
-    async def _records(self, arguments: Arguments) -> dict[str, Any]:
-        port = self._attachments.input(arguments.text("input"))
-        receipts = await self._data.run(lambda: list(port.receipts), arguments.seconds("timeout", PATIENCE))
+    async def _records(self, command: RecordsCommand) -> Records:
+        port = self._attachments.input(command.input)
+        receipts = await self._data.run(lambda: list(port.receipts), command.timeout)
         rows = []
         for received, native in receipts:
             info = self._host.read_info(native)
-            rows.append([received, info.source, info.number, info.publisher])
-        identity = bool(rows) and all(row[3] is not None for row in rows)
-        return {"rows": rows, "publisher_identity": identity, "now": self._host.steady()}
+            rows.append(Receipt(received, info.source, info.number, info.publisher))
+        identity = bool(rows) and all(row.publisher is not None for row in rows)
+        return Records(rows=rows, publisher_identity=identity, now=self._host.steady())
 
-    async def _ping(self, arguments: Arguments) -> dict[str, Any]:
-        return {}
+    async def _ping(self, _: PingCommand) -> Done:
+        return Done()

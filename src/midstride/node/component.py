@@ -9,7 +9,6 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from midstride.errors import NodeError
@@ -30,6 +29,7 @@ from midstride.node.contracts import (
     predicate,
 )
 from midstride.node.declaration import declare
+from midstride.node.declared_parts import DeclaredParts
 from midstride.node.functionality import Functionality
 from midstride.node.modes import listed
 from midstride.node.parameters import Parameter, check_parameter
@@ -38,17 +38,6 @@ from midstride.node.process_context import find, host_factory
 from midstride.node.standalone import remappings
 
 F = TypeVar("F", bound=Callable[..., Any])
-
-
-@dataclass(slots=True)
-class Hooks:
-    """What the author wants called besides modes."""
-
-    setup: Callable[[Any], None] | None = None
-    stop: Callable[[], Any] | None = None
-    stop_timeout: float = 2.0
-    export_state: Callable[[], bytes] | None = None
-    import_state: Callable[[bytes], None] | None = None
 
 
 class Component:
@@ -63,13 +52,13 @@ class Component:
         self.name = check_name(name, "Component()")
         self.instance = name
         self.clock = ComponentClock()
-        self.inputs: dict[str, Input] = {}
-        self.outputs: dict[str, Output] = {}
-        self.functionalities: dict[str, Functionality] = {}
-        self.parameters: dict[str, Parameter] = {}
-        self.hooks = Hooks()
-        self.logger: Any = logging.getLogger(f"midstride.{name}")
+        self._parts = DeclaredParts()
         self._started = False
+
+    @property
+    def logger(self) -> Any:
+        host = self.clock.host
+        return logging.getLogger(f"midstride.{self.name}") if host is None else host.logger
 
     # -- declaring ---------------------------------------------------------------------------------
 
@@ -91,8 +80,8 @@ class Component:
         message_type = check_type(type, where_)
         fields = field_constraints(where, message_type, where_)
         assumption = predicate(message_type, check_rate(rate, where_), check_qos(qos, where_), fields)
-        self.inputs[name] = Input(name, message_type, assumption)
-        return self.inputs[name]
+        self._parts.inputs[name] = Input(name, message_type, assumption)
+        return self._parts.inputs[name]
 
     def create_output(self, name: str, type: type, qos: QoS | int | None = None) -> Output:
         """An output port; attached to no topic until the manager does so.
@@ -101,8 +90,8 @@ class Component:
         input, are the same in all of them (semantics.md section 2, M3). Raises NodeError.
         """
         where = f"output {self._new_port(name)}"
-        self.outputs[name] = Output(name, check_type(type, where), check_qos(qos, where))
-        return self.outputs[name]
+        self._parts.outputs[name] = Output(name, check_type(type, where), check_qos(qos, where))
+        return self._parts.outputs[name]
 
     def create_functionality(
         self, name: str, inputs: Sequence[Input] = (), outputs: Sequence[Output] = (), weight: float = 1
@@ -115,20 +104,20 @@ class Component:
         """
         self._declaring(f"functionality {name}")
         where = f"functionality {check_name(name, 'create_functionality()')}"
-        if name in self.functionalities:
+        if name in self._parts.functionalities:
             raise NodeError(f"{where} exists already; give this one another name")
         check_weight(weight, where)
-        own_inputs = self._own(where, inputs, self.inputs.values(), Input, "inputs")
-        own_outputs = self._own(where, outputs, self.outputs.values(), Output, "outputs")
+        own_inputs = self._own(where, inputs, self._parts.inputs.values(), Input, "inputs")
+        own_outputs = self._own(where, outputs, self._parts.outputs.values(), Output, "outputs")
         for port in own_outputs:
-            for other in self.functionalities.values():
+            for other in self._parts.functionalities.values():
                 if port in other.outputs:
                     raise NodeError(
                         f"{where}: output {port.name} belongs to functionality {other.name} already; an output has one "
                         "owner: create another output, or give both jobs to one functionality"
                     )
-        self.functionalities[name] = Functionality(name, own_inputs, own_outputs, float(weight), self._declaring)
-        return self.functionalities[name]
+        self._parts.functionalities[name] = Functionality(name, own_inputs, own_outputs, float(weight), self._declaring)
+        return self._parts.functionalities[name]
 
     def parameter(
         self, name: str, default: ParameterValue, on_change: Callable[[Any], None] | None = None
@@ -142,13 +131,13 @@ class Component:
         """
         self._declaring(f"parameter {name}")
         check_parameter(name, default)
-        if name in self.parameters:
+        if name in self._parts.parameters:
             raise NodeError(f"parameter {name} exists already")
         parameter = Parameter(name, default, on_change)
         given = find().parameters
         if name in given:
             parameter.begin_with(given[name])
-        self.parameters[name] = parameter
+        self._parts.parameters[name] = parameter
         return parameter
 
     def on_setup(self, fn: F) -> F:
@@ -157,7 +146,7 @@ class Component:
         ``node`` is rclpy's node on ROS 2, the module rospy on ROS 1 (there a process is one node), and None in the
         simulator. What is no port is live from then on (semantics.md section 7). What ``fn`` raises ends the start.
         """
-        self.hooks.setup = self._hook("on_setup", fn)
+        self._parts.hooks.setup = self._hook("on_setup", fn)
         return fn
 
     def on_export_state(self, fn: F) -> F:
@@ -165,12 +154,12 @@ class Component:
 
         What it raises fails that step (semantics.md section 7, State).
         """
-        self.hooks.export_state = self._hook("on_export_state", fn)
+        self._parts.hooks.export_state = self._hook("on_export_state", fn)
         return fn
 
     def on_import_state(self, fn: F) -> F:
         """``fn(state: bytes)``: take up what the replaced component knew. What it raises fails that step."""
-        self.hooks.import_state = self._hook("on_import_state", fn)
+        self._parts.hooks.import_state = self._hook("on_import_state", fn)
         return fn
 
     def on_stop(self, fn: F, timeout: float = 2.0) -> F:
@@ -179,8 +168,8 @@ class Component:
         It may be async. The component ends after ``timeout`` seconds even if it has not returned; what it raises is
         logged. Raises NodeError.
         """
-        self.hooks.stop = self._hook("on_stop", fn)
-        self.hooks.stop_timeout = check_seconds(timeout, "on_stop(timeout=)")
+        self._parts.hooks.stop = self._hook("on_stop", fn)
+        self._parts.hooks.stop_timeout = check_seconds(timeout, "on_stop(timeout=)")
         return fn
 
     # -- running -----------------------------------------------------------------------------------
@@ -189,10 +178,10 @@ class Component:
         """What the component is, in the model's terms. Raises NodeError where it is incomplete."""
         return declare(
             self.name,
-            list(self.inputs.values()),
-            list(self.outputs.values()),
-            list(self.functionalities.values()),
-            list(self.parameters.values()),
+            list(self._parts.inputs.values()),
+            list(self._parts.outputs.values()),
+            list(self._parts.functionalities.values()),
+            list(self._parts.parameters.values()),
         )
 
     def start(self) -> None:
@@ -212,10 +201,10 @@ class Component:
         factory = host_factory(surroundings)
         self._started = True
         host = factory(surroundings.instance or self.name, surroundings.namespace)
-        self.instance, self.clock.host, self.logger = host.instance, host, host.logger
+        self.instance, self.clock.host = host.instance, host
         pid = os.getpid() if surroundings.pid is None else surroundings.pid
-        agent = Agent(self, declaration, host, surroundings.token, pid, standalone)
-        host.run(agent.main, agent.serve)
+        agent = Agent(self._parts, declaration, host, surroundings.token, pid, standalone)
+        host.run(agent.main)
 
     # -- checking ----------------------------------------------------------------------------------
 
@@ -226,7 +215,7 @@ class Component:
     def _new_port(self, name: object) -> str:
         port = check_name(name, "a port's name")
         self._declaring(f"port {port}")
-        if port in self.inputs or port in self.outputs:
+        if port in self._parts.inputs or port in self._parts.outputs:
             raise NodeError(f"port {port} exists already; give this one another name")
         return port
 

@@ -14,10 +14,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, Final
 
-from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
-from midstride.node.ports import GatePolicy, OutputLink
+from midstride.node.ports import GatePolicy, OutputLink, OutputOwner
 from midstride.node.trigger import InfoSet
+from midstride.wire.commands import LastWrite
+from midstride.wire.state import GateState
 
 # How long after T a message published before it may still be on its way (s).
 GRACE: Final = 0.05
@@ -25,7 +26,7 @@ GRACE: Final = 0.05
 Written = tuple[int, int]  # the publisher's number, and when
 
 
-def belongs_after(runner: FunctionalityRunner | None, at: int, host: Host, slot: int = 0) -> bool:
+def belongs_after(runner: OutputOwner | None, at: int, host: Host, slot: int = 0) -> bool:
     """Whether what ``runner`` writes at this moment belongs to the new side of a cut at ``at``.
 
     ``slot`` says which of the slots that a call stands for counts: 0 the first, 1 the last.
@@ -92,12 +93,12 @@ class OutgoingCut(_Side):
 
     @property
     def driven_by_messages(self) -> bool:
-        return any(runner.mode.driven == "message" for runner in self._runners)
+        return any(runner.driven == "message" for runner in self._runners)
 
     def passes(self, link: OutputLink) -> bool:
         return not belongs_after(link.output.owner, self.at, self._host)
 
-    def shows(self, link: OutputLink) -> str:
+    def shows(self, link: OutputLink) -> GateState:
         return "open"
 
     def passed(self) -> bool:
@@ -118,13 +119,13 @@ class OutgoingCut(_Side):
     def relieved(self) -> None:
         self._unwatch()
 
-    def last(self) -> dict[str, list[int | None] | None]:
+    def last(self) -> dict[str, LastWrite | None]:
         """Each output's last number, and when it was written, where that was since the cut was agreed."""
-        told: dict[str, list[int | None] | None] = {}
+        found: dict[str, LastWrite | None] = {}
         for link in self.links:
             number, source = self.written.get(link, (link.count, None))
-            told[str(link)] = [number, source] if number else None
-        return told
+            found[str(link)] = LastWrite(number=number, source=source) if number else None
+        return found
 
     def _unwatch(self) -> None:
         for runner in self._runners:
@@ -136,11 +137,11 @@ class OutgoingCut(_Side):
         if self.newer_at is None and source_of(info, self._host) > self.at:
             self.newer_at = self._last_input
 
-    def _runner_passed(self, runner: FunctionalityRunner) -> bool:
+    def _runner_passed(self, runner: OutputOwner) -> bool:
         if runner.busy is not None and not belongs_after(runner, self.at, self._host):
             return False  # an async call from before T has still to write
         late = self._host.now() - self.at
-        if runner.mode.driven == "message":
+        if runner.driven == "message":
             # Something newer on one input says nothing of another input, or of another publisher: what they
             # published before T may still be on its way.
             quiet = self._host.steady() - self._last_input
@@ -171,7 +172,7 @@ class IncomingCut(_Side):
     def passes(self, link: OutputLink) -> bool:
         return belongs_after(link.output.owner, self.at, self._host, slot=1)
 
-    def shows(self, link: OutputLink) -> str:
+    def shows(self, link: OutputLink) -> GateState:
         return "open" if link in self.written else "closed"
 
     def latch(self) -> None:
@@ -187,8 +188,11 @@ class IncomingCut(_Side):
         for link in self.attached():
             link.set_gate(False)
 
-    def first(self) -> dict[str, list[int] | None]:
-        return {str(link): list(self.written[link]) if link in self.written else None for link in self.links}
+    def first(self) -> dict[str, LastWrite | None]:
+        found: dict[str, LastWrite | None] = dict.fromkeys(map(str, self.links))
+        for link, (number, source) in self.written.items():
+            found[str(link)] = LastWrite(number=number, source=source)
+        return found
 
     def wrote(self, link: OutputLink) -> None:
         self.written.setdefault(link, (link.count, self._host.now()))

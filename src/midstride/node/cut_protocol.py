@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from typing import Any, Final
+from typing import Final
 
 from midstride.errors import BackendError
 from midstride.node.cut import GRACE, IncomingCut, OutgoingCut
 from midstride.node.host import Host
-from midstride.wire.messages import Reply
+from midstride.wire.commands import CutOutcome, CutResult
 
 # How often a side looks whether its moment has come (s): below a slot of 200 Hz.
 TICK: Final = 0.002
 # How long one attempt to tell the peer may take (s), and how many there are: a peer that is gone cannot write.
-TELL_TIMEOUT: Final = 0.25
-TELL_ATTEMPTS: Final = 20
+REPORT_TIMEOUT: Final = 0.25
+REPORT_ATTEMPTS: Final = 20
 
 Changed = Callable[[], None]
 
@@ -28,7 +28,7 @@ class _CutTask:
     """What both sides share: an outcome, and the wish to cancel."""
 
     def __init__(self, host: Host, changed: Changed) -> None:
-        self.outcome: str | None = None
+        self.outcome: CutOutcome | None = None
         self.finished = asyncio.Event()
         self._host = host
         self._changed = changed
@@ -42,7 +42,7 @@ class _CutTask:
         while self._going() and (left := (at - self._host.now()) / 1e9) > 0:
             await self._host.sleep(min(max(left, 0.0001), 0.1))
 
-    async def _end(self, outcome: str, gates: Callable[[], None]) -> None:
+    async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
         """The outcome first, since the peer may ask at any moment; then the gates; then whoever waits is told."""
         self.outcome = outcome
         await self._host.on_data(gates)
@@ -90,8 +90,8 @@ class CutOutTask(_CutTask):
     async def cancel(self) -> None:
         await self._end("cancelled", self.side.reopen)
 
-    def told(self) -> dict[str, Any]:
-        return {"outcome": self.outcome or "waiting", "last": self.side.last()}
+    def result(self) -> CutResult:
+        return CutResult(outcome=self.outcome or "waiting", last=self.side.last())
 
 
 class CutInTask(_CutTask):
@@ -102,12 +102,12 @@ class CutInTask(_CutTask):
         host: Host,
         changed: Changed,
         side: IncomingCut,
-        tell: Callable[[float], Awaitable[Reply]],
+        report: Callable[[float], Awaitable[bool]],
         rate_driven: bool,
     ) -> None:
         super().__init__(host, changed)
         self.side = side
-        self._tell = tell
+        self._report = report
         self._rate_driven = rate_driven
 
     async def run(self) -> None:
@@ -132,23 +132,21 @@ class CutInTask(_CutTask):
 
     def _latch_after(self) -> float:
         owners = [link.output.owner for link in self.side.links]
-        return GRACE if any(owner is not None and owner.mode.driven == "message" for owner in owners) else 0.0
+        return GRACE if any(owner is not None and owner.driven == "message" for owner in owners) else 0.0
 
     async def _resumed(self) -> bool:
         """Tell the old side until it answers; whether it writes again. One that cannot be reached does not write."""
-        for _ in range(TELL_ATTEMPTS):
+        for _ in range(REPORT_ATTEMPTS):
             if not self._going():
                 return False
             try:
-                reply = await self._tell(TELL_TIMEOUT)
+                return await self._report(REPORT_TIMEOUT)
             except BackendError:
-                await self._host.sleep(TELL_TIMEOUT / 5)
-                continue
-            return not reply.ok or bool(reply.result.get("resumed"))
+                await self._host.sleep(REPORT_TIMEOUT / 5)
         return False
 
     async def cancel(self) -> None:
         await self._end("cancelled", self.side.close)
 
-    def told(self) -> dict[str, Any]:
-        return {"outcome": self.outcome or "waiting", "first": self.side.first()}
+    def result(self) -> CutResult:
+        return CutResult(outcome=self.outcome or "waiting", first=self.side.first())

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 from midstride.errors import NodeError
 from midstride.node.modes import Approximate, DeclaredMode, Function, ModeFunction, Promise, declare_mode
 from midstride.node.ports import AnyOf, Input, Output
-
-if TYPE_CHECKING:
-    from midstride.node.functionality_runner import FunctionalityRunner
 
 
 class Functionality:
@@ -33,7 +29,7 @@ class Functionality:
         self.inputs = inputs
         self.outputs = outputs
         self.weight = weight
-        self.runner: FunctionalityRunner | None = None
+        self._current_mode: Callable[[], str] | None = None
         self._changeable = changeable
         self._normal: DeclaredMode | None = None
         self._between: list[DeclaredMode] = []
@@ -116,7 +112,11 @@ class Functionality:
     @property
     def mode(self) -> str | None:
         """The name of the mode it is in; None before the component has started."""
-        return None if self.runner is None else self.runner.mode.name
+        return None if self._current_mode is None else self._current_mode()
+
+    def start(self, current_mode: Callable[[], str]) -> None:
+        """The component has started; ``current_mode`` gives the name of the mode from now on."""
+        self._current_mode = current_mode
 
     def chain(self) -> tuple[DeclaredMode, ...]:
         """All modes, best first. Raises NodeError where the normal or the degraded one is missing."""

@@ -15,6 +15,7 @@ from typing import Any, Final, Protocol
 from midstride.node.functionality import Functionality
 from midstride.node.host import Host
 from midstride.node.modes import DeclaredMode, Function
+from midstride.node.ports import Driven
 from midstride.node.trigger import OnRate, Trigger, trigger_of
 
 # What user code may raise without taking the node down; sys.exit() in a callback is one of its errors.
@@ -63,6 +64,14 @@ class FunctionalityRunner:
     @property
     def mode(self) -> DeclaredMode:
         return self.chain[self.index]
+
+    def current_mode(self) -> str:
+        """The name of the mode it is in."""
+        return self.mode.name
+
+    @property
+    def driven(self) -> Driven:
+        return self.mode.driven
 
     @property
     def last(self) -> int:

@@ -3,117 +3,150 @@
 from __future__ import annotations
 
 import asyncio
-import uuid
-from collections.abc import Awaitable, Callable
-from typing import Any, Final
+from collections.abc import Awaitable, Callable, Sequence
+from typing import Final
 
-from midstride.errors import BackendError, CommandRefused
-from midstride.node.arguments import Arguments
+from midstride.errors import BackendError, CommandRefused, Unreachable
 from midstride.node.attachments import Attachments
 from midstride.node.cut import IncomingCut, OutgoingCut
 from midstride.node.cut_protocol import CutInTask, CutOutTask
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import OutputLink
-from midstride.wire.messages import Command, Reply
+from midstride.wire.channel import Channel, result_of
+from midstride.wire.commands import (
+    AwaitCutCommand,
+    CancelCutCommand,
+    Command,
+    CutInCommand,
+    CutOutcome,
+    CutOutCommand,
+    CutResult,
+    CutSwap,
+    CutTakenCommand,
+    Done,
+    Grid,
+    GridCommand,
+    MeetCommand,
+    PingCommand,
+    Relieved,
+)
+from midstride.wire.frames import Reply
+from midstride.wire.state import GateState
 
-# How long making the acquaintance of a peer may take (s), and one attempt at it.
-MEET_TIMEOUT: Final = 5.0
+# How long one attempt to reach a peer may take (s).
 MEET_ATTEMPT: Final = 0.5
 # How many cuts that are over can still be asked about, or cancelled.
 REMEMBERED: Final = 50
 
 
 class HandoverCommands:
-    def __init__(self, attachments: Attachments, host: Host, data: DataExecutor, changed: Callable[[], None]) -> None:
-        self.token = ""
+    """``changed`` is called when a cut is over; ``token`` gives the token with which peers are called."""
+
+    def __init__(
+        self,
+        attachments: Attachments,
+        host: Host,
+        data: DataExecutor,
+        changed: Callable[[], None],
+        token: Callable[[], str],
+    ) -> None:
         self._attachments = attachments
         self._host = host
         self._data = data
         self._changed = changed
+        self._token = token
         # Both sides of a cut may be here: one output of the component can hand over to another.
         self._sides: dict[str, list[CutOutTask | CutInTask]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
+        self._channels: dict[str, Channel] = {}
 
     def close(self) -> None:
         """The component ends: no side goes on."""
         for task in self._tasks:
             task.cancel()
+        self.disconnect()
+
+    def disconnect(self) -> None:
+        """Forget the peers: they belong to the system that the component leaves."""
+        for channel in self._channels.values():
+            channel.close()
+        self._channels.clear()
 
     # -- before ------------------------------------------------------------------------------------
 
-    async def grid(self, arguments: Arguments) -> dict[str, Any]:
-        port, topic = arguments.text("port"), arguments.text_or("topic", "")
-        owner = self._attachments.output(port).owner
+    async def grid(self, command: GridCommand) -> Grid:
+        owner = self._attachments.output(command.port).owner
         if owner is None:
             raise CommandRefused("the component has not begun yet")
-        rate = owner.rate
-        return {
-            "trigger": owner.mode.driven,
-            "epoch": None if rate is None else rate.slot,
-            "period": None if rate is None else rate.period,
-            "now": self._host.now(),
-            "readers": self._attachments.link(port, topic).publisher.matched() if topic else None,
-        }
+        rate, topic = owner.rate, command.topic
+        return Grid(
+            trigger=owner.driven,
+            epoch=None if rate is None else rate.slot,
+            period=None if rate is None else rate.period,
+            now=self._host.now(),
+            readers=None if topic is None else self._attachments.link(command.port, topic).publisher.matched(),
+        )
 
-    async def meet(self, arguments: Arguments) -> dict[str, Any]:
-        """Find the peer and have it answer, so that `taken` will not wait for discovery."""
-        peer = arguments.text("peer")
-        timeout = arguments.seconds("timeout", MEET_TIMEOUT)
-        deadline = self._host.steady() + int(timeout * 1e9)
+    async def meet(self, command: MeetCommand) -> Done:
+        """Connect to the peer and have it answer; the connection is kept for the report of the first write."""
+        deadline = self._host.steady() + int(command.timeout * 1e9)
         while True:
             try:
-                reply = await self._call(peer, "ping", {}, MEET_ATTEMPT)
+                reply = await self._call(command.address, PingCommand(), MEET_ATTEMPT)
                 break
             except BackendError as error:
                 if self._host.steady() >= deadline:
-                    raise CommandRefused(f"{peer} did not answer within {timeout:g} s: {error}") from None
+                    raise CommandRefused(
+                        f"{command.peer} did not answer within {command.timeout:g} s: {error}"
+                    ) from None
                 await self._host.sleep(0.02)
         if not reply.ok:
-            raise CommandRefused(f"{peer} refused a ping: {reply.refused}")
-        return {}
+            raise CommandRefused(f"{command.peer} refused a ping: {reply.refused}")
+        return Done()
 
     # -- the cut -----------------------------------------------------------------------------------
 
-    async def cut_out(self, arguments: Arguments) -> dict[str, Any]:
-        cut, at, links = self._agreed(arguments, CutOutTask, gate="open")
-        side = OutgoingCut(links, at, self._host)
-        await self._arm(at, side.arm)
-        self._begin(cut, CutOutTask(self._host, self._changed, side, arguments.seconds("resume_after")))
-        return {}
+    async def cut_out(self, command: CutOutCommand) -> Done:
+        links = self._agreed(command.cut, command.swaps, CutOutTask, gate="open")
+        side = OutgoingCut(links, command.at, self._host)
+        await self._arm(command.at, side.arm)
+        self._begin(command.cut, CutOutTask(self._host, self._changed, side, command.resume_after))
+        return Done()
 
-    async def cut_in(self, arguments: Arguments) -> dict[str, Any]:
-        cut, at, links = self._agreed(arguments, CutInTask, gate="closed")
-        peer, epoch = arguments.text("peer"), arguments.maybe_whole("epoch")
-        latches = [
-            link for link, swap in zip(links, arguments.tables("swaps"), strict=True) if swap.get("latch") is True
-        ]
-        side = IncomingCut(links, at, self._host, latches)
-        await self._arm(at, lambda: side.arm(epoch))
+    async def cut_in(self, command: CutInCommand) -> Done:
+        links = self._agreed(command.cut, command.swaps, CutInTask, gate="closed")
+        latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
+        side = IncomingCut(links, command.at, self._host, latches)
+        await self._arm(command.at, lambda: side.arm(command.epoch))
         rate_driven = all(link.output.owner is not None and link.output.owner.rate is not None for link in links)
-        self._begin(cut, CutInTask(self._host, self._changed, side, self._teller(cut, peer), rate_driven))
-        return {}
+        report = self._reporter(command.cut, command.address)
+        self._begin(command.cut, CutInTask(self._host, self._changed, side, report, rate_driven))
+        return Done()
 
-    async def cancel_cut(self, arguments: Arguments) -> dict[str, Any]:
-        for side in self._of(arguments.text("cut")):
+    async def cancel_cut(self, command: CancelCutCommand) -> Done:
+        for side in self._of(command.cut):
             await side.cancel()
-        return {}
+        return Done()
 
-    async def await_cut(self, arguments: Arguments) -> dict[str, Any]:
-        sides = self._of(arguments.text("cut"))
+    async def await_cut(self, command: AwaitCutCommand) -> CutResult:
+        sides = self._of(command.cut)
         if not sides:
-            raise CommandRefused(f"there is no cut {arguments.text('cut')}")
+            raise CommandRefused(f"there is no cut {command.cut}")
         over = asyncio.gather(*(side.finished.wait() for side in sides))
-        await within(self._host, over, arguments.seconds("timeout", 5.0))
-        told: dict[str, Any] = {}
-        for side in sorted(sides, key=lambda side: side.outcome != "done", reverse=True):
-            told = {**side.told(), **told}  # of two sides here, what keeps the cut from being done
-        return told
+        await within(self._host, over, command.timeout)
+        results = [side.result() for side in sides]
+        # Where both sides are here: what keeps the cut from being done.
+        open_outcomes: list[CutOutcome] = [result.outcome for result in results if result.outcome != "done"]
+        outcome: CutOutcome = open_outcomes[0] if open_outcomes else "done"
+        last = {name: write for result in results for name, write in result.last.items()}
+        first = {name: write for result in results for name, write in result.first.items()}
+        return CutResult(outcome=outcome, last=last, first=first)
 
-    async def taken(self, arguments: Arguments) -> dict[str, Any]:
+    async def taken(self, command: CutTakenCommand) -> Relieved:
         """From the new side. Of a cut that is not known here nothing was given up, so this side writes."""
-        old = [side for side in self._of(arguments.text("cut")) if isinstance(side, CutOutTask)]
-        return {"resumed": any(side.taken() for side in old) if old else True}
+        old = [side for side in self._of(command.cut) if isinstance(side, CutOutTask)]
+        return Relieved(resumed=any(side.taken() for side in old) if old else True)
 
     # -- parts -------------------------------------------------------------------------------------
 
@@ -121,15 +154,13 @@ class HandoverCommands:
         """The sides of a cut that are here."""
         return self._sides.get(cut, [])
 
-    def _agreed(self, arguments: Arguments, kind: type, gate: str) -> tuple[str, int, list[OutputLink]]:
-        """The cut's id, its moment and its attachments. Raises CommandRefused where one is not fit for it."""
-        cut, at = arguments.text("cut"), arguments.whole("at")
+    def _agreed(self, cut: str, swaps: Sequence[CutSwap], kind: type, gate: GateState) -> list[OutputLink]:
+        """The attachments of a cut. Raises CommandRefused where one is not fit for it."""
         if any(isinstance(side, kind) for side in self._of(cut)):
             raise CommandRefused(f"cut {cut} has been agreed before")
         links = []
-        for swap in arguments.tables("swaps"):
-            of = Arguments("a swap of the cut", swap)
-            link = self._attachments.link(of.text("port"), of.text("topic"))
+        for swap in swaps:
+            link = self._attachments.link(swap.port, swap.topic)
             if link.cut is not None:
                 raise CommandRefused(f"{link} is part of another cut under way")
             if link.gate != gate:
@@ -137,10 +168,10 @@ class HandoverCommands:
             links.append(link)
         if not links:
             raise CommandRefused("a cut needs at least one swap")
-        return cut, at, links
+        return links
 
     async def _arm(self, at: int, arm: Callable[[], None]) -> None:
-        """Tell the data side of the cut, before its moment or not at all."""
+        """Prepare the data thread for the cut, before its moment or not at all."""
         left = (at - self._host.now()) / 1e9
 
         def in_time() -> None:
@@ -166,8 +197,25 @@ class HandoverCommands:
         if not task.cancelled() and (error := task.exception()) is not None:
             self._host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
 
-    def _teller(self, cut: str, peer: str) -> Callable[[float], Awaitable[Reply]]:
-        return lambda timeout: self._call(peer, "taken", {"cut": cut}, timeout)
+    def _reporter(self, cut: str, address: str) -> Callable[[float], Awaitable[bool]]:
+        """Reports the first write to the old side; whether that writes again, since the report came too late."""
 
-    async def _call(self, peer: str, op: str, arguments: dict[str, Any], timeout: float) -> Reply:
-        return await self._host.call_peer(peer, Command(op, arguments, uuid.uuid4().hex, self.token), timeout)
+        async def report(timeout: float) -> bool:
+            command = CutTakenCommand(cut=cut)
+            reply = await self._call(address, command, timeout)
+            return not reply.ok or result_of(reply, command).resumed
+
+        return report
+
+    async def _call(self, address: str, command: Command[Done] | Command[Relieved], timeout: float) -> Reply:
+        """Raises CallTimeout or Unreachable."""
+        channel = self._channels.get(address)
+        if channel is None or channel.closed.is_set():
+            if self._host.transport is None:
+                raise Unreachable("this component runs without a control socket, so it has no peers")
+            made = await Channel.open(self._host.transport, address, self._token(), timeout=timeout)
+            self._channels = {peer: other for peer, other in self._channels.items() if not other.closed.is_set()}
+            channel = self._channels.setdefault(address, made)
+            if channel is not made:  # another cut has connected to the same peer meanwhile
+                made.close()
+        return await channel.request(command, timeout=timeout)

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from midstride.model.contract import QoS
-from midstride.wire.messages import Announcement, Command, Reply
+from midstride.wire.state import ComponentState, Endpoint
+from midstride.wire.transport import Transport
 
 T = TypeVar("T")
 
@@ -79,6 +80,8 @@ class Host(Protocol):
 
     backend: str
     instance: str
+    # Where it listens for its manager; None where it belongs to no system.
+    transport: Transport | None
 
     def now(self) -> int:
         """The ROS clock, ns; 0 while it is driven by ``/clock`` and none has come. On the data path: cheap."""
@@ -143,17 +146,15 @@ class Host(Protocol):
         """On the steady clock."""
         ...
 
-    async def call_peer(self, instance: str, command: Command, timeout: float) -> Reply:
-        """Call another component. Raises CallTimeout or Unreachable."""
+    def reachable(self) -> str:
+        """Where a manager can find it, in words."""
         ...
 
-    def announce(self, announcement: Announcement) -> None: ...
-
-    def publish_state(self, state: dict[str, Any]) -> None:
-        """Let the platform's own tools see the component's state (ROS 2: parameters)."""
+    def publish_state(self, state: ComponentState) -> None:
+        """Show the state to the platform's own tools, read only (ROS 2: parameters; ROS 1: a latched topic)."""
         ...
 
-    def extra_endpoints(self) -> list[dict[str, str]]:
+    def extra_endpoints(self) -> list[Endpoint]:
         """Endpoints of the ROS node that are neither ports nor ROS's own, after the author's set-up."""
         ...
 
@@ -168,11 +169,10 @@ class Host(Protocol):
         """
         ...
 
-    def run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
-        """Bring the process up, serve commands, run ``main`` on the control side, and return when it does.
+    def run(self, main: Callable[[], Awaitable[None]]) -> None:
+        """Bring the process up, run ``main`` on the control thread, and return when it does.
 
-        What ``main`` raises is raised here. Commands served by then are answered before the process
-        leaves the platform. The only place where signal handlers are set: SIGTERM and SIGINT cancel
+        What ``main`` raises is raised here. The only place where signal handlers are set: SIGTERM and SIGINT cancel
         ``main``, which then ends in order.
         """
         ...

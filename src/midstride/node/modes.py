@@ -5,16 +5,15 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, TypeAlias
 
 from midstride.errors import NodeError
 from midstride.node.contracts import Guarantee, check_name, check_rate, check_seconds
-from midstride.node.ports import AnyOf, Input, Output
+from midstride.node.ports import AnyOf, Driven, Input, Output
 
 Function: TypeAlias = Callable[..., Any]
 ModeFunction: TypeAlias = Function | Mapping[Input, Function]
 Promise: TypeAlias = Guarantee | float | int
-Driven: TypeAlias = Literal["rate", "message", "none"]
 
 
 @dataclass(frozen=True, slots=True)

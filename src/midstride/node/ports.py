@@ -9,15 +9,13 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, Final, Protocol
+from typing import Any, Final, Literal, Protocol, TypeAlias
 
 from midstride.errors import NodeError
 from midstride.model.contract import Predicate, QoS
 from midstride.node.contracts import type_name
 from midstride.node.host import Host, Publisher, Subscription
-
-if TYPE_CHECKING:
-    from midstride.node.functionality_runner import FunctionalityRunner
+from midstride.wire.state import GateState
 
 # How many receipts an input remembers while nobody records: enough to see 20 periods back.
 REMEMBERED: Final = 64
@@ -25,6 +23,7 @@ REMEMBERED: Final = 64
 RECORDED: Final = 200_000
 
 Listener = Callable[[Any, Any], None]
+Driven: TypeAlias = Literal["rate", "message", "none"]
 
 
 class GatePolicy(Protocol):
@@ -34,7 +33,43 @@ class GatePolicy(Protocol):
 
     def wrote(self, link: OutputLink) -> None: ...
 
-    def shows(self, link: OutputLink) -> str: ...
+    def shows(self, link: OutputLink) -> GateState: ...
+
+
+class TimeGrid(Protocol):
+    """The slots of a rate-driven mode: ``period`` (s), and the slot of its last call (ns)."""
+
+    @property
+    def period(self) -> float: ...
+
+    @property
+    def slot(self) -> int | None: ...
+
+    def regrid(self, epoch: int) -> None:
+        """Continue along the grid through ``epoch`` (ns)."""
+        ...
+
+
+class OutputOwner(Protocol):
+    """The running functionality that an output belongs to, as far as its attachments need to know it."""
+
+    # When in time the current call belongs: the slots it accounts for, or the info of what it answers.
+    slots: tuple[int, int] | None
+    info: Any
+    busy: int | None
+    # During a cut, called with every message that reaches the functionality.
+    watch: Callable[[Any], None] | None
+
+    @property
+    def failed(self) -> bool:
+        """Whether it is in its mode because user code raised."""
+        ...
+
+    @property
+    def driven(self) -> Driven: ...
+
+    @property
+    def rate(self) -> TimeGrid | None: ...
 
 
 class OutputLink:
@@ -81,7 +116,7 @@ class OutputLink:
         self.open = open_
 
     @property
-    def gate(self) -> str:
+    def gate(self) -> GateState:
         if self.cut is not None:
             return self.cut.shows(self)
         return "open" if self.open else "closed"
@@ -107,7 +142,7 @@ class Output:
         self.last: Any = None
         self.wrong_type: str | None = None
         self.links: tuple[OutputLink, ...] = ()
-        self.owner: FunctionalityRunner | None = None
+        self.owner: OutputOwner | None = None
 
     def write(self, message: Any) -> None:
         """Publish ``message``. Raises NodeError where it is not of the output's type.

@@ -1,6 +1,6 @@
 """Who this process is, and which platform it runs on: asked once, in ``Component.start``.
 
-The manager tells a component's process through environment variables (wire/messages.py). In the
+The manager tells a component's process through environment variables (wire/environment.py). In the
 simulator many components share one process, so there a context variable says it instead.
 """
 
@@ -18,7 +18,7 @@ from typing import Any, Final, cast
 
 from midstride.errors import NodeError
 from midstride.node.host import HostFactory
-from midstride.wire.messages import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
+from midstride.wire.environment import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
 
 # Back ends that a component finds by itself: the library that says the platform is there, and where ours is.
 # Each module has `create_host(name, namespace) -> Host`.

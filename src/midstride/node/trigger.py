@@ -7,14 +7,29 @@ call and when in time the call belongs: a slot of the grid, or the messages it a
 from __future__ import annotations
 
 from collections import deque
-from typing import TYPE_CHECKING, Any, Protocol
+from collections.abc import Callable
+from typing import Any, Protocol
 
 from midstride.node.host import Host, Timer
 from midstride.node.modes import DeclaredMode, Function
 from midstride.node.ports import Input, Listener
 
-if TYPE_CHECKING:
-    from midstride.node.functionality_runner import FunctionalityRunner
+
+class Caller(Protocol):
+    """Calls user code: the running functionality, as a trigger knows it."""
+
+    watch: Callable[[Any], None] | None
+
+    @property
+    def ready(self) -> bool:
+        """Whether a call may start."""
+        ...
+
+    def call(
+        self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any
+    ) -> None: ...
+
+    def postpone(self, function: Function, arguments: tuple[Any, ...], info: Any) -> None: ...
 
 
 class Trigger(Protocol):
@@ -32,7 +47,7 @@ class InfoSet(tuple[Any, ...]):
 class OnEntry:
     """Called once."""
 
-    def __init__(self, runner: FunctionalityRunner, function: Function) -> None:
+    def __init__(self, runner: Caller, function: Function) -> None:
         self._runner = runner
         self._function = function
 
@@ -46,7 +61,7 @@ class OnEntry:
 class OnRate:
     """Called on a time grid, the first time on entry. A slot whose turn comes during a call is skipped."""
 
-    def __init__(self, runner: FunctionalityRunner, host: Host, function: Function, period: float) -> None:
+    def __init__(self, runner: Caller, host: Host, function: Function, period: float) -> None:
         self.period = period
         self.slot: int | None = None
         self._runner = runner
@@ -76,7 +91,7 @@ class OnRate:
 class OnMessage:
     """Called for every message of some inputs."""
 
-    def __init__(self, runner: FunctionalityRunner, handlers: tuple[tuple[Input, Function], ...]) -> None:
+    def __init__(self, runner: Caller, handlers: tuple[tuple[Input, Function], ...]) -> None:
         self._runner = runner
         self._listeners = [(port, self._listener(function)) for port, function in handlers]
 
@@ -105,7 +120,7 @@ class OnMessage:
 class OnSet:
     """Called with one message of each input, their times within the slop: the closest ones, oldest first."""
 
-    def __init__(self, runner: FunctionalityRunner, host: Host, mode: DeclaredMode) -> None:
+    def __init__(self, runner: Caller, host: Host, mode: DeclaredMode) -> None:
         assert mode.sync is not None and mode.function is not None
         self._runner = runner
         self._host = host
@@ -165,7 +180,7 @@ class OnSet:
             self._runner.postpone(self._function, messages, infos)
 
 
-def trigger_of(mode: DeclaredMode, runner: FunctionalityRunner, host: Host) -> Trigger:
+def trigger_of(mode: DeclaredMode, runner: Caller, host: Host) -> Trigger:
     if mode.driven == "message":
         return OnSet(runner, host, mode) if mode.sync is not None else OnMessage(runner, mode.handlers)
     assert mode.function is not None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from midstride.model.action import Degrade
 from midstride.model.component import FunctionalityRef
@@ -34,16 +34,6 @@ class Degradation:
     because: str
     unserved: int | None = None
 
-    def to_document(self) -> dict[str, Any]:
-        return {
-            "functionality": str(self.functionality),
-            "from_step": self.since,
-            "to_step": self.until,
-            "seconds": self.seconds,
-            "because": self.because,
-            "unserved_from_step": self.unserved,
-        }
-
     def __str__(self) -> str:
         back = "" if self.until is None else f" to step {self.until}"
         stretch = f"from step {self.since}{back} ({self.seconds:g} s)"
@@ -61,14 +51,6 @@ class LevelShift:
     before: str | None
     after: str | None
     levels: int
-
-    def to_document(self) -> dict[str, Any]:
-        return {
-            "functionality": str(self.functionality),
-            "from": self.before,
-            "to": self.after,
-            "levels": self.levels,
-        }
 
 
 def shifts(plan: Plan) -> tuple[LevelShift, ...]:

@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
+import msgspec
+
+from midstride.codec.form import Form
 from midstride.errors import PlanRefused
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef
@@ -55,25 +57,48 @@ class Impact:
         """Whether another component's functionality falls to its last mode."""
         return any(fall.is_last for fall in self.falls)
 
-    def to_document(self) -> dict[str, Any]:
-        return {
-            "node": self.role,
-            "component": self.component,
-            "single_point_of_failure": self.single_point_of_failure,
-            "loss": self.loss,
-            "own": list(self.own),
-            "falls": [
-                {
-                    "functionality": str(fall.functionality),
-                    "from": fall.before,
-                    "to": fall.after,
-                    "levels": fall.levels,
-                    "weight": fall.weight,
-                    "because": list(fall.because),
-                }
-                for fall in self.falls
+
+class ImpactedForm(Form, frozen=True, omit_defaults=False):
+    """A functionality that falls, in JSON."""
+
+    functionality: str
+    before: str = msgspec.field(name="from")
+    after: str = msgspec.field(name="to")
+    levels: int
+    weight: float
+    because: list[str]
+
+
+class ImpactForm(Form, frozen=True, omit_defaults=False):
+    """What falls if a node is gone, in JSON (`midstride impact --json`)."""
+
+    node: str
+    component: str
+    single_point_of_failure: bool
+    loss: float
+    own: list[str]
+    falls: list[ImpactedForm]
+
+    @classmethod
+    def of(cls, impact: Impact) -> ImpactForm:
+        return cls(
+            node=impact.role,
+            component=impact.component,
+            single_point_of_failure=impact.single_point_of_failure,
+            loss=impact.loss,
+            own=list(impact.own),
+            falls=[
+                ImpactedForm(
+                    functionality=str(fall.functionality),
+                    before=fall.before,
+                    after=fall.after,
+                    levels=fall.levels,
+                    weight=fall.weight,
+                    because=list(fall.because),
+                )
+                for fall in impact.falls
             ],
-        }
+        )
 
 
 def impacts(specification: Specification, roles: Iterable[str] = ()) -> list[Impact]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from midstride.model.action import Action
 from midstride.model.component import FunctionalityRef
@@ -101,13 +101,3 @@ class Plan:
     def dependencies(self) -> tuple[tuple[int, ...], ...]:
         """For each step, the earlier ones it does not commute with: it must wait for these alone."""
         return dependencies(self.change, self.steps, Levels(self.change))
-
-    def step_documents(self) -> list[dict[str, Any]]:
-        """The steps as interfaces.md writes them."""
-        return [step.to_document() for step in self.steps]
-
-    def to_document(self) -> dict[str, Any]:
-        """The whole plan as interfaces.md writes it, both specifications included: linear in the system."""
-        from midstride.plan.document import plan_to_document
-
-        return plan_to_document(self)

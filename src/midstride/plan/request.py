@@ -3,21 +3,15 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Final
 
 from immutables import Map
 
-from midstride.errors import PlanRefused, SpecificationError
+from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec
 from midstride.model.diagnostics import Problem
-from midstride.model.document import (
-    component_from_document,
-    component_to_document,
-    specification_from_document,
-    specification_to_document,
-)
 from midstride.model.specification import Node, Specification
 from midstride.model.specification_checks import check, check_component, check_node, errors
 
@@ -82,51 +76,6 @@ class Request:
         if self.to is not None:
             words.append(f"apply {self.to.name}")
         return ", ".join(words) or "nothing"
-
-    def to_document(self) -> dict[str, Any]:
-        return {
-            "replace": [list(pair) for pair in self.replace],
-            "add": [
-                {
-                    "role": node.role,
-                    "component": node.component,
-                    "attachments": {port: list(names) for port, names in node.attachments.items()},
-                    "parameters": dict(node.parameters),
-                }
-                for node in self.add
-            ],
-            "remove": list(self.remove),
-            "to": None if self.to is None else specification_to_document(self.to),
-            "components": [component_to_document(component) for component in self.components],
-            "strategy": self.strategy,
-        }
-
-    @classmethod
-    def from_document(cls, document: Mapping[str, Any]) -> Request:
-        """Raises SpecificationError where the document is no request."""
-        unknown = set(document) - {"replace", "add", "remove", "to", "components", "strategy"}
-        if unknown:
-            raise SpecificationError(f"/: unknown key {sorted(unknown)[0]!r}")
-        try:
-            to = document.get("to")
-            return cls(
-                replace=tuple((str(role), str(name)) for role, name in document.get("replace") or ()),
-                add=tuple(_node(entry) for entry in document.get("add") or ()),
-                remove=tuple(str(role) for role in document.get("remove") or ()),
-                to=None if to is None else specification_from_document(to),
-                components=tuple(component_from_document(entry) for entry in document.get("components") or ()),
-                strategy=str(document.get("strategy") or "minimal"),
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise SpecificationError(f"not a request for a change ({type(error).__name__}: {error})") from None
-
-
-def _node(entry: Mapping[str, Any]) -> Node:
-    attachments = {
-        str(port): tuple([names] if isinstance(names, str) else names)
-        for port, names in (entry.get("attachments") or {}).items()
-    }
-    return Node(str(entry["role"]), str(entry["component"]), Map(attachments), Map(entry.get("parameters") or {}))
 
 
 def _well_formed(problems: Iterable[Problem], of: str = "") -> None:

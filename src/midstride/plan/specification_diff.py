@@ -7,9 +7,9 @@ set in place. The plan that takes one to the other is another matter.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, Literal
 
+from midstride.codec.form import Form
 from midstride.model.component import ComponentSpec, Connector, ParameterSpec
 from midstride.model.contract import NOTHING, Contract, format_number
 from midstride.model.specification import Node, Specification
@@ -17,8 +17,7 @@ from midstride.model.specification import Node, Specification
 Kind = Literal["added", "removed", "changed", "replaced", "rewired", "set"]
 
 
-@dataclass(frozen=True, slots=True)
-class Difference:
+class Difference(Form, frozen=True, omit_defaults=False):
     """One difference: of what (``topic /scan``), of which kind, and its details, a line each."""
 
     subject: str
@@ -27,9 +26,6 @@ class Difference:
 
     def __str__(self) -> str:
         return "\n".join([f"{self.subject}: {self.kind}", *(f"  {detail}" for detail in self.details)])
-
-    def to_document(self) -> dict[str, Any]:
-        return {"subject": self.subject, "kind": self.kind, "details": list(self.details)}
 
 
 def differences(old: Specification, new: Specification) -> list[Difference]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
-from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 
@@ -40,32 +39,6 @@ class Step:
             return f"{self.action.kind} {told}"
         return self.action.describe()
 
-    def to_document(self) -> dict[str, Any]:
-        """The step as interfaces.md writes it."""
-        action = self.action
-        document: dict[str, Any] = {"action": action.kind}
-        match action:
-            case Create():
-                instance = action.instance
-                document |= {"component": instance.name, "role": instance.role, "of": instance.component.name}
-                document["parameters"] = _plain(instance.parameters)
-            case Remove():
-                document["component"] = action.instance
-            case Attach() | Detach():
-                document |= {"port": str(action.port), "connector": action.connector}
-            case Degrade() | Upgrade():
-                document["modes"] = {
-                    str(change.functionality): {"from": change.before, "to": change.after} for change in self.modes
-                }
-            case Handover():
-                document["swaps"] = [
-                    {"connector": swap.connector, "old": str(swap.old), "new": str(swap.new)} for swap in action.swaps
-                ]
-            case SetParameters():
-                document |= {"component": action.instance, "parameters": _plain(action.parameters)}
-        document["seconds"] = self.seconds
-        return document
-
     def __str__(self) -> str:
         return self.describe()
 
@@ -79,9 +52,3 @@ def mode_changes(configuration: Configuration, action: Action) -> tuple[ModeChan
         modes = configuration.functionality(ref).modes
         changes.append(ModeChange(ref, modes[configuration.modes[ref]].name, modes[index].name))
     return tuple(changes)
-
-
-def _plain(parameters: Any) -> dict[str, Any]:
-    return {
-        name: list(value) if isinstance(value, (list, tuple)) else value for name, value in sorted(parameters.items())
-    }

@@ -7,9 +7,9 @@ costs are worked out anew, slowly and straight from the definition. The verdict 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Final, Literal
 
 from midstride.errors import MidstrideError
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
@@ -19,7 +19,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import violations
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.plan.constraints import in_force
-from midstride.plan.document import plan_from_document
+from midstride.plan.decoding import decode_plan
 from midstride.plan.plan import Plan
 
 _EPSILON: Final = 1e-6
@@ -56,10 +56,10 @@ class ReplayResult:
         return "the plan does not hold: " + "; ".join(str(finding) for finding in self.findings)
 
 
-def replay_document(document: Mapping[str, Any]) -> ReplayResult:
+def replay_document(document: object) -> ReplayResult:
     """The verdict on a plan in its JSON form. What cannot be read, or does not fit together, is a finding."""
     try:
-        plan = plan_from_document(document)
+        plan = decode_plan(document)
     except MidstrideError as error:
         return ReplayResult("violated", (ReplayFinding(None, str(error)),), 0)
     return replay(plan)

@@ -8,20 +8,37 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from midstride.errors import CallTimeout, MidstrideError, Unreachable
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, hand_over
+from midstride.runtime.handover import (
+    ATTACH_TIMEOUT,
+    DETACH_TIMEOUT,
+    LingeringReaders,
+    hand_over,
+    no_lingering_readers,
+)
 from midstride.runtime.launcher import Launcher
+from midstride.wire.commands import (
+    AttachCommand,
+    Command,
+    DetachCommand,
+    ExportStateCommand,
+    ImportStateCommand,
+    ModesCommand,
+    SetParametersCommand,
+)
+
+R = TypeVar("R")
 
 # How long a call of user code may take to return before a mode change is given up (s).
 DRAIN_TIMEOUT: Final = 5.0
 
-Told = Callable[[str, str, dict[str, Any]], None]
+Tell = Callable[[str, str, dict[str, Any]], object]
 
 
 @dataclass(slots=True)
@@ -32,15 +49,16 @@ class ActionDriver:
     ``last_numbers`` holds the number of the last message of each output that was taken off its topic.
     """
 
-    link: ComponentClient
+    client: ComponentClient
     launcher: Launcher
-    tell: Told
+    tell: Tell
     is_gone: Callable[[str], bool] = lambda _: False
+    lingering_readers: LingeringReaders = no_lingering_readers
     before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
     drain_timeout: float = DRAIN_TIMEOUT
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
-    _exported: dict[str, str] = field(default_factory=dict)  # by role: a change removes of each at most one instance
+    _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes of each at most one instance
 
     async def perform(self, action: Action, configuration: Configuration, because: str) -> None:
         """Carry out ``action``, whose precondition holds in ``configuration``. Raises MidstrideError.
@@ -63,7 +81,7 @@ class ActionDriver:
             case Handover():
                 await self._hand_over(action, configuration)
             case SetParameters():
-                await self.link.change(action.instance, "set", parameters=dict(action.parameters))
+                await self.client.change(action.instance, SetParametersCommand(parameters=dict(action.parameters)))
 
     def _is_void(self, action: Action, configuration: Configuration) -> bool:
         """Whether nothing is to be done on the components: the action only takes something from a process that has
@@ -90,9 +108,9 @@ class ActionDriver:
         instance = configuration.instances[action.instance]
         if not self.rolling_back:  # else it is what this very change has created, and what comes back has its own
             try:
-                exported = await self.link.read(action.instance, "export_state")
-                if exported.get("state") is not None:
-                    self._exported[instance.role] = exported["state"]
+                exported = await self.client.read(action.instance, ExportStateCommand())
+                if exported.state is not None:
+                    self._exported[instance.role] = exported.state
             except (CallTimeout, Unreachable) as error:  # what no longer answers must still be removable
                 self.tell("note", f"the state of {action.instance} is lost: {error}", {})
         if instance.component.run is None:
@@ -101,47 +119,31 @@ class ActionDriver:
         else:
             await self.launcher.end(action.instance)
 
-    async def _give(self, instance: str, state: str) -> None:
+    async def _give(self, instance: str, state: bytes) -> None:
         try:
-            await self.link.change(instance, "import_state", state=state)
+            await self.client.change(instance, ImportStateCommand(state=state))
         except MidstrideError as error:
             if not self.rolling_back:
                 raise
-            self.tell("note", f"{instance} has not taken up its state again: {error}", {})
+            self.tell("note", f"{instance} did not restore its state: {error}", {})
 
     async def _attach(self, action: Attach, configuration: Configuration) -> None:
         port, output = action.port, configuration.is_output(action.port)
-        peers = len(
-            configuration.subscribers_on(action.connector) if output else configuration.publishers_on(action.connector)
-        )
+        others = configuration.subscribers_on if output else configuration.publishers_on
         topic = configuration.context.connectors[action.connector].topic
-        gate = {"gate": "open"} if output else {}
-        await self._or_undone(
-            self.link.change(
-                port.instance, "attach", timeout=ATTACH_TIMEOUT, port=port.port, topic=topic, peers=peers, **gate
-            ),
-            port.instance,
-            "detach",
-            port=port.port,
-            topic=topic,
-        )
+        attach = AttachCommand(port=port.port, topic=topic, peers=len(others(action.connector)), timeout=ATTACH_TIMEOUT)
+        detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        await self._or_undone(self.client.change(port.instance, attach), port.instance, detach)
 
     async def _detach(self, action: Detach, configuration: Configuration) -> None:
         port, topic = action.port, configuration.context.connectors[action.connector].topic
-        gate = {"gate": "open"} if configuration.is_output(port) else {}
-        reply = await self._or_undone(
-            self.link.change(port.instance, "detach", timeout=DETACH_TIMEOUT, port=port.port, topic=topic),
-            port.instance,
-            "attach",
-            port=port.port,
-            topic=topic,
-            peers=0,
-            **gate,
-        )
-        if reply.get("last"):
-            self.last_numbers[port] = int(reply["last"])
-        if reply.get("acknowledged") is None and configuration.is_output(port):
-            self.tell("note", f"{port}: nobody can tell whether its last messages on {topic} arrived", {})
+        detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        attach = AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        reply = await self._or_undone(self.client.change(port.instance, detach), port.instance, attach)
+        if reply.last:
+            self.last_numbers[port] = reply.last
+        if reply.acknowledged is None and configuration.is_output(port):
+            self.tell("note", f"{port}: unknown whether its last messages on {topic} arrived", {})
 
     async def _set_modes(self, action: Degrade | Upgrade, configuration: Configuration, because: str) -> None:
         """The functionalities of each component at once, the components one after the other."""
@@ -153,10 +155,12 @@ class ActionDriver:
                     ref.functionality: configuration.functionality(ref).modes[index].name
                     for ref, index in modes.items()
                 }
-                await self.link.change(component, "modes", self.drain_timeout, modes=wanted, because=because)
+                command = ModesCommand(modes=wanted, because=because, timeout=self.drain_timeout)
+                await self.client.change(component, command)
         except Exception:
             for component, before in reversed(changed):
-                await self.link.take_back(component, "modes", self.drain_timeout, modes=before, because="roll-back")
+                undo = ModesCommand(modes=before, because="roll-back", timeout=self.drain_timeout)
+                await self.client.undo(component, undo)
             raise
 
     async def _hand_over(self, action: Handover, configuration: Configuration) -> None:
@@ -167,30 +171,28 @@ class ActionDriver:
                 await self._carry_state(old, new)
         if self.before_handover is not None:
             await self.before_handover(configuration, action)
-        handed = await hand_over(self.link, configuration, action)
+        handed = await hand_over(self.client, self.lingering_readers, configuration, action)
         self.last_numbers.update(handed.last)
         for warning in handed.warnings:
             self.tell("note", warning, {})
 
     async def _carry_state(self, old: str, new: str) -> None:
         try:
-            exported = await self.link.read(old, "export_state")
+            exported = await self.client.read(old, ExportStateCommand())
         except MidstrideError as error:
             if not self.rolling_back:
                 raise
-            self.tell("note", f"{new} goes on with the state it had: {error}", {})
+            self.tell("note", f"{new} keeps its own state: {error}", {})
             return
-        if exported.get("state") is not None:
-            await self._give(new, exported["state"])
+        if exported.state is not None:
+            await self._give(new, exported.state)
 
-    async def _or_undone(
-        self, attempt: Awaitable[dict[str, Any]], component: str, op: str, **arguments: Any
-    ) -> dict[str, Any]:
-        """``attempt``; where it fails, ``op`` takes back what it may have left."""
+    async def _or_undone(self, attempt: Awaitable[R], instance: str, undo: Command[Any]) -> R:
+        """``attempt``; where it fails, ``undo`` takes back what it may have left."""
         try:
             return await attempt
         except Exception:
-            await self.link.take_back(component, op, DETACH_TIMEOUT, **arguments)
+            await self.client.undo(instance, undo)
             raise
 
 

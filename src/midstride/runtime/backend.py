@@ -1,9 +1,8 @@
 """The back-end protocol: what the manager asks of a platform, and nothing else.
 
-A back end starts and ends components, carries commands to them and their announcements back, and
-shows the graph as the middleware sees it. What the commands mean is :mod:`midstride.wire`'s and
-the component's affair, so a hand-over is written once for every platform. Foreign exceptions are
-translated here: a back end raises ``BackendError`` and its kinds only.
+A back end starts and ends the processes of components, says where their control sockets are, and shows the graph as
+the middleware sees it. Commands travel over :mod:`midstride.wire`, the same way on every platform. Foreign exceptions
+are translated here: a back end raises ``BackendError`` and its kinds only.
 """
 
 from __future__ import annotations
@@ -14,12 +13,12 @@ from pathlib import Path
 from typing import Protocol
 
 from midstride.runtime.clock import Clock
-from midstride.wire.messages import Announcement, Command, Reply
+from midstride.wire.transport import Transport
 
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """How to start one component: its command (split as a shell would), and who it shall be."""
+    """How to start one component: its command (split as a shell would), and which instance it is to be."""
 
     instance: str
     namespace: str
@@ -41,7 +40,7 @@ class Handle:
 
 @dataclass(frozen=True, slots=True)
 class Exited:
-    """A component's process ended. ``status`` is negative for a signal, None where nobody can tell."""
+    """A component's process ended. ``status`` is negative for a signal, None where it cannot be known."""
 
     instance: str
     status: int | None
@@ -50,7 +49,10 @@ class Exited:
 
 @dataclass(frozen=True, slots=True)
 class Endpoints:
-    """The middleware's own view: who publishes and who subscribes, as (node, topic) pairs."""
+    """The middleware's own view: the publishers and the subscribers, as (node, topic) pairs.
+
+    What the back end knows to be dead is left out, however long the middleware remembers it.
+    """
 
     nodes: frozenset[str] = frozenset()
     publishers: tuple[tuple[str, str], ...] = ()
@@ -60,9 +62,10 @@ class Endpoints:
 class Backend(Protocol):
     name: str
     clock: Clock
+    transport: Transport
 
-    async def open(self, on_event: Callable[[Announcement | Exited], None]) -> None:
-        """Join the platform. Events come on the manager's loop."""
+    async def open(self, on_exit: Callable[[Exited], None]) -> None:
+        """Join the platform. ``on_exit`` is called on the manager's loop for each component that ends by itself."""
         ...
 
     async def close(self) -> None:
@@ -70,15 +73,11 @@ class Backend(Protocol):
         ...
 
     async def start(self, launch: Launch) -> Handle:
-        """Start a component's process; it announces itself later. Raises StartFailed."""
+        """Start a component's process; it listens on its control address later. Raises StartFailed."""
         ...
 
     async def adopt(self, handle: Handle) -> bool:
-        """Take over a component that an earlier manager started. False where it no longer runs."""
-        ...
-
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-        """Carry a command to a component. Raises CallTimeout or Unreachable. Safe to repeat."""
+        """Take over a component that an earlier manager started. False where it is no longer running."""
         ...
 
     async def end(self, instance: str, grace: float) -> None:
@@ -86,5 +85,9 @@ class Backend(Protocol):
         ...
 
     async def endpoints(self) -> Endpoints:
-        """Who is on which topic, as the middleware sees it."""
+        """The nodes, and the endpoints on each topic, as the middleware sees them."""
+        ...
+
+    async def lingering_readers(self, topic: str) -> int:
+        """How many subscriptions on ``topic`` the middleware still counts whose process is known to be dead."""
         ...

@@ -8,11 +8,11 @@ from collections import deque
 from collections.abc import AsyncIterator, Callable
 from typing import Any
 
-Event = dict[str, Any]
+from midstride.runtime.reports import Event
 
 
 class EventLog:
-    """Events are JSON documents: ``n`` (counted from 1), ``at`` (unix s), ``kind``, ``words`` and details."""
+    """The latest events of one manager."""
 
     def __init__(self, limit: int = 10_000, wall: Callable[[], float] = time.time) -> None:
         self._events: deque[Event] = deque(maxlen=limit)
@@ -21,8 +21,9 @@ class EventLog:
         self._wakers: set[asyncio.Event] = set()
 
     def add(self, kind: str, words: str, **details: Any) -> Event:
+        """A new event; ``details`` are further fields of :class:`Event`."""
         self._count += 1
-        event: Event = {"n": self._count, "at": self._wall(), "kind": kind, "words": words, **details}
+        event = Event(n=self._count, at=self._wall(), kind=kind, words=words, **details)
         self._events.append(event)
         for waker in self._wakers:
             waker.set()
@@ -31,7 +32,7 @@ class EventLog:
     def since(self, n: int = 0) -> list[Event]:
         """The events after number ``n`` that are still kept; all, where ``n`` is an earlier manager's count."""
         n = self._known(n)
-        return [event for event in self._events if event["n"] > n]
+        return [event for event in self._events if event.n > n]
 
     def _known(self, n: int) -> int:
         """``n``, or 0 where it is an earlier manager's count."""
@@ -46,7 +47,7 @@ class EventLog:
             while True:
                 waker.clear()
                 for event in self.since(n):
-                    n = event["n"]
+                    n = event.n
                     yield event
                 await waker.wait()
         finally:

@@ -14,33 +14,37 @@ from dataclasses import dataclass
 from typing import Any
 
 from immutables import Map
+from msgspec import UNSET
 
 from midstride.errors import MidstrideError, StepFailed
-from midstride.model.action import Action, Create, Degrade, Upgrade
+from midstride.model.action import Action, Create, Degrade, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.plan.forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_component
+from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.state_store import StateStore
 
 log = logging.getLogger(__name__)
 
-Moved = Callable[[Configuration], Awaitable[None]]
 Done = list[tuple[Action, Configuration]]
 
 
 @dataclass(slots=True)
 class Executor:
-    """Carries out actions. ``moved`` is told each new configuration, ``starting`` each process that was started.
+    """Carries out actions on the running system. ``on_moved`` is called with each configuration that a step leads to.
 
     ``after_step`` looks at each step of a plan once it is done: the step has failed where it raises.
     """
 
-    performer: ActionDriver
-    configuration: Configuration
-    moved: Moved
-    starting: Callable[[Instance], None] = lambda _: None
+    driver: ActionDriver
+    system: RunningSystem
+    store: StateStore
+    on_started: Callable[[Instance], None] = lambda _: None
+    on_moved: Callable[[Configuration], None] = lambda _: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
 
-    async def run(self, actions: Sequence[Action], documents: Sequence[Mapping[str, Any]] = ()) -> None:
+    async def run(self, actions: Sequence[Action], forms: Sequence[AnyStep] = ()) -> None:
         """Carry out ``actions`` in order.
 
         Raises StepFailed once everything has been taken back, or could not be: its ``outcome`` says which. Where it
@@ -48,17 +52,17 @@ class Executor:
         """
         done: Done = []
         for index, action in enumerate(actions):
-            document = dict(documents[index]) if index < len(documents) else {}
-            position = {"index": index, "of": len(actions), "step": document}
+            step = forms[index] if index < len(forms) else UNSET
+            position = {"index": index, "of": len(actions), "step": step}
             self._tell("step", f"{index + 1}/{len(actions)} {self.describe(action)}", position)
             try:
                 if isinstance(action, Create):
                     await self._start_ahead(actions[index:])
                 await self._step(action, done)
                 if self.after_step is not None:
-                    await self.after_step(self.configuration)
+                    await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as error:
-                what, why = self.describe(action), _told(error)
+                what, why = self.describe(action), _words(error)
                 self._tell("step_failed", f"{what} failed: {why}", position)
                 await self._abandon_started(actions[index:])
                 problem = await self._roll_back(done)
@@ -75,7 +79,7 @@ class Executor:
         No step is left half way: whoever is cancelled meanwhile waits for its end, which comes in bounded time. Only
         a creation is broken off, since that leaves nothing.
         """
-        before = self.configuration
+        before = self.system.configuration
         performing = asyncio.ensure_future(self.perform(action))
         try:
             await asyncio.shield(performing)
@@ -90,31 +94,38 @@ class Executor:
 
     async def perform(self, action: Action) -> None:
         """Check one action against the model, carry it out, and move the model on. Raises MidstrideError."""
-        after = action.apply(self.configuration)
-        await self.performer.perform(action, self.configuration, f"the plan asked for it: {self.describe(action)}")
-        self.configuration = after
-        await self.moved(after)
+        before = self.system.configuration
+        after = action.apply(before)
+        await self.driver.perform(action, before, f"the plan asked for it: {self.describe(action)}")
+        self._moved(after)
+        match action:
+            case Remove(instance):
+                self.store.remove_instance(instance)
+            case SetParameters(instance):
+                self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
+
+    def _moved(self, configuration: Configuration) -> None:
+        self.system.moved(configuration)
+        self.on_moved(configuration)
 
     async def lower(self, modes: Mapping[FunctionalityRef, int], because: str) -> set[FunctionalityRef]:
         """Lower functionalities that have lost what they assume, whoever else does not answer; those that were not.
 
         There is no order to keep and no precondition to check: what they assume is gone already.
         """
-        configuration = self.configuration
+        configuration = self.system.configuration
         each = list(by_component(modes).values())
         results = await asyncio.gather(*(self._lower(configuration, own, because) for own in each))
         left = {ref for own, lowered in zip(each, results, strict=True) if not lowered for ref in own}
         if len(left) < len(modes):
-            self.configuration = configuration.with_modes(
-                {ref: index for ref, index in modes.items() if ref not in left}
-            )
-            await self.moved(self.configuration)
+            reached = {ref: index for ref, index in modes.items() if ref not in left}
+            self._moved(configuration.with_modes(reached))
         return left
 
     async def _lower(self, configuration: Configuration, modes: Mapping[FunctionalityRef, int], because: str) -> bool:
         action = Degrade(Map(modes))
         try:
-            await self.performer.perform(action, configuration, because)
+            await self.driver.perform(action, configuration, because)
         except MidstrideError as error:
             self._tell("note", f"{self.describe(action)} failed: {error}", {})
             return False
@@ -129,25 +140,25 @@ class Executor:
         return action.describe()
 
     def _mode_name(self, ref: FunctionalityRef, index: int) -> str:
-        if ref.instance not in self.configuration.instances:
+        if ref.instance not in self.system.configuration.instances:
             return str(index)
-        return self.configuration.functionality(ref).modes[index].name
+        return self.system.configuration.functionality(ref).modes[index].name
 
     async def _roll_back(self, done: Done) -> str | None:
         """Undo what was done, last first. None, or why it could not be undone."""
         if not done:
             return None
-        self._tell("rollback", f"taking back {len(done)} step{'s' if len(done) > 1 else ''}", {"of": len(done)})
-        self.performer.rolling_back = True
+        self._tell("rollback", f"rolling back {len(done)} step{'s' if len(done) > 1 else ''}", {"of": len(done)})
+        self.driver.rolling_back = True
         for action, before in reversed(done):
             for undoing in action.undo(before):
                 try:
                     await self.perform(undoing)
                 except Exception as error:
-                    problem = f"{self.describe(undoing)}: {_told(error)}"
-                    self._tell("rollback_failed", f"not everything could be taken back: {problem}", {})
+                    problem = f"{self.describe(undoing)}: {_words(error)}"
+                    self._tell("rollback_failed", f"the roll-back is incomplete: {problem}", {})
                     return problem
-        self._tell("rolled_back", "everything is as before", {})
+        self._tell("rolled_back", "everything is as it was before", {})
         return None
 
     async def _start_ahead(self, actions: Iterable[Action]) -> None:
@@ -155,23 +166,27 @@ class Executor:
         for action in actions:
             if not isinstance(action, Create):
                 break
-            if await self.performer.launcher.start(action.instance):
-                self.starting(action.instance)
+            if await self.driver.launcher.start(action.instance):
+                self.on_started(action.instance)
+                handle = self.driver.launcher.handles.get(action.instance.name)
+                self.store.write_instance(action.instance, handle)
 
     async def _abandon_started(self, actions: Iterable[Action]) -> None:
         for action in actions:
-            if isinstance(action, Create) and action.instance.name not in self.configuration.instances:
-                await self.performer.launcher.abandon(action.instance.name)
+            if isinstance(action, Create) and action.instance.name not in self.system.configuration.instances:
+                await self.driver.launcher.abandon(action.instance.name)
+                if action.instance.name not in self.driver.launcher.handles:
+                    self.store.remove_instance(action.instance.name)
 
     def _tell(self, kind: str, words: str, details: dict[str, Any]) -> None:
-        self.performer.tell(kind, words, details)
+        self.driver.tell(kind, words, details)
 
 
-def _told(error: BaseException) -> str:
+def _words(error: BaseException) -> str:
     """An exception in words; one that nobody foresaw goes to the log with its traceback."""
     if isinstance(error, MidstrideError):
         return str(error)
     if isinstance(error, asyncio.CancelledError):
-        return "the manager was told to end"
-    log.error("a step failed in a way that nobody foresaw", exc_info=error)
+        return "the manager is shutting down"
+    log.error("a step failed with an unexpected error", exc_info=error)
     return f"internal error: {error!r}"

@@ -11,9 +11,9 @@ from __future__ import annotations
 import asyncio
 import math
 import uuid
-from collections.abc import Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final, TypeAlias
 
 from midstride.errors import CommandRefused, MidstrideError, StepFailed
 from midstride.model.action import Handover, Swap
@@ -21,6 +21,22 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.runtime.component_client import ComponentClient
+from midstride.wire.commands import (
+    AttachCommand,
+    AwaitCutCommand,
+    AwaitWriteCommand,
+    CancelCutCommand,
+    CutInCommand,
+    CutOutCommand,
+    CutSwap,
+    DetachCommand,
+    GridCommand,
+    MeetCommand,
+    Trigger,
+)
+
+# How many readers on a topic the middleware still counts although their processes are known to be dead.
+LingeringReaders: TypeAlias = Callable[[str], Awaitable[int]]
 
 # The old side takes up again when it has not heard of the new one's first write for this many periods,
 RESUME_PERIODS: Final = 10
@@ -51,7 +67,7 @@ class Cut:
     new: str
     swaps: list[Swap]
     id: str = field(default_factory=lambda: uuid.uuid4().hex)
-    trigger: str = "none"
+    trigger: Trigger = "none"
     epoch: int | None = None
     period: float | None = None
     at: int = 0
@@ -73,7 +89,9 @@ class HandoverResult:
     warnings: tuple[str, ...] = ()
 
 
-async def hand_over(link: ComponentClient, configuration: Configuration, action: Handover) -> HandoverResult:
+async def hand_over(
+    client: ComponentClient, lingering: LingeringReaders, configuration: Configuration, action: Handover
+) -> HandoverResult:
     """Carry out ``action`` on the components of ``configuration``.
 
     Raises StepFailed with the reason; then the old publishers have their topics as before and the
@@ -86,120 +104,124 @@ async def hand_over(link: ComponentClient, configuration: Configuration, action:
     try:
         for swap in swaps:
             begun.append(swap)
-            warnings.append(await _stand_by(link, configuration, swap))
+            warnings.append(await _stand_by(client, lingering, configuration, swap))
         for swap in swaps:
-            await _await_probation(link, configuration, swap)
+            await _await_probation(client, configuration, swap)
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in swaps}):
-            await _meet(link, new, old)
+            await _meet(client, new, old)
         for lead in LEADS:
-            cuts = await _agree(link, configuration, swaps, lead)
-            if await _told(link, configuration, cuts, last_try=lead == LEADS[-1]):
+            cuts = await _agree(client, configuration, swaps, lead)
+            if await _told(client, configuration, cuts, last_try=lead == LEADS[-1]):
                 break
-        last = await _await_cuts(link, configuration, cuts)
+        last = await _await_cuts(client, configuration, cuts)
     except (Exception, asyncio.CancelledError) as error:
-        fallen = await _fallen(link, configuration, swaps) if isinstance(error, MidstrideError) else None
-        await _take_back(link, configuration, cuts, begun)
+        fallen = await _fallen(client, configuration, swaps) if isinstance(error, MidstrideError) else None
+        await _take_back(client, configuration, cuts, begun)
         if isinstance(error, MidstrideError):
             raise StepFailed(fallen or str(error)) from error
         raise
-    warnings += [await _retire(link, configuration, swap) for swap in swaps]
+    warnings += [await _retire(client, configuration, swap) for swap in swaps]
     return HandoverResult(last, tuple(warning for warning in warnings if warning))
 
 
-async def _fallen(link: ComponentClient, configuration: Configuration, swaps: Iterable[Swap]) -> str | None:
+async def _fallen(client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap]) -> str | None:
     """Why a new side cannot take over that has degraded by itself: that is the reason, whatever it then refused."""
     for swap in swaps:
         owner = configuration.component(swap.new.instance).owner(swap.new.port)
         try:
-            view = (await link.peek(swap.new.instance))["functionalities"].get(owner.name, {})
+            view = (await client.peek(swap.new.instance)).functionalities.get(owner.name)
         except MidstrideError:
             continue
         ref = FunctionalityRef(swap.new.instance, owner.name)
-        if view and owner.mode_index(view["mode"]) > configuration.modes[ref]:
-            return f"{ref} has gone to {view['mode']} by itself: {str(view.get('because')).strip()}"
+        if view is not None and owner.mode_index(view.mode) > configuration.modes[ref]:
+            return f"{ref} degraded to {view.mode} by itself: {view.because.strip()}"
     return None
 
 
-async def _told(link: ComponentClient, configuration: Configuration, cuts: list[Cut], last_try: bool) -> bool:
+async def _told(client: ComponentClient, configuration: Configuration, cuts: list[Cut], last_try: bool) -> bool:
     """Tell both sides of each cut. False where one was told too late, and nothing is agreed any more."""
     try:
         for cut in cuts:  # the old side first: it alone can go on by itself
-            await link.change(cut.old, "cut_out", **_out_arguments(configuration, cut))
+            await client.change(cut.old, _cut_out(configuration, cut))
         for cut in cuts:
-            await link.change(cut.new, "cut_in", **_in_arguments(configuration, cut))
+            await client.change(cut.new, _cut_in(configuration, cut, client.address(cut.old)))
     except CommandRefused:
         if last_try:
             raise
-        await _cancel(link, cuts)
+        await _cancel(client, cuts)
         return False
     return True
 
 
-async def _cancel(link: ComponentClient, cuts: list[Cut]) -> None:
+async def _cancel(client: ComponentClient, cuts: list[Cut]) -> None:
     for cut in cuts:
         for side in (cut.new, cut.old):
-            await link.take_back(side, "cancel_cut", cut=cut.id)
+            await client.undo(side, CancelCutCommand(cut=cut.id))
 
 
 def _topic(configuration: Configuration, connector: str) -> str:
     return configuration.context.connectors[connector].topic
 
 
-async def _stand_by(link: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
+async def _stand_by(
+    client: ComponentClient, lingering: LingeringReaders, configuration: Configuration, swap: Swap
+) -> str | None:
     """The new publisher on the topic, its gate closed, matched with every subscriber the model knows of, and with as
-    many as the old one is matched with; else what is to be told."""
+    many as the old one is matched with; else a warning."""
     topic = _topic(configuration, swap.connector)
-    readers = int((await link.read(swap.old.instance, "grid", port=swap.old.port, topic=topic))["readers"])
-    reply = await link.change(
-        swap.new.instance,
-        "attach",
-        timeout=ATTACH_TIMEOUT + OTHERS_PATIENCE,
+    grid = await client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
+    readers = (grid.readers or 0) - await lingering(topic)
+    attach = AttachCommand(
         port=swap.new.port,
         topic=topic,
         gate="closed",
         peers=len(configuration.subscribers_on(swap.connector)),
         everyone=readers,
         patience=OTHERS_PATIENCE,
+        timeout=ATTACH_TIMEOUT + OTHERS_PATIENCE,
     )
-    if int(reply["matched"]) >= readers:
+    matched = (await client.change(swap.new.instance, attach)).matched
+    if matched >= readers:
         return None
     return (
-        f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {reply['matched']} of them: "
-        "who is not of this system may miss messages"
+        f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
+        "subscribers outside this system may miss messages"
     )
 
 
-async def _meet(link: ComponentClient, new: str, old: str) -> None:
+async def no_lingering_readers(topic: str) -> int:
+    """Every reader that the middleware counts is alive."""
+    return 0
+
+
+async def _meet(client: ComponentClient, new: str, old: str) -> None:
     """Have the new side find the old one, in short turns: that the old one has ended is known between them, at once,
     and its topic is silent meanwhile."""
     for _ in range(MEET_TURNS):
-        await link.peek(old)
+        await client.peek(old)
         try:
-            await link.change(new, "meet", timeout=MEET_TURN, peer=old)
+            await client.change(new, MeetCommand(peer=old, address=client.address(old), timeout=MEET_TURN))
             return
         except CommandRefused as error:
             refused = error
     raise refused
 
 
-async def _await_probation(link: ComponentClient, configuration: Configuration, swap: Swap) -> None:
+async def _await_probation(client: ComponentClient, configuration: Configuration, swap: Swap) -> None:
     guarantee = configuration.guarantee(swap.new)
     rate = guarantee.rate if isinstance(guarantee, Predicate) else None
     timeout = PROBATION + (10 / rate if rate else 0.0)
-    seen = await link.read(
-        swap.new.instance,
-        "await_write",
-        timeout=timeout,
-        port=swap.new.port,
-        topic=_topic(configuration, swap.connector),
-    )
-    if wrong := seen.get("wrong_type"):
-        raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {wrong}")
-    if not seen.get("gated"):
+    topic = _topic(configuration, swap.connector)
+    seen = await client.read(swap.new.instance, AwaitWriteCommand(port=swap.new.port, topic=topic, timeout=timeout))
+    if seen.wrong_type:
+        raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
+    if not seen.gated:
         raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
 
 
-async def _agree(link: ComponentClient, configuration: Configuration, swaps: Iterable[Swap], lead: float) -> list[Cut]:
+async def _agree(
+    client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap], lead: float
+) -> list[Cut]:
     """One cut for the outputs of each functionality pair; all at the slot nearest to one common moment."""
     groups: dict[tuple[str, str, str], Cut] = {}
     moment: int | None = None
@@ -211,9 +233,9 @@ async def _agree(link: ComponentClient, configuration: Configuration, swaps: Ite
         cut.swaps.append(swap)
         if len(cut.swaps) > 1:
             continue
-        grid = await link.read(swap.old.instance, "grid", port=swap.old.port)
-        cut.trigger, cut.epoch, cut.period = grid["trigger"], grid["epoch"], grid["period"]
-        moment = max(moment or 0, int(grid["now"]))
+        grid = await client.read(swap.old.instance, GridCommand(port=swap.old.port))
+        cut.trigger, cut.epoch, cut.period = grid.trigger, grid.epoch, grid.period
+        moment = max(moment or 0, grid.now)
     assert moment is not None
     moment += int(lead * 1e9)
     for cut in groups.values():
@@ -234,62 +256,62 @@ def _declared_period(configuration: Configuration, cut: Cut) -> float | None:
     return None if any(rate is None for rate in rates) else max(1 / rate for rate in rates if rate)
 
 
-def _out_arguments(configuration: Configuration, cut: Cut) -> dict[str, Any]:
-    return {
-        "cut": cut.id,
-        "swaps": [{"port": swap.old.port, "topic": _topic(configuration, swap.connector)} for swap in cut.swaps],
-        "at": cut.at,
-        "resume_after": cut.resume_after(_declared_period(configuration, cut)),
-    }
+def _cut_out(configuration: Configuration, cut: Cut) -> CutOutCommand:
+    return CutOutCommand(
+        cut=cut.id,
+        swaps=[CutSwap(port=swap.old.port, topic=_topic(configuration, swap.connector)) for swap in cut.swaps],
+        at=cut.at,
+        resume_after=cut.resume_after(_declared_period(configuration, cut)),
+    )
 
 
-def _in_arguments(configuration: Configuration, cut: Cut) -> dict[str, Any]:
-    return {
-        "cut": cut.id,
-        # What is written neither at a rate nor for a message is written once: at the cut, again.
-        "swaps": [
-            {"port": swap.new.port, "topic": _topic(configuration, swap.connector), "latch": cut.trigger == "none"}
-            for swap in cut.swaps
+def _cut_in(configuration: Configuration, cut: Cut, address: str) -> CutInCommand:
+    # What is written neither at a rate nor for a message is written once: at the cut, again.
+    latch = cut.trigger == "none"
+    return CutInCommand(
+        cut=cut.id,
+        swaps=[
+            CutSwap(port=swap.new.port, topic=_topic(configuration, swap.connector), latch=latch) for swap in cut.swaps
         ],
-        "at": cut.at,
-        "epoch": cut.at if cut.trigger == "rate" else None,
-        "peer": cut.old,
-    }
+        at=cut.at,
+        epoch=cut.at if cut.trigger == "rate" else None,
+        peer=cut.old,
+        address=address,
+    )
 
 
 async def _await_cuts(
-    link: ComponentClient, configuration: Configuration, cuts: list[Cut]
+    client: ComponentClient, configuration: Configuration, cuts: list[Cut]
 ) -> dict[PortRef, int | None]:
     last: dict[PortRef, int | None] = {}
     for cut in cuts:
         patience = LEADS[-1] + cut.resume_after(_declared_period(configuration, cut)) + 2.0
-        arriving, leaving = await asyncio.gather(
-            link.read(cut.new, "await_cut", timeout=patience, cut=cut.id),
-            link.read(cut.old, "await_cut", timeout=patience, cut=cut.id),
-        )
-        if arriving["outcome"] != "done":
-            raise StepFailed(f"{cut.new} did not write after the cut, so {cut.old} goes on")
-        if leaving["outcome"] != "done":
-            raise StepFailed(f"{cut.old} had taken up again before it learnt that {cut.new} had written")
+        over = AwaitCutCommand(cut=cut.id, timeout=patience)
+        incoming, outgoing = await asyncio.gather(client.read(cut.new, over), client.read(cut.old, over))
+        if incoming.outcome != "done":
+            raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues")
+        if outgoing.outcome != "done":
+            raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published")
         for swap in cut.swaps:
-            told = leaving["last"].get(f"{swap.old.port} {_topic(configuration, swap.connector)}")
-            last[swap.old] = int(told[0]) if told else None
+            write = outgoing.last.get(f"{swap.old.port} {_topic(configuration, swap.connector)}")
+            last[swap.old] = None if write is None else write.number
     return last
 
 
-async def _take_back(link: ComponentClient, configuration: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
+async def _take_back(client: ComponentClient, configuration: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
     """Old publishers as before, new ones off the topic. What cannot be reached is left to the roll-back."""
-    await _cancel(link, cuts)
+    await _cancel(client, cuts)
     for swap in begun:
         topic = _topic(configuration, swap.connector)
-        await link.take_back(swap.new.instance, "detach", DETACH_TIMEOUT, port=swap.new.port, topic=topic)
+        detach = DetachCommand(port=swap.new.port, topic=topic, timeout=DETACH_TIMEOUT)
+        await client.undo(swap.new.instance, detach)
 
 
-async def _retire(link: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
+async def _retire(client: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
     """Take the old endpoint off the topic. The swap has happened: an old side that will not let go is only told."""
     topic = _topic(configuration, swap.connector)
     try:
-        await link.change(swap.old.instance, "detach", timeout=DETACH_TIMEOUT, port=swap.old.port, topic=topic)
+        await client.change(swap.old.instance, DetachCommand(port=swap.old.port, topic=topic, timeout=DETACH_TIMEOUT))
     except MidstrideError as error:
         return f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
     return None

@@ -19,47 +19,43 @@ from midstride.errors import (
     Unreachable,
 )
 from midstride.model.configuration import Instance
-from midstride.model.document import component_from_document
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.orphans import end_orphans
 from midstride.runtime.registration import mismatches, unexpected_endpoints
-from midstride.wire.messages import Announcement
+from midstride.runtime.timeouts import within
+from midstride.wire.commands import ReleaseCommand, WelcomeCommand
+from midstride.wire.frames import Greeting, Registration
+from midstride.wire.state import ComponentState
 
 # How long a process may take from its start to its registration (s): imports of large libraries and models included.
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
 # How long a component may take to end in order before it is ended by force (s), where it does not ask for longer.
 STOP_GRACE: Final = 3.0
-# How long one that was started by hand may take to let go of its modes and topics (s).
+# How long a running component may take to be found on its control socket again (s).
+ADOPT_TIMEOUT: Final = 5.0
+# How long one that was started by hand may take to leave its modes and topics (s).
 RELEASE_TIMEOUT: Final = 5.0
 
 
 class Launcher:
-    """Knows which process is which component. Events of the back end are fed to :meth:`heard`."""
+    """Knows which process is which component. Exits that the back end reports are fed to :meth:`exited`."""
 
-    def __init__(self, backend: Backend, link: ComponentClient, token: str, directory: Path) -> None:
+    def __init__(self, backend: Backend, client: ComponentClient, token: str, directory: Path) -> None:
         self._backend = backend
-        self._link = link
+        self._client = client
         self._token = token
         self._directory = directory
-        self._waiting: dict[str, asyncio.Future[Announcement]] = {}
-        self._early: dict[str, Announcement] = {}
+        self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
+        self._exits: dict[str, asyncio.Future[Exited]] = {}
         self._graces: dict[str, float] = {}
-        self._uuids: dict[str, str] = {}
         self.handles: dict[str, Handle] = {}
 
-    def heard(self, event: Announcement | Exited) -> None:
-        """Take note of an announcement or an exit that somebody may be waiting for."""
-        waiting = self._waiting.get(event.instance)
-        if isinstance(event, Announcement):
-            if waiting is not None and not waiting.done():
-                waiting.set_result(event)
-            elif waiting is None:
-                self._early[event.instance] = event
-            return
-        self._early.pop(event.instance, None)
+    def exited(self, event: Exited) -> None:
+        """Take note of an exit, which fails the start that waits for its registration."""
+        waiting = self._exits.get(event.instance)
         if waiting is not None and not waiting.done():
-            waiting.set_exception(StartFailed(_told_exit(event)))
+            waiting.set_result(event)
 
     async def start(self, instance: Instance) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
@@ -67,14 +63,12 @@ class Launcher:
         False where that has been done before. A component without ``run`` is started elsewhere. Raises StartFailed.
         """
         name = instance.name
-        if name in self._waiting:
+        if name in self._starting:
             return False
-        waiting: asyncio.Future[Announcement] = asyncio.get_running_loop().create_future()
-        self._waiting[name] = waiting
+        self._exits[name] = asyncio.get_running_loop().create_future()
+        self._starting[name] = asyncio.ensure_future(self._client.registered(name))
         command = instance.component.run
         if command is None:
-            if (early := self._early.pop(name, None)) is not None:
-                waiting.set_result(early)
             return True
         try:
             arguments = tuple(shlex.split(command))
@@ -107,55 +101,56 @@ class Launcher:
         name = instance.name
         await self.start(instance)
         try:
-            announcement = await self._announced(instance)
-            self._verify(instance, announcement)
-            await self._link.observe(name)
-            self._learn(name, await self._link.change(name, "welcome", manager=str(os.getpid())))
+            greeting, registration = await self._registration(instance)
+            self._verify(instance, greeting, registration)
+            await self._client.observe(name)
+            self._learn(await self._client.change(name, WelcomeCommand(manager=str(os.getpid()))))
         except (Exception, asyncio.CancelledError) as error:
             await self.abandon(name)
             if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
-                raise StartFailed(f"{name} registered but could not be taken in: {error}") from error
+                raise StartFailed(f"{name} registered but could not be accepted: {error}") from error
             raise
         finally:
             self._drop(name)
 
-    async def _announced(self, instance: Instance) -> Announcement:
-        waiting = self._waiting[instance.name]
+    async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
+        name = instance.name
+        registering, exiting = self._starting[name], self._exits[name]
         patience = asyncio.ensure_future(self._backend.clock.sleep(REGISTRATION_TIMEOUT))
-        first: set[asyncio.Future[Any]] = {waiting, patience}
+        first: set[asyncio.Future[Any]] = {registering, exiting, patience}
         try:
             await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
-            if waiting.done():
-                return waiting.result()
         finally:
             patience.cancel()
+        if registering.done():
+            return registering.result()
+        if exiting.done():
+            raise StartFailed(_describe_exit(exiting.result()))
         where = f"was started with `{instance.component.run}`" if instance.component.run else "is started elsewhere"
-        log = self.handles[instance.name].log if instance.name in self.handles else None
+        log = self.handles[name].log if name in self.handles else None
         raise StartFailed(
-            f"{instance.name} did not register within {REGISTRATION_TIMEOUT:g} s (it {where}); does its program "
+            f"{name} did not register within {REGISTRATION_TIMEOUT:g} s (it {where}); does its program "
             f"create a Component and call start()?" + (f" Its log: {log}" if log else "")
         )
 
-    def _verify(self, instance: Instance, announcement: Announcement) -> None:
+    def _verify(self, instance: Instance, greeting: Greeting, registration: Registration) -> None:
         name, component = instance.name, instance.component
-        if component.run is not None and announcement.start_token != self._token:
+        if component.run is not None and greeting.start_token != self._token:
             raise StartFailed(f"another node called {name} is running already; end it, or give the node another name")
         try:
-            registered = component_from_document(announcement.declaration)
+            registered = registration.declaration.checked()
         except SpecificationError as error:
             raise StartFailed(f"{name} registered something that is no component: {error}") from None
         faults = mismatches(component, registered)
-        extra = unexpected_endpoints(component, instance.name, announcement.endpoints)
+        extra = unexpected_endpoints(component, instance.name, registration.endpoints)
         faults += [f"its node has {endpoint}, which component {component.name} does not allow" for endpoint in extra]
         if faults:
             raise StartFailed(f"{name} is not the {component.name} that was declared: " + "; ".join(faults))
 
     def _drop(self, name: str) -> None:
-        waiting = self._waiting.pop(name, None)
-        if waiting is not None and not waiting.done():
-            waiting.cancel()
-        elif waiting is not None and not waiting.cancelled():
-            waiting.exception()  # seen, so that the loop does not complain of it
+        for waiting in (self._starting.pop(name, None), self._exits.pop(name, None)):
+            if waiting is not None:
+                waiting.cancel()
 
     async def abandon(self, name: str) -> None:
         """End what was started for ``name``, if anything was; whatever happens on the way, go on."""
@@ -166,9 +161,10 @@ class Launcher:
 
     async def end(self, name: str) -> None:
         """End a component that was started here, or by an earlier manager. Raises BackendError: then it is kept."""
-        self._link.forget(name)
+        self._client.forget(name)
         await self._backend.end(name, self._graces.get(name, STOP_GRACE))
-        for known in (self._graces, self._uuids, self.handles):
+        self._client.disconnect(name)
+        for known in (self._graces, self.handles):
             known.pop(name, None)
 
     async def release(self, name: str) -> None:
@@ -178,47 +174,45 @@ class Launcher:
         does not return in time.
         """
         with contextlib.suppress(Unreachable):
-            await self._link.change(name, "release", timeout=RELEASE_TIMEOUT)
-        self._link.forget(name)
-        self._uuids.pop(name, None)
+            await self._client.change(name, ReleaseCommand(timeout=RELEASE_TIMEOUT))
+        self._client.disconnect(name)
 
-    def is_another(self, announcement: Announcement) -> bool:
-        """Whether this is from another process than the one of that name that was taken in, which is gone. Said once.
-
-        Of a component that was started by hand nothing else tells.
-        """
-        if self._uuids.get(announcement.instance, announcement.uuid) == announcement.uuid:
-            return False
-        del self._uuids[announcement.instance]
-        return True
-
-    async def adopt(self, handle: Handle, *, own: bool = True) -> dict[str, Any] | None:
+    async def adopt(self, handle: Handle, *, own: bool = True) -> ComponentState | None:
         """Find a component of an earlier manager again: its state, or None where it is gone or not ours.
 
-        ``own``: it was started by that manager, so that it is also this one's to end.
+        ``own``: that manager started it, so that this one may end it. Raises Unreachable where it runs and does not
+        answer.
         """
         if not await self._backend.adopt(handle):
             return None
         if own:
             self.handles[handle.instance] = handle
         try:
-            state = await self._link.observe(handle.instance)
+            async with within(ADOPT_TIMEOUT):
+                await self._client.connect(handle.instance)
+        except asyncio.TimeoutError:
+            if not own:
+                return None
+            raise Unreachable(
+                f"{handle.instance} runs (process {handle.pid}), but does not answer on its control socket"
+            ) from None
+        try:
+            state = await self._client.observe(handle.instance)
         except CommandRefused:
             return None
-        self._learn(handle.instance, state)
+        self._learn(state)
         return state
 
-    async def end_strays(self, known: Container[str]) -> list[str]:
+    async def end_orphans(self, known: Container[str]) -> list[str]:
         """End what an earlier manager started and could not record: all but the ``known``. Raises BackendError."""
         return await end_orphans(self._token, known, STOP_GRACE)
 
-    def _learn(self, name: str, state: dict[str, Any]) -> None:
-        """Which process it is, and how long its author wants it to have for its end (``on_stop``)."""
-        self._uuids[name] = str(state["uuid"])
-        self._graces[name] = max(STOP_GRACE, float(state.get("stopping", 0.0)))
+    def _learn(self, state: ComponentState) -> None:
+        """How long its author wants it to have for its end (``on_stop``)."""
+        self._graces[state.instance] = max(STOP_GRACE, state.stopping)
 
 
-def _told_exit(event: Exited) -> str:
+def _describe_exit(event: Exited) -> str:
     if event.status is None:
         how = "ended"
     elif event.status < 0:

@@ -1,54 +1,52 @@
 """The manager: the paper's configuration management node.
 
-It holds the run-time model, takes in what nodes register, starts and ends processes, executes
-plans with acknowledgements, and measures every swap. One command runs at a time; others wait
-their turn. The robot does not depend on it: components go on when it ends, and the next manager
-finds them again (semantics.md section 7).
+It joins the platform, finds or brings up the system, and runs one command at a time; others wait their turn. What it
+knows of the system (:mod:`.running_system`) is shared by its three parts: the change session carries changes out
+(:mod:`.change_session`), the reconciler takes in what happens by itself (:mod:`.reconciler`), and the state store keeps
+what the next manager needs (:mod:`.state_store`). The robot does not depend on the manager: components go on when it
+ends, and the next one finds them again (docs/semantics.md section 7).
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import logging
 import secrets
-from collections.abc import AsyncIterator, Awaitable
+from collections.abc import AsyncIterator
+from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from midstride.errors import ManagerError, MidstrideError, PlanRefused, StepFailed
-from midstride.model.component import FunctionalityRef
-from midstride.model.configuration import Configuration, Instance
-from midstride.model.snapshot import configuration_to_document
+from midstride.codec.configuration import ConfigurationForm
+from midstride.errors import ManagerError, MidstrideError, StepFailed
+from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import Request
-from midstride.runtime import recovery, status
+from midstride.runtime import status
 from midstride.runtime.action_driver import ActionDriver
-from midstride.runtime.backend import Backend, Exited
+from midstride.runtime.backend import Backend
+from midstride.runtime.change_session import ChangeSession, counted
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.crash_response import settled
-from midstride.runtime.crashes import Crashes
-from midstride.runtime.degradation_timer import DegradationTimer
-from midstride.runtime.events import Event, EventLog
+from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
-from midstride.runtime.observed_configuration import ObservedConfiguration, live
-from midstride.runtime.recording import Recording, to_documents
-from midstride.runtime.runtime_verification import StepVerifier, Verifier
-from midstride.runtime.state_store import StateStore
+from midstride.runtime.observed_configuration import observe
+from midstride.runtime.reconciler import Reconciler
+from midstride.runtime.recovery import recover
+from midstride.runtime.reports import Event, LiveConfiguration, Outcome, RunningCommand, Status, UpReport, Why
+from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.runtime_verification import Verifier
+from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
-from midstride.verify.verdict import Verdict
-from midstride.wire.messages import Announcement
-
-log = logging.getLogger(__name__)
+from midstride.wire.state import ComponentState
 
 
 @dataclass(frozen=True, slots=True)
-class Running:
+class CurrentCommand:
     """The command that is being carried out, and since when (steady s)."""
 
     words: str
@@ -66,86 +64,120 @@ class Manager:
         directory: Path,
         verifier: Verifier | None = None,
     ) -> None:
-        self.specification = specification
-        self.configuration = Configuration(context=specification.context)
-        self.revision = 0
+        self.system = RunningSystem(specification, Configuration(context=specification.context))
         self.events = EventLog()
         self._backend = backend
         self._workspace = workspace
         self._directory = directory
         self._verifier = verifier or Verifier()
         self._turn = asyncio.Lock()
-        self._running: Running | None = None
-        self._measuring = False  # all steps are done, and the command only watches
-        self._seeing = asyncio.Lock()  # held while what has happened by itself is seen to
-        self._crashes = Crashes()
-        self._fell: set[FunctionalityRef] = set()  # by themselves, during the change
-        self._pending_degradations: set[FunctionalityRef] = set()  # to be lowered, and not to be reached
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._current: CurrentCommand | None = None
+        self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
+        self._reconciler = Reconciler(
+            self.system, self.events, self._store, self._executor, self._reconciler_turn, self._is_busy
+        )
         self._connect(secrets.token_hex(16))
 
     def _connect(self, token: str) -> None:
-        self._link = ComponentClient(self._backend, token)
-        self._launcher = Launcher(self._backend, self._link, token, self._directory)
-        self._keeper = StateStore(
-            self._workspace, self._backend.name, token, self._launcher, lambda words: self._note("note", words)
+        """Use ``token`` from now on: it is what the components of the system know their manager by."""
+        backend = self._backend
+        self._token = token
+        self._client = ComponentClient(backend.transport, backend.clock, token, self._reconciler.on_component_event)
+        self._launcher = Launcher(backend, self._client, token, self._directory)
+        self._reconciler.connect(self._client, self._launcher)
+        self._session = ChangeSession(
+            self.system,
+            self._client,
+            backend.clock,
+            self.events,
+            self._store,
+            self._reconciler,
+            self._verifier,
+            self._executor,
         )
+
+    def _executor(self) -> Executor:
+        crashes = self._reconciler.crashes
+        driver = ActionDriver(
+            client=self._client,
+            launcher=self._launcher,
+            tell=lambda kind, words, details: self.events.add(kind, words, **details),
+            is_gone=lambda name: name in crashes.unsettled,
+            lingering_readers=self._backend.lingering_readers,
+        )
+        return Executor(driver, self.system, self._store, lambda instance: crashes.returned(instance.name))
+
+    @property
+    def specification(self) -> Specification:
+        return self.system.specification
+
+    @property
+    def configuration(self) -> Configuration:
+        return self.system.configuration
+
+    @property
+    def revision(self) -> int:
+        """Counts the changes of the configuration."""
+        return self.system.revision
 
     # -- coming and going ---------------------------------------------------------------------------
 
-    async def up(self) -> dict[str, Any]:
+    async def up(self) -> UpReport:
         """Find again what still runs, and bring the rest of the specification up.
 
         Raises ManagerError where the system that still runs is another one, StepFailed where a
         component could not be brought up (what this call started is then ended again).
         """
-        state = self._workspace.load()
-        if state is not None:
-            self._connect(str(state["token"]))
-        await self._backend.open(self._on_backend_event)
+        saved = self._store.load()
+        if saved is not None:
+            self._connect(saved.token)
+        await self._backend.open(self._reconciler.on_exit)
         async with self._command(f"up {self.specification.name}"):
-            if state is not None:
-                await self._adopt(state)
+            if saved is not None:
+                await self._recover(saved)
             try:
                 await self._complete()
             except BaseException:
-                if state is None:
-                    self._keeper.forget(unless_running=True)
+                if saved is None and not self._launcher.handles:
+                    self._store.forget()
                 raise
-            many = _so_many(len(self.configuration.instances), "component")
+            many = counted(len(self.configuration.instances), "component")
             self.events.add("up", f"{self.specification.name} is up: {many}")
-            return {"outcome": "done", "components": sorted(self.configuration.instances)}
+            return UpReport(outcome="done", components=sorted(self.configuration.instances))
 
     async def _complete(self) -> None:
         """Bring up what the specification has and does not run. Raises StepFailed once that has been taken back."""
         change = Change.between(self.configuration, self.specification, self.specification)
-        plan = planner("minimal")(change)
-        self._save()  # the token at least, before anything bears it
+        plan = await asyncio.to_thread(planner("minimal"), change)
+        # Before anything bears the token.
+        self._store.begin(self._backend.name, self._token, self.specification)
         if plan.steps:
-            outcome = await self._execute(plan, self.specification)
-            if outcome["outcome"] != "done":
-                raise StepFailed(str(outcome["because"]), outcome["outcome"])
+            outcome = await self._session.carry_out(plan, self.specification)
+            if outcome.outcome != "done":
+                raise StepFailed(str(outcome.because), outcome.outcome)
 
-    async def _adopt(self, state: dict[str, Any]) -> None:
-        running = recovery.specification_of(state)
-        if state["backend"] != self._backend.name:
+    async def _recover(self, saved: SavedState) -> None:
+        if saved.backend != self._backend.name:
             raise ManagerError(
-                f"{self._workspace.name} runs on {state['backend']}; use that back end, or `midstride down` first"
+                f"{self._workspace.name} runs on {saved.backend}; use that back end, or `midstride down` first"
             )
-        if running != self.specification:
+        if saved.specification != self.specification:
             raise ManagerError(
                 f"{self._workspace.name} is running with another specification; "
                 "`midstride apply` changes a running system, `midstride down` ends it"
             )
-        self.configuration = await recovery.adopt(
-            state, self.specification, self._launcher, self._link, lambda kind, words: self._note(kind, words)
+        self.system.configuration = await recover(
+            saved.instances, self.specification, self._launcher, self._client, self.events.add
         )
+        for entry in saved.instances:
+            if entry.instance.name not in self.configuration.instances:
+                self._store.remove_instance(entry.instance.name)
 
     async def close(self) -> None:
         """Leave; the components go on."""
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await self._reconciler.close()
+        self._client.close()
+        self._store.close()
         await self._backend.close()
 
     async def down(self) -> None:
@@ -155,70 +187,62 @@ class Manager:
             ended = await asyncio.gather(*(self._end(name) for name in names))
             if faults := [fault for fault in ended if fault is not None]:
                 raise ManagerError("; ".join(faults))
-            self.configuration = Configuration(context=self.specification.context)
-            self._keeper.forget()
+            self.system.configuration = Configuration(context=self.specification.context)
+            self._store.forget()
             self.events.add("down", f"{self.specification.name} is down")
 
     async def _end(self, name: str) -> str | None:
         if name not in self._launcher.handles:
             try:
                 await self._launcher.release(name)
-                told = "it is released, and left running"
+                result = "it is released, and left running"
             except MidstrideError as error:  # not ours to end by force
-                told = f"it is left as it is, and could not be released: {error}"
-            self.events.add("note", f"{name} was started elsewhere: {told}")
+                result = f"it is left as it is, and could not be released: {error}"
+            self.events.add("note", f"{name} was started elsewhere: {result}")
             return None
         try:
             await self._launcher.end(name)
         except MidstrideError as error:
             return f"{name}: {error}"
-        self.events.add("ended", f"{name} has ended")
+        self.events.add("ended", f"{name} has exited")
         return None
 
     # -- asking -------------------------------------------------------------------------------------
 
-    async def status(self) -> dict[str, Any]:
-        """What is live, in which modes, and why; each component is asked and one that is silent is shown so."""
+    async def status(self) -> Status:
+        """What is live, in which modes, and why, as the components report it; one that is silent is shown so."""
         running = None
-        if self._running is not None:
-            seconds = self._backend.clock.steady() - self._running.since
-            running = {"command": self._running.words, "since": round(seconds, 3)}
-        document = await status.status(self.configuration, self._link, self._backend.clock, self._crashes.all())
-        for row in document["components"]:
-            if row["pid"] is None and row["name"] in self._launcher.handles:  # it does not answer: who it is, is known
-                row["pid"] = self._launcher.handles[row["name"]].pid
-        document["system"] = self.specification.name
-        document["backend"] = self._backend.name
-        document["revision"] = self.revision
-        document["running"] = running
-        document["unwritten"] = self._keeper.unwritten
-        return document
+        if self._current is not None:
+            seconds = self._backend.clock.steady() - self._current.since
+            running = RunningCommand(command=self._current.words, since=round(seconds, 3))
+        return status.status(
+            self.system,
+            self._client,
+            crashed=self._reconciler.crashes.all(),
+            pids={name: handle.pid for name, handle in self._launcher.handles.items()},
+            backend=self._backend.name,
+            running=running,
+            unwritten=self._store.unwritten,
+        )
 
-    async def live(self) -> dict[str, Any]:
-        """The configuration as its components themselves tell it; ``silent`` are those that did not answer in time."""
-        found = await live(self.configuration, self._link, self._backend.clock, self._crashes.unsettled)
-        document = configuration_to_document(found.configuration)
-        return {"revision": self.revision, "silent": list(found.silent), "configuration": document}
+    async def live(self) -> LiveConfiguration:
+        """The configuration as its components report it; ``silent`` are those that have reported nothing lately."""
+        found = observe(self.configuration, self._client, self._reconciler.crashes.unsettled)
+        form = ConfigurationForm.of(found.configuration)
+        return LiveConfiguration(revision=self.revision, silent=list(found.silent), configuration=form)
 
-    async def peek(self, instance: str) -> dict[str, Any]:
-        """The state of one component by its own word (wire/commands.py). Raises CallTimeout or Unreachable."""
-        return await self._link.peek(instance)
+    async def peek(self, instance: str) -> ComponentState:
+        """The state of one component, asked for now. Raises CallTimeout or Unreachable."""
+        return await self._client.peek(instance)
 
-    async def why(self, functionality: str) -> dict[str, Any]:
+    async def why(self, functionality: str) -> Why:
         """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
-        return await status.why(self.configuration, self._link, self._backend.clock, functionality)
+        return status.why(self.configuration, self._client, functionality)
 
     async def plan(self, request: Request) -> Plan:
         """The plan for ``request`` from the current configuration. Raises PlanRefused."""
-        return self._plan(request)[0]
-
-    def _plan(self, request: Request) -> tuple[Plan, Specification]:
-        target = request.target(self.specification)
-        if request.to is None and len(request.replace) + len(request.remove) + len(request.add) == 1:
-            change = Change.of_request(self.configuration, self.specification, request, target)
-        else:
-            change = Change.between(self.configuration, self.specification, target)
-        return planner(request.strategy)(change), target
+        plan, _ = await self._session.plan(request)
+        return plan
 
     def log(self, since: int = 0) -> list[Event]:
         """The events after number ``since``."""
@@ -232,232 +256,35 @@ class Manager:
 
     async def change(
         self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
-    ) -> dict[str, Any]:
-        """Carry out ``request``: the outcome document of interfaces.md.
+    ) -> Outcome:
+        """Carry out ``request``.
 
-        With ``verify``, Alloy judges the plan first, and nothing is begun unless it holds; after each step, what is
-        live is judged as well, and a step after which it does not hold has failed.
-
-        ``expected`` is the revision a preview was made at; where the configuration has moved on
-        since, the change is refused, since its user has seen another plan. The events by which it waits and begins
-        bear ``id``, so that who asked can tell its own events from those of others.
+        ``expected`` is the revision a preview was made at; where the configuration has moved on since, the change is
+        refused, since its user has seen another plan. With ``verify``, Alloy judges the plan first, and nothing is
+        begun unless it holds; after each step, what is live is judged as well, and a step after which it does not hold
+        has failed. The events by which it waits and begins bear ``id``, so that a client can tell its own events from
+        those of others.
         """
         async with self._command(request.describe(), id):
-            if expected is not None and expected != self.revision:
-                return _refused("the configuration has changed since the plan was shown; look at the new plan")
-            try:
-                plan, target = self._plan(request)
-                self._keeper.require(self.specification, self.configuration)
-            except (PlanRefused, ManagerError) as error:
-                return self._refuse(str(error))
-            if not verify:
-                return await self._execute(plan, target)
-            self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
-            verdict = await self._verifier.plan(plan)
-            self._verified(verdict)
-            if not verdict.holds:
-                return {**self._refuse(verdict.words), "verdict": verdict.to_document()}
-            outcome = await self._execute(plan, target, self._watch(plan))
-            return {**outcome, "verdict": verdict.to_document()}
-
-    def _watch(self, plan: Plan) -> StepVerifier:
-        def told(configuration: Configuration) -> Awaitable[ObservedConfiguration]:
-            return live(configuration, self._link, self._backend.clock, self._crashes.unsettled)
-
-        return StepVerifier(self._verifier, tuple(plan.configurations()), told, self._verified)
-
-    def _verified(self, verdict: Verdict) -> None:
-        self.events.add("verified", str(verdict), verdict=verdict.to_document())
-
-    def _refuse(self, because: str) -> dict[str, Any]:
-        self.events.add("outcome", f"refused: {because}", outcome="refused")
-        return _refused(because)
-
-    async def _execute(self, plan: Plan, target: Specification, watch: StepVerifier | None = None) -> dict[str, Any]:
-        recording = Recording(self._link, self._backend.clock)
-        try:
-            return await self._recorded(plan, target, recording, watch)
-        finally:
-            await recording.stop(self.configuration.instances)
-
-    async def _recorded(
-        self, plan: Plan, target: Specification, recording: Recording, watch: StepVerifier | None
-    ) -> dict[str, Any]:
-        clock = self._backend.clock
-        actions = [step.action for step in plan.steps]
-        document = plan.to_document()
-        preview = {name: value for name, value in document.items() if name not in ("start", "target")}
-        self.events.add("plan", f"{_so_many(len(actions), 'step')}, disruption {plan.disruption:g}", plan=preview)
-        await recording.begin(self.configuration, actions)
-        falls = DegradationTimer(plan.change, clock.steady)
-        begun = clock.steady()
-        before, missing = self.configuration, dict(self._crashes.missing)
-        self._fell.clear()
-        self.configuration = plan.change.start
-        executor = self._executor(falls)
-        executor.performer.before_handover = recording.witness
-        executor.after_step = None if watch is None else watch.look
-        outcome, because = "done", None
-        try:
-            await executor.run(actions, plan.step_documents())
-            self.specification = target
-            self.configuration = plan.change.settled(self.configuration)
-            self._crashes.forget(self.configuration, self.specification.nodes)
-        except StepFailed as error:
-            outcome, because = error.outcome, str(error)
-            if outcome == "rolled_back":
-                self.configuration = before
-        seconds = clock.steady() - begun
-        fallen = falls.stop()
-        self._save()
-        await self._settle_crashes()  # who relies on them is not to wait for the end of the measure
-        if recording.subjects:
-            self.events.add("measuring", "watching the subscribers for 20 periods more")
-        self._measuring = True
-        try:
-            swaps = await recording.finish(executor.performer.last_numbers)
-        finally:
-            self._measuring = False
-        await self._settle()  # who asked is to hear of what has fallen by itself, too
-        documents_of_swaps = to_documents(swaps)
-        if documents_of_swaps:
-            self.events.add("measured", f"measured at {_so_many(len(swaps), 'subscriber')}", swaps=documents_of_swaps)
-        told = f"{outcome}: {because}" if because else outcome
-        self.events.add("outcome", told, outcome=outcome)
-        return {
-            "outcome": outcome,
-            "plan": document,
-            "seconds": round(seconds, 6),
-            "fallen": fallen,
-            "swaps": documents_of_swaps,
-            "because": because,
-            "ended": sorted(name for name, event in self._crashes.missing.items() if missing.get(name) is not event),
-            "degraded": sorted(map(str, self._fell)),
-        }
-
-    def _executor(self, falls: DegradationTimer | None = None) -> Executor:
-        async def moved(configuration: Configuration) -> None:
-            self.configuration = configuration
-            self.revision += 1
-            if falls is not None:
-                falls.moved(configuration)
-            self._save()
-
-        performer = ActionDriver(
-            link=self._link,
-            launcher=self._launcher,
-            tell=lambda kind, words, details: self._note(kind, words, **details),
-            is_gone=lambda name: name in self._crashes.unsettled,
-        )
-        return Executor(performer, self.configuration, moved, self._started)
-
-    def _started(self, instance: Instance) -> None:
-        self._crashes.returned(instance.name)
-        self._keeper.started(instance)
-        self._save()
-
-    def _save(self) -> None:
-        self._keeper.save(self.specification, self.configuration)
-
-    def _note(self, kind: str, words: str, **details: Any) -> None:
-        self.events.add(kind, words, **details)
+            return await self._session.change(request, expected=expected, verify=verify)
 
     @contextlib.asynccontextmanager
     async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
-        """One command at a time, first come first served; who must wait is told for whom."""
-        if self._running is not None:
-            self.events.add("waiting", f"`{words}` waits for `{self._running.words}`", command=words, id=id)
+        """One command at a time, first come first served; one that must wait says for which."""
+        if self._current is not None:
+            self.events.add("waiting", f"`{words}` waits for `{self._current.words}`", command=words, id=id)
         async with self._turn:
-            self._running = Running(words, self._backend.clock.steady())
+            self._current = CurrentCommand(words, self._backend.clock.steady())
             self.events.add("command", words, id=id)
             try:
-                await self._settle()
-                yield
-                await self._settle()  # what has ended by itself meanwhile
+                async with self._reconciler.around():
+                    yield
             finally:
-                self._running = None
-                if self._crashes.unsettled:  # while that was being seen to, or where the command has failed
-                    self._settle_soon()
+                self._current = None
 
-    # -- what happens by itself ------------------------------------------------------------------------
+    def _is_busy(self) -> bool:
+        """Whether a command is changing the system; one that only measures leaves room to reconcile."""
+        return self._current is not None and not self._session.measuring
 
-    def _on_backend_event(self, event: Announcement | Exited) -> None:
-        if isinstance(event, Announcement) and event.degraded:
-            if event.instance in self.configuration.instances and (self._running is None or self._measuring):
-                self._settle_soon()  # else the command that runs looks at its end
-            return
-        self._launcher.heard(event)
-        if isinstance(event, Announcement):
-            instance = self.configuration.instances.get(event.instance)
-            if instance is not None and instance.component.run is None and self._launcher.is_another(event):
-                self._ended(Exited(event.instance, None))
-        elif event.instance in self._launcher.handles:
-            self._ended(event)
-
-    def _ended(self, event: Exited) -> None:
-        self._crashes.ended(event)
-        status_words = "" if event.status is None else f" (status {event.status})"
-        self.events.add("exited", f"{event.instance} has ended by itself{status_words}", log=event.log_tail)
-        if self._running is None or self._measuring:
-            self._settle_soon()
-
-    def _settle_soon(self) -> None:
-        task = asyncio.get_running_loop().create_task(self._settle_alone())
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
-
-    async def _settle_alone(self) -> None:
-        async with contextlib.nullcontext() if self._measuring else self._turn:
-            try:
-                await self._settle()
-            except Exception as error:  # nobody waits for it: what went wrong is told here or never
-                log.exception("what has ended by itself could not be seen to")
-                self._note("note", f"what has ended by itself could not be seen to: internal error: {error!r}")
-
-    async def _settle(self) -> None:
-        """Bring the model to what is true, and lower whom that leaves without what they assume."""
-        async with self._seeing:
-            await self._reconcile()
-
-    async def _settle_crashes(self) -> None:
-        """The same where somebody has ended and nobody has seen to it to the end."""
-        if self._crashes.unsettled or self._seeing.locked():
-            await self._settle()
-
-    async def _reconcile(self) -> None:
-        gone = self._crashes.settle(self.configuration)
-        for name in gone:
-            self._launcher.handles.pop(name, None)
-            self._link.forget(name)
-        configuration = self.configuration
-        worse = await status.own_degradations(configuration, self._link, self._backend.clock, gone)
-        if not gone and not worse and not self._pending_degradations:
-            return
-        because = [f"{name} has ended by itself" for name in sorted(gone)]
-        for ref, index in sorted(worse.items()):
-            words = f"{ref} has gone to {configuration.functionality(ref).modes[index].name} by itself"
-            self.events.add("degraded", words, functionality=str(ref))
-            because.append(words)
-            self._fell.add(ref)
-        self.configuration, fallen = settled(configuration, gone, worse, self._pending_degradations)
-        self.revision += 1
-        reason = "; ".join(because) or "what it assumes was gone before it could be reached"
-        self._pending_degradations = await self._executor().lower(fallen, reason)
-        self._save()
-
-
-def _so_many(count: int, what: str) -> str:
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"
-
-
-def _refused(because: str) -> dict[str, Any]:
-    return {
-        "outcome": "refused",
-        "plan": None,
-        "seconds": 0.0,
-        "fallen": {},
-        "swaps": [],
-        "because": because,
-        "ended": [],
-        "degraded": [],
-    }
+    def _reconciler_turn(self) -> AbstractAsyncContextManager[Any]:
+        return contextlib.nullcontext() if self._session.measuring else self._turn

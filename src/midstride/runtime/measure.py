@@ -13,8 +13,11 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Final, NamedTuple
+from dataclasses import dataclass
+from typing import Final
+
+from midstride.codec.form import Form
+from midstride.wire.commands import Receipt
 
 # The window reaches this many periods before the first step and after the last.
 WINDOW_PERIODS: Final = 20
@@ -26,15 +29,7 @@ _ANSWERED: Final = 0.8
 _LATE: Final = 5
 
 
-class Row(NamedTuple):
-    received: int
-    source: int | None
-    number: int | None
-    publisher: str | None
-
-
-@dataclass(frozen=True, slots=True)
-class SwapReport:
+class SwapReport(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
     """The figures of one subscriber of one swapped topic. ``period`` and ``gap`` in seconds; None: not known."""
 
     topic: str
@@ -45,9 +40,6 @@ class SwapReport:
     missed: int | None
     lost: int | None
     duplicates: int | None
-
-    def to_document(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +53,7 @@ class Observation:
 
     topic: str
     subscriber: str
-    rows: Sequence[Row]
+    rows: Sequence[Receipt]
     begun: int
     ended: int
     guaranteed_period: float | None
@@ -97,19 +89,19 @@ def report(seen: Observation) -> SwapReport:
     )
 
 
-def _window(rows: Sequence[Row], begun: int, ended: int, period: float | None) -> list[Row]:
+def _window(rows: Sequence[Receipt], begun: int, ended: int, period: float | None) -> list[Receipt]:
     start = begun - int(WINDOW_PERIODS * period * 1e9) if period else -math.inf
     return sorted((row for row in rows if start <= row.received <= ended), key=lambda row: row.received)
 
 
-def _gap(rows: Sequence[Row], begun: int, ended: int) -> float:
+def _gap(rows: Sequence[Receipt], begun: int, ended: int) -> float:
     """The longest silence, the one before the end of the window included: a topic gone silent has no second message."""
     times = [row.received for row in rows] or [begun]
     times.append(ended)
     return max(later - earlier for earlier, later in itertools.pairwise(times)) / 1e9
 
 
-def _sides(rows: Sequence[Row], begun: int, last_number: int | None) -> dict[int, str] | None:
+def _sides(rows: Sequence[Receipt], begun: int, last_number: int | None) -> dict[int, str] | None:
     """The publisher of each row (by its place in ``rows``), told apart by identity or else by numbering."""
     if all(row.publisher is not None for row in rows):
         return {index: str(row.publisher) for index, row in enumerate(rows)}
@@ -135,9 +127,9 @@ def _sides(rows: Sequence[Row], begun: int, last_number: int | None) -> dict[int
     return sides
 
 
-def _swapped(rows: Sequence[Row], sides: dict[int, str], begun: int, tail: float) -> dict[str, list[Row]]:
+def _swapped(rows: Sequence[Receipt], sides: dict[int, str], begun: int, tail: float) -> dict[str, list[Receipt]]:
     """The rows of the publishers that came or went; of all, where none did. A bystander would blur the slots."""
-    by_side: dict[str, list[Row]] = {}
+    by_side: dict[str, list[Receipt]] = {}
     for index, row in enumerate(rows):
         by_side.setdefault(sides[index], []).append(row)
     moved = {name: own for name, own in by_side.items() if own[0].received > begun or own[-1].received < tail}
@@ -145,7 +137,7 @@ def _swapped(rows: Sequence[Row], sides: dict[int, str], begun: int, tail: float
 
 
 def _slots(
-    rows: Sequence[Row], by_side: dict[str, list[Row]], period: float, ended: int
+    rows: Sequence[Receipt], by_side: dict[str, list[Receipt]], period: float, ended: int
 ) -> tuple[int | None, int | None]:
     """Empty slots of the old publisher's grid by source time, and slots with messages of two publishers."""
     if any(row.source is None for row in rows):
@@ -167,7 +159,7 @@ def _slots(
     return missed, duplicates
 
 
-def _source(row: Row) -> int:
+def _source(row: Receipt) -> int:
     assert row.source is not None
     return row.source
 
@@ -207,7 +199,7 @@ def _assign(sources: Sequence[int], origin: float, step: float) -> Iterable[int]
     return [slot + shift for slot in slots]
 
 
-def _answers(by_side: dict[str, list[Row]], inputs: Sequence[int]) -> tuple[int, int] | None:
+def _answers(by_side: dict[str, list[Receipt]], inputs: Sequence[int]) -> tuple[int, int] | None:
     """Inputs that nobody answered, and inputs that two publishers answered.
 
     None where the publishers do not answer each input with one message, so that this grid is not
@@ -250,7 +242,7 @@ def _relieve(answers: dict[str, list[int]]) -> None:
 
 
 def _lost(
-    rows: Sequence[Row], sides: dict[int, str] | None, begun: int, tail: float, last_number: int | None
+    rows: Sequence[Receipt], sides: dict[int, str] | None, begun: int, tail: float, last_number: int | None
 ) -> int | None:
     """Holes in each publisher's numbering, and what the old one wrote last and nobody received."""
     if sides is None or not rows or any(row.number is None for row in rows):

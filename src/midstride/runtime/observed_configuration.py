@@ -4,59 +4,80 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass
-from typing import Any, Final
 
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
-from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.status import observed
-
-# How long a component's own word is waited for (s).
-TIMEOUT: Final = 1.0
+from midstride.wire.state import ComponentState
 
 
 @dataclass(frozen=True, slots=True)
 class ObservedConfiguration:
-    """What the components tell. Of those in ``silent``, which did not answer in time, the model's word is taken."""
+    """What the components report. Those in ``silent`` have reported nothing for too long: they are as in the model."""
 
     configuration: Configuration
     silent: tuple[str, ...]
 
 
-async def live(
-    configuration: Configuration, link: ComponentClient, clock: Clock, gone: Container[str] = ()
-) -> ObservedConfiguration:
+def observe(configuration: Configuration, client: ComponentClient, gone: Container[str] = ()) -> ObservedConfiguration:
     """The modes and attachments that the components report; without those in ``gone``, which have ended."""
     for name in [name for name in configuration.instances if name in gone]:
         configuration = configuration.without_instance(name)
-    states = await observed(sorted(configuration.instances), link, clock, TIMEOUT)
-    for name, state in states.items():
-        if state is not None:
-            configuration = _as_told(configuration, name, state)
-    return ObservedConfiguration(configuration, tuple(name for name, state in states.items() if state is None))
+    silent = []
+    for name in sorted(configuration.instances):
+        state = client.responsive(name)
+        if state is None:
+            silent.append(name)
+        else:
+            configuration = _as_reported(configuration, name, state)
+    return ObservedConfiguration(configuration, tuple(silent))
 
 
-def _as_told(configuration: Configuration, name: str, state: dict[str, Any]) -> Configuration:
+def own_degradations(
+    configuration: Configuration, client: ComponentClient, gone: Container[str]
+) -> dict[FunctionalityRef, int]:
+    """The functionalities that report a worse mode than the model has; ``gone`` are left out."""
+    worse: dict[FunctionalityRef, int] = {}
+    for name in sorted(configuration.instances):
+        latest = client.latest(name)
+        if latest is not None and name not in gone:
+            worse.update(own_degradations_in(configuration, latest.state))
+    return worse
+
+
+def own_degradations_in(configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
+    """The functionalities of one component that report a worse mode than the model has."""
+    if state.instance not in configuration.instances:
+        return {}
+    worse: dict[FunctionalityRef, int] = {}
+    for functionality, view in state.functionalities.items():
+        ref = FunctionalityRef(state.instance, functionality)
+        index = configuration.functionality(ref).mode_index(view.mode)
+        if index > configuration.modes[ref]:
+            worse[ref] = index
+    return worse
+
+
+def _as_reported(configuration: Configuration, name: str, state: ComponentState) -> Configuration:
     modes = {}
-    for functionality, view in state["functionalities"].items():
+    for functionality, view in state.functionalities.items():
         ref = FunctionalityRef(name, functionality)
-        modes[ref] = configuration.functionality(ref).mode_index(view["mode"])
+        modes[ref] = configuration.functionality(ref).mode_index(view.mode)
     configuration = configuration.with_modes(modes)
-    # A component knows topics alone; what stands behind a closed gate is not attached yet, or no longer.
-    told = {
+    # A component knows topics alone; what is behind a closed gate is not attached yet, or no longer.
+    reported = {
         (PortRef(name, port), topic)
-        for port, topics in state["ports"].items()
-        for topic, view in topics.items()
-        if view["gate"] != "closed"
+        for port, topics in state.ports.items()
+        for topic, link in topics.items()
+        if link.gate != "closed"
     }
     known = set()
     for port, connector in configuration.attached_ports(name):
         pair = (port, configuration.context.connectors[connector].topic)
         known.add(pair)
-        if pair not in told:
+        if pair not in reported:
             configuration = configuration.without_attachment(port, connector)
-    if unknown := sorted(told - known):
+    if unknown := sorted(reported - known):
         by_topic = {connector.topic: key for key, connector in configuration.context.connectors.items()}
         for port, topic in unknown:
             configuration = configuration.with_attachment(port, by_topic.get(topic, topic))

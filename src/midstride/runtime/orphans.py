@@ -11,7 +11,7 @@ from collections.abc import Container
 
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import ProcessInfo, environment_value, processes
-from midstride.wire.messages import ENV_INSTANCE, ENV_TOKEN
+from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 
 async def end_orphans(token: str, known: Container[str], grace: float) -> list[str]:

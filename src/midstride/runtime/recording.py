@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Final
 
 from midstride.errors import MidstrideError
 from midstride.model.action import Action, Attach, Create, Detach, Handover, Remove
@@ -14,7 +14,8 @@ from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.measure import WINDOW_PERIODS, Observation, Row, SwapReport, report
+from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, report
+from midstride.wire.commands import GridCommand, RecordCommand, Records, RecordsCommand
 
 # The tail after the last step is 20 periods, but a slow topic does not keep the user waiting longer than this (s).
 LONGEST_TAIL: Final = 10.0
@@ -69,7 +70,7 @@ class _Subject:
 class Recording:
     """One recording. It never stands in the way of the plan: what cannot be recorded is reported as unknown."""
 
-    link: ComponentClient
+    client: ComponentClient
     clock: Clock
     subjects: list[_Subject] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)
@@ -99,15 +100,15 @@ class Recording:
         """Turn recording on at ``port``, once; since when it is on there (ns)."""
         begun = self._begun.setdefault(port, None)
         if begun is None:
-            reply = await self.link.change(port.instance, "record", inputs=[port.port], on=True)
-            begun = self._begun[port] = int(reply["now"])
+            recording = await self.client.change(port.instance, RecordCommand(inputs=[port.port], on=True))
+            begun = self._begun[port] = recording.now
         return begun
 
     async def witness(self, configuration: Configuration, action: Handover) -> None:
         """Just before a hand-over: have the new side of a message-driven output note what there is to answer."""
         for swap in action.swaps:
             try:
-                if (await self.link.read(swap.old.instance, "grid", port=swap.old.port))["trigger"] != "message":
+                if (await self.client.read(swap.old.instance, GridCommand(port=swap.old.port))).trigger != "message":
                     continue
                 owner = configuration.component(swap.new.instance).owner(swap.new.port)
                 inputs = [PortRef(swap.new.instance, name) for name in owner.inputs]
@@ -119,10 +120,9 @@ class Recording:
 
     async def _grid_period(self, old: PortRef) -> float | None:
         try:
-            period = (await self.link.read(old.instance, "grid", port=old.port))["period"]
+            return (await self.client.read(old.instance, GridCommand(port=old.port))).period
         except MidstrideError:
             return None
-        return None if period is None else float(period)
 
     async def finish(self, last_numbers: dict[PortRef, int | None]) -> list[SwapReport]:
         """Wait for the tail, and work out the figures. :meth:`stop` is still due.
@@ -148,33 +148,33 @@ class Recording:
         """Turn recording off in whichever of ``live`` it is on: they would go on keeping what nobody asks for."""
         for port in self._begun:
             if port.instance in live:
-                await self.link.take_back(port.instance, "record", inputs=[port.port], on=False)
+                await self.client.undo(port.instance, RecordCommand(inputs=[port.port], on=False))
         self._begun.clear()
 
-    async def _records(self, port: PortRef) -> dict[str, Any] | None:
+    async def _records(self, port: PortRef) -> Records | None:
         try:
-            return await self.link.read(port.instance, "records", input=port.port)
+            return await self.client.read(port.instance, RecordsCommand(input=port.port))
         except MidstrideError:
             return None
 
 
 def _report(
     subject: _Subject,
-    records: dict[str, Any] | None,
-    inputs: dict[PortRef, dict[str, Any] | None],
+    records: Records | None,
+    inputs: dict[PortRef, Records | None],
     last_numbers: dict[PortRef, int | None],
 ) -> SwapReport:
     if records is None:
         return _unknown(subject.topic, subject.input, subject.guaranteed_period)
     to_answer = inputs.get(subject.exchange.old)
-    sources = None if to_answer is None else [Row(*row).source for row in to_answer["rows"]]
+    sources = None if to_answer is None else [row.source for row in to_answer.rows]
     return report(
         Observation(
             topic=subject.topic,
             subscriber=str(subject.input),
-            rows=[Row(*row) for row in records["rows"]],
+            rows=records.rows,
             begun=subject.begun,
-            ended=int(records["now"]),
+            ended=records.now,
             guaranteed_period=subject.guaranteed_period,
             grid_period=subject.grid_period,
             last_number=last_numbers.get(subject.exchange.old),
@@ -190,7 +190,3 @@ def _normal(configuration: Configuration, output: PortRef) -> Predicate | None:
 
 def _unknown(topic: str, port: PortRef, period: float | None) -> SwapReport:
     return SwapReport(topic, str(port), period, None, None, None, None, None)
-
-
-def to_documents(reports: Iterable[SwapReport]) -> list[dict[str, Any]]:
-    return [entry.to_document() for entry in reports]

@@ -8,10 +8,10 @@ functionalities, guarantees at least as strong, assumptions no stronger.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import NOTHING, Predicate, explain
+from midstride.wire.state import Endpoint
 
 
 def mismatches(declared: ComponentSpec, registered: ComponentSpec) -> list[str]:
@@ -19,14 +19,14 @@ def mismatches(declared: ComponentSpec, registered: ComponentSpec) -> list[str]:
     return list(_mismatches(declared, registered))
 
 
-def unexpected_endpoints(declared: ComponentSpec, role: str, endpoints: Sequence[dict[str, Any]]) -> list[str]:
+def unexpected_endpoints(declared: ComponentSpec, role: str, endpoints: Sequence[Endpoint]) -> list[str]:
     """The endpoints of a node that are no ports and that its component does not ``allow``."""
     allowed = {(endpoint.kind, _resolved(endpoint.name, role)) for endpoint in declared.allows}
     return [
-        f"{endpoint['kind']} {endpoint['name']}"
+        f"{endpoint.kind} {endpoint.name}"
         for endpoint in endpoints
-        if (endpoint["kind"], endpoint["name"]) not in allowed
-        and (endpoint["kind"], _resolved(endpoint["name"], role)) not in allowed
+        if (endpoint.kind, endpoint.name) not in allowed
+        and (endpoint.kind, _resolved(endpoint.name, role)) not in allowed
     ]
 
 

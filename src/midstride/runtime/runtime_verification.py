@@ -8,7 +8,7 @@ configuration that was judged there; only where they stand otherwise is Alloy as
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
+from collections.abc import Callable
 from dataclasses import dataclass
 from threading import Event
 from typing import Final
@@ -16,6 +16,7 @@ from typing import Final
 from midstride.errors import VerificationError
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
+from midstride.runtime.component_client import SILENCE
 from midstride.runtime.observed_configuration import ObservedConfiguration
 from midstride.verify.checking import Asking, verify_configuration, verify_plan
 from midstride.verify.verdict import Verdict
@@ -49,14 +50,17 @@ class StepVerifier:
 
     verifier: Verifier
     judged: tuple[Configuration, ...]
-    live: Callable[[Configuration], Awaitable[ObservedConfiguration]]
+    observe: Callable[[Configuration], ObservedConfiguration]
     tell: Callable[[Verdict], object]
 
     async def look(self, configuration: Configuration) -> None:
         """Raises VerificationError where what is live is not known, or is not known to be valid."""
-        found = await self.live(configuration)
+        found = self.observe(configuration)
         if found.silent:
-            raise VerificationError(f"what is live is not known: {', '.join(found.silent)} did not answer")
+            silent = ", ".join(found.silent)
+            raise VerificationError(
+                f"what is live is not known: {silent} has reported nothing for more than {SILENCE:g} s"
+            )
         if found.configuration in self.judged:
             return
         verdict = await self.verifier.configuration(found.configuration)

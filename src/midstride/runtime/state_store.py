@@ -1,62 +1,171 @@
-"""What the next manager needs to find this system again, written down as things happen.
+"""What the next manager needs to find a running system again, in a database beside its sockets.
 
-A manager may be killed at any moment. What it has started by then must be in the state, components that are still on
-their way included: a process that nobody knows of would run for ever, under a name that is then taken.
+A manager may be killed at any moment. What it has started by then is in here, processes that are still coming up
+included: one that is in no record would run for ever, under a name that is then taken. Each write is one row of what
+changed, durable when the call returns, so its cost does not depend on the size of the system.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+import sqlite3
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
 
-from midstride.errors import ManagerError
-from midstride.model.configuration import Configuration, Instance
+import msgspec
+
+from midstride.codec.configuration import InstanceForm
+from midstride.codec.specification import SpecificationForm, decode_specification
+from midstride.errors import ManagerError, MidstrideError
+from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
-from midstride.runtime.launcher import Launcher
-from midstride.runtime.recovery import state_document
-from midstride.runtime.workspace import Workspace
+from midstride.runtime.backend import Handle
+
+# The form of the database; a manager of another version refuses it.
+VERSION: Final = 2
+_SCHEMA: Final = """
+CREATE TABLE IF NOT EXISTS system (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL, handle TEXT) WITHOUT ROWID;
+"""
+
+
+@dataclass(frozen=True, slots=True)
+class SavedInstance:
+    """An instance that an earlier manager knew. ``handle`` is None where it was started elsewhere."""
+
+    instance: Instance
+    handle: Handle | None
+
+
+@dataclass(frozen=True, slots=True)
+class SavedState:
+    """What an earlier manager left."""
+
+    backend: str
+    token: str
+    specification: Specification
+    instances: tuple[SavedInstance, ...]
 
 
 class StateStore:
-    """Keeps the state of one system. ``tell`` is told where the disk refuses, once; ``unwritten`` says so as long."""
+    """The state of one system in the file ``path``. ``warn`` is called once when the disk starts to refuse writes.
 
-    def __init__(
-        self, workspace: Workspace, backend: str, token: str, launcher: Launcher, tell: Callable[[str], object]
-    ) -> None:
+    A disk that refuses does not stop a change half-way: ``unwritten`` says why, until a write succeeds again.
+    """
+
+    def __init__(self, path: Path, warn: Callable[[str], object] = lambda _: None) -> None:
+        self.path = path
         self.unwritten: str | None = None
-        self._workspace = workspace
-        self._backend = backend
-        self._token = token
-        self._launcher = launcher
-        self._tell = tell
-        self._started: dict[str, Instance] = {}
+        self._warn = warn
+        self._database: sqlite3.Connection | None = None
+        self._pending: dict[str, tuple[str, tuple[Any, ...]]] = {}  # what the disk has refused, by key
 
-    def started(self, instance: Instance) -> None:
-        """The process of ``instance`` has been started. It is kept until it is in the configuration, or has ended."""
-        self._started[instance.name] = instance
+    # -- reading -----------------------------------------------------------------------------------
 
-    def save(self, specification: Specification, configuration: Configuration) -> None:
-        """Keep the state. A disk that refuses does not stop a change half way: it is told."""
+    def load(self) -> SavedState | None:
+        """What an earlier manager left, or None. Raises ManagerError where it cannot be read."""
+        if not self.path.exists():
+            return None
         try:
-            self.require(specification, configuration)
-        except ManagerError as error:
-            if self.unwritten is None:
-                self._tell(f"{error}; a later manager would not find everything again")
-            self.unwritten = str(error)
+            with sqlite3.connect(f"file:{self.path}?mode=rw", uri=True) as database:
+                system = dict(database.execute("SELECT key, value FROM system"))
+                rows = database.execute("SELECT form, handle FROM instances ORDER BY name").fetchall()
+            database.close()
+            if system.get("version") != str(VERSION):
+                raise self._unreadable("another version of Midstride wrote it")
+            return SavedState(
+                system["backend"],
+                system["token"],
+                decode_specification(msgspec.json.decode(system["specification"])),
+                tuple(_instance(form, handle) for form, handle in rows),
+            )
+        except ManagerError:
+            raise
+        except (sqlite3.Error, msgspec.DecodeError, MidstrideError, ValueError, KeyError, RecursionError) as error:
+            raise self._unreadable(f"{type(error).__name__}: {error}") from error
 
-    def require(self, specification: Specification, configuration: Configuration) -> None:
-        """Keep the state. Raises ManagerError where the disk refuses."""
-        handles = self._launcher.handles
-        self._started = {
-            name: instance
-            for name, instance in self._started.items()
-            if name in handles and name not in configuration.instances
-        }
-        instances = [*configuration.instances.values(), *self._started.values()]
-        attachments = list(configuration.attachments())
-        self._workspace.save(state_document(specification, self._backend, self._token, instances, attachments, handles))
+    def _unreadable(self, why: str) -> ManagerError:
+        return ManagerError(
+            f"cannot read {self.path}: {why}. So it is not known what still runs of {self.path.parent.name}: end that "
+            "yourself, then remove the file"
+        )
+
+    # -- writing -----------------------------------------------------------------------------------
+
+    def begin(self, backend: str, token: str, specification: Specification) -> None:
+        """The system is being brought up, or found again."""
+        self._put("version", str(VERSION), "backend", backend, "token", token)
+        self.write_specification(specification)
+
+    def write_specification(self, specification: Specification) -> None:
+        """The specification that the system runs now."""
+        self._put("specification", msgspec.json.encode(SpecificationForm.of(specification)).decode())
+
+    def write_instance(self, instance: Instance, handle: Handle | None) -> None:
+        """An instance has been started, or its parameters have changed."""
+        form = msgspec.json.encode(InstanceForm.of(instance)).decode()
+        kept = None if handle is None else msgspec.json.encode(handle).decode()
+        row = ("INSERT OR REPLACE INTO instances VALUES (?, ?, ?)", (instance.name, form, kept))
+        self._write({f"instance {instance.name}": row})
+
+    def remove_instance(self, name: str) -> None:
+        """An instance has ended, or is no longer this system's."""
+        self._write({f"instance {name}": ("DELETE FROM instances WHERE name = ?", (name,))})
+
+    def require(self) -> None:
+        """Raises ManagerError where the disk refuses writes, now or since an earlier one."""
+        self._put("checked", "")
+        if self.unwritten is not None:
+            raise ManagerError(self.unwritten)
+
+    def forget(self) -> None:
+        """The system is down, or never came up."""
+        self.close()
+        for suffix in ("", "-wal", "-shm"):
+            self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)
+
+    def close(self) -> None:
+        database, self._database = self._database, None
+        if database is not None:
+            with suppress(sqlite3.Error):
+                database.close()
+
+    def _put(self, *pairs: str) -> None:
+        rows = zip(pairs[::2], pairs[1::2], strict=True)
+        self._write({key: ("INSERT OR REPLACE INTO system VALUES (?, ?)", (key, value)) for key, value in rows})
+
+    def _write(self, statements: Mapping[str, tuple[str, tuple[Any, ...]]]) -> None:
+        self._pending.update(statements)
+        try:
+            database = self._open()
+            with database:
+                for statement, values in self._pending.values():
+                    database.execute(statement, values)
+        except (sqlite3.Error, OSError) as error:
+            why = f"cannot write {self.path}: {error}"
+            if self.unwritten is None:
+                self._warn(f"{why}; a later manager would not find everything again")
+            self.unwritten = why
+            return
+        self._pending.clear()
         self.unwritten = None
 
-    def forget(self, *, unless_running: bool = False) -> None:
-        """The system is down, or never came up. With ``unless_running`` the state stays while a component does."""
-        if not (unless_running and self._launcher.handles):
-            self._workspace.forget()
+    def _open(self) -> sqlite3.Connection:
+        if self._database is None:
+            os.close(os.open(self.path, os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600))  # it holds the system's token
+            database = sqlite3.connect(self.path, check_same_thread=False)
+            database.execute("PRAGMA journal_mode = WAL")
+            database.execute("PRAGMA synchronous = FULL")
+            database.executescript(_SCHEMA)
+            self._database = database
+        return self._database
+
+
+def _instance(form: str, handle: str | None) -> SavedInstance:
+    return SavedInstance(
+        msgspec.json.decode(form, type=InstanceForm).instance(),
+        None if handle is None else msgspec.json.decode(handle, type=Handle),
+    )

@@ -7,28 +7,33 @@ to its end (or taken back by the manager) even if the client goes away.
 from __future__ import annotations
 
 import os
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse, StreamingResponse
+from fastapi.responses import StreamingResponse
 from starlette.exceptions import HTTPException
 
 from midstride import __version__
+from midstride.codec.specification import SpecificationForm
 from midstride.errors import MidstrideError
-from midstride.model.document import specification_to_document
-from midstride.server import documents, errors, stream
+from midstride.plan.request_form import ChangeRequest
+from midstride.runtime.reports import (
+    DownReport,
+    Event,
+    LiveConfiguration,
+    Outcome,
+    PlannedChange,
+    Status,
+    UpReport,
+    Why,
+)
+from midstride.server import stream
+from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
-
-_REFUSED: dict[int | str, dict[str, Any]] = {
-    409: {"model": documents.Failure, "description": "refused, nothing was changed; the message says why"},
-    422: {"model": documents.Failure, "description": "not a request, or not a specification; every fault is named"},
-    502: {"model": documents.Failure, "description": "the platform below failed"},
-}
-
-
-def _answers(model: type[documents.Outgoing]) -> dict[int | str, dict[str, Any]]:
-    return {200: {"model": model}, **_REFUSED}
+from midstride.server.openapi import answers, document_forms, failures, request_body
+from midstride.server.requests import SubmittedChange, read_change, read_request
+from midstride.server.service import Service
 
 
 def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
@@ -47,73 +52,76 @@ def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
     app.add_exception_handler(RequestValidationError, _not_a_request)
     app.add_exception_handler(HTTPException, _no_operation)
     app.add_exception_handler(Exception, _our_fault)
+    document_forms(app)
     return app
 
 
 async def _told(_: Request, error: Exception) -> Response:
-    return JSONResponse(errors.told(error), errors.status_of(error))
+    return answer(Failure.of(error), status_of(error))
 
 
 async def _not_a_request(_: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
-    message = errors.in_one_line(list(error.errors()))
-    return JSONResponse({"error": {"kind": "SpecificationError", "message": message}}, 422)
+    return answer(Failure.named("SpecificationError", in_one_line(list(error.errors()))), 422)
 
 
 async def _no_operation(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
     asked = f"{request.method} {request.url.path}"
     message = f"{asked}: {error.detail}; /api/v1/openapi.json lists every operation"
-    return JSONResponse({"error": {"kind": "NoOperation", "message": message}}, error.status_code, error.headers)
+    return answer(Failure.named("NoOperation", message), error.status_code, error.headers)
 
 
 async def _our_fault(_: Request, error: Exception) -> Response:
-    return JSONResponse({"error": {"kind": "InternalError", "message": f"internal error: {error!r}"}}, 500)
+    return answer(Failure.named("InternalError", f"internal error: {error!r}"), 500)
 
 
 def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     router, manager = APIRouter(), lifecycle.manager
 
-    @router.get("", responses={200: {"model": documents.Service}})
+    @router.get("", responses=answers(Service))
     async def service() -> Response:
         """Who answers, and whether its system is up."""
-        told = {"system": manager.specification.name, "backend": backend, "version": __version__}
-        return JSONResponse({**told, "pid": os.getpid(), "phase": lifecycle.phase})
+        name = manager.specification.name
+        return answer(Service(name, backend, __version__, os.getpid(), lifecycle.phase))
 
-    @router.get("/up", responses=_answers(documents.Outcome))
+    @router.get("/up", responses=answers(UpReport))
     async def up() -> Response:
         """What came of bringing the system up; waits until that is known."""
-        return JSONResponse(await lifecycle.outcome_of_up())
+        return answer(await lifecycle.outcome_of_up())
 
-    @router.get("/status", responses=_answers(documents.Status))
+    @router.get("/status", responses=answers(Status))
     async def status() -> Response:
         """What is live and in which modes, as each component itself says it."""
-        return JSONResponse(await manager.status())
+        return answer(await manager.status())
 
-    @router.get("/configuration", responses=_answers(documents.Live))
+    @router.get("/configuration", responses=answers(LiveConfiguration))
     async def configuration() -> Response:
         """What is live, attached and in which mode, as each component itself says it, with the world it lives in."""
-        return JSONResponse(await manager.live())
+        return answer(await manager.live())
 
-    @router.get("/specification", responses=_REFUSED)
+    @router.get("/specification", responses=answers(SpecificationForm))
     async def specification() -> Response:
         """The specification that the system runs, in its JSON form."""
-        return JSONResponse(specification_to_document(manager.specification))
+        return answer(SpecificationForm.of(manager.specification))
 
-    @router.get("/why", responses=_answers(documents.Why))
+    @router.get("/why", responses=answers(Why))
     async def why(functionality: Annotated[str, Query(description="as `listener.listen`")]) -> Response:
         """Why a functionality is in the mode it is in."""
-        return JSONResponse(await manager.why(functionality))
+        return answer(await manager.why(functionality))
 
-    @router.get("/log", responses={200: {"model": list[documents.Event]}})
+    @router.get("/log", responses=answers(list[Event]))
     async def log(since: Annotated[int, Query(ge=0, description="the last event's number one has")] = 0) -> Response:
         """What has happened so far."""
-        return JSONResponse(manager.log(since))
+        return answer(manager.log(since))
 
     @router.get(
         "/events",
         response_class=StreamingResponse,
-        responses={200: {"content": {"text/event-stream": {}}, "description": "server-sent events, as in /log"}},
+        responses={
+            200: {"content": {"text/event-stream": {}}, "description": "server-sent events, as in /log"},
+            **failures(),
+        },
     )
     async def events(
         since: Annotated[int, Query(ge=0)] = 0,
@@ -130,26 +138,27 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
 def _changing(lifecycle: Lifecycle) -> APIRouter:
     router, manager = APIRouter(), lifecycle.manager
 
-    @router.post("/plan", responses=_answers(documents.Plan))
-    async def plan(request: documents.ChangeRequest) -> Response:
+    @router.post("/plan", responses=answers(PlannedChange), openapi_extra=request_body(ChangeRequest))
+    async def plan(http: Request) -> Response:
         """The plan for a change; nothing is changed. `revision` goes into `expected` of `/change`."""
+        request = await read_request(http)
         lifecycle.require_up()
         revision = manager.revision
-        found = await manager.plan(request.request())
-        return JSONResponse({**found.to_document(), "revision": revision})
+        found = await manager.plan(request)
+        return answer(PlannedChange.of(found, revision=revision))
 
-    @router.post("/change", responses=_answers(documents.Outcome))
-    async def change(change: documents.Change) -> Response:
+    @router.post("/change", responses=answers(Outcome), openapi_extra=request_body(SubmittedChange))
+    async def change(http: Request) -> Response:
         """Carry a change out, once the commands before it are done; answers when it is measured."""
+        change, request = await read_change(http)
         lifecycle.require_up()
-        request = change.request.request()
         work = manager.change(request, expected=change.expected, verify=change.verify, id=change.id)
-        return JSONResponse(await lifecycle.carry_out(work))
+        return answer(await lifecycle.carry_out(work))
 
-    @router.post("/down", responses=_REFUSED)
+    @router.post("/down", responses=answers(DownReport))
     async def down() -> Response:
         """End every component, and then the manager."""
         await lifecycle.carry_out(lifecycle.take_down(), breakable=False)
-        return JSONResponse({"outcome": "done"})
+        return answer(DownReport())
 
     return router

@@ -7,8 +7,9 @@ import secrets
 from pathlib import Path
 
 from starlette.datastructures import Headers
-from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Receive, Scope, Send
+
+from midstride.server.errors import Failure, answer
 
 
 class BearerAuth:
@@ -20,8 +21,8 @@ class BearerAuth:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http" and not self._is_allowed(Headers(scope=scope)):
-            error = {"kind": "Unauthorized", "message": "send the header `Authorization: Bearer <token>`"}
-            refusal = JSONResponse({"error": error}, 401, {"WWW-Authenticate": "Bearer"})
+            failure = Failure.named("Unauthorized", "send the header `Authorization: Bearer <token>`")
+            refusal = answer(failure, 401, {"WWW-Authenticate": "Bearer"})
             await refusal(scope, receive, send)
             return
         await self._app(scope, receive, send)

@@ -1,10 +1,16 @@
-"""Exceptions as answers: a status that HTTP clients understand, and one document with the words."""
+"""Exceptions as answers: a status that HTTP clients understand, and one form with the words."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, Final
 
+import msgspec
+from msgspec import UNSET, UnsetType
+from starlette.responses import Response
+
 from midstride import errors
+from midstride.codec.form import Form
 
 # The first that fits; what fits none is the server's own fault.
 _STATUS: Final[tuple[tuple[type[Exception], int], ...]] = (
@@ -23,12 +29,32 @@ def status_of(error: Exception) -> int:
     return next((status for kind, status in _STATUS if isinstance(error, kind)), 500)
 
 
-def told(error: Exception) -> dict[str, Any]:
-    """``{"error": {"kind", "message"}}``; a specification's faults one by one beside it."""
-    document: dict[str, Any] = {"kind": type(error).__name__, "message": str(error) or type(error).__name__}
-    if isinstance(error, errors.SpecificationError):
-        document["problems"] = [str(problem) for problem in error.problems]
-    return {"error": document}
+class FailureDetails(Form, frozen=True, forbid_unknown_fields=False):
+    """The name of the exception, as in midstride.errors, its message, and the faults of a specification one by one."""
+
+    kind: str
+    message: str
+    problems: list[str] | UnsetType = UNSET
+
+
+class Failure(Form, frozen=True, forbid_unknown_fields=False):
+    """An operation that failed."""
+
+    error: FailureDetails
+
+    @classmethod
+    def of(cls, error: Exception) -> Failure:
+        problems = [str(each) for each in error.problems] if isinstance(error, errors.SpecificationError) else UNSET
+        return cls(FailureDetails(type(error).__name__, str(error) or type(error).__name__, problems))
+
+    @classmethod
+    def named(cls, kind: str, message: str) -> Failure:
+        return cls(FailureDetails(kind, message))
+
+
+def answer(form: object, status: int = 200, headers: Mapping[str, str] | None = None) -> Response:
+    """The HTTP response that has the form as its JSON."""
+    return Response(msgspec.json.encode(form), status, headers, media_type="application/json")
 
 
 def in_one_line(faults: list[dict[str, Any]]) -> str:

@@ -10,15 +10,18 @@ import asyncio
 import contextlib
 import logging
 import time
-from typing import Any, Final, Literal
+from collections.abc import Coroutine
+from typing import Any, Final, TypeVar
 
 from midstride.errors import ManagerError, MidstrideError
 from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Event, UpReport
 from midstride.runtime.timeouts import within
+from midstride.server.service import Phase
 
 log = logging.getLogger(__name__)
 
-Phase = Literal["starting", "up", "failed", "down"]
+T = TypeVar("T")
 
 # How long a manager that has failed waits for somebody to ask why (s).
 LINGER: Final = 5.0
@@ -39,7 +42,7 @@ class Lifecycle:
         self.failure: MidstrideError | None = None
         self._settled = asyncio.Event()
         self._told = asyncio.Event()
-        self._outcome: dict[str, Any] = {}
+        self._outcome: UpReport | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
         self._breakable: set[asyncio.Task[Any]] = set()
 
@@ -59,15 +62,16 @@ class Lifecycle:
         finally:
             self._settled.set()
 
-    async def outcome_of_up(self) -> dict[str, Any]:
+    async def outcome_of_up(self) -> UpReport:
         """What came of bringing up, once that is known. Raises the MidstrideError it failed with."""
         await self._settled.wait()
         if self.failure is not None:
             self._told.set()
             raise self.failure
+        assert self._outcome is not None
         return self._outcome
 
-    async def carry_out(self, work: Any, *, breakable: bool = True) -> Any:
+    async def carry_out(self, work: Coroutine[Any, Any, T], *, breakable: bool = True) -> T:
         """Await ``work`` even if the client that asked for it goes away meanwhile.
 
         What is ``breakable`` is broken off when the manager is told to end, and raises ManagerError then.
@@ -124,9 +128,9 @@ class Lifecycle:
         else:
             await ended
 
-    def failure_event(self, n: int) -> dict[str, Any]:
+    def failure_event(self, n: int) -> Event:
         """The failure as an event, numbered ``n``: the last one that its listeners hear."""
-        return {"n": n, "at": time.time(), "kind": "up_failed", "words": str(self.failure)}
+        return Event(n=n, at=time.time(), kind="up_failed", words=str(self.failure))
 
     @property
     def settled(self) -> asyncio.Event:

@@ -7,18 +7,20 @@ the manager still keeps. A comment every few seconds keeps proxies and dead-peer
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import AsyncIterator
 from typing import Any, Final
 
+import msgspec
+
+from midstride.runtime.reports import Event
 from midstride.server.lifecycle import Lifecycle
 
 KEEP_ALIVE: Final = 15.0
 
 
-def encode(event: dict[str, Any]) -> str:
+def encode(event: Event) -> str:
     """One event in the format of server-sent events. JSON has no raw line breaks, so one ``data`` line holds it."""
-    return f"id: {event['n']}\nevent: {event['kind']}\ndata: {json.dumps(event)}\n\n"
+    return f"id: {event.n}\nevent: {event.kind}\ndata: {msgspec.json.encode(event).decode()}\n\n"
 
 
 async def events(lifecycle: Lifecycle, since: int) -> AsyncIterator[str]:
@@ -37,7 +39,7 @@ async def events(lifecycle: Lifecycle, since: int) -> AsyncIterator[str]:
                 yield ": still here\n\n"
             elif upcoming in done:  # first of all: what was said before an end is heard before it
                 event = upcoming.result()
-                last = event["n"]
+                last = event.n
                 waits.discard(upcoming)
                 upcoming = asyncio.ensure_future(anext(source))
                 waits.add(upcoming)

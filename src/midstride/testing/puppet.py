@@ -25,9 +25,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from midstride.codec.component import decode_component
 from midstride.model import component as model
 from midstride.model.contract import Predicate, satisfies
-from midstride.model.document import component_from_document
 from midstride.node.component import Component
 from midstride.node.contracts import guarantee
 from midstride.node.functionality import Functionality
@@ -40,7 +40,7 @@ class Puppet:
 
     def __init__(self, description: dict[str, Any]) -> None:
         self._description = description
-        self._declared: model.ComponentSpec = component_from_document(description["component"])
+        self._declared: model.ComponentSpec = decode_component(description["component"])
         self._modes: dict[str, dict[str, Any]] = description.get("modes", {})
         self.component = Component(self._declared.name)
         self._inputs: dict[str, Input] = {}

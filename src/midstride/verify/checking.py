@@ -13,7 +13,7 @@ from typing import Any
 from midstride.errors import AlloyFailed, PlanRefused, VerificationError
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, initial
-from midstride.plan.document import plan_from_document
+from midstride.plan.decoding import decode_plan
 from midstride.plan.plan import Plan
 from midstride.plan.specification_diff import differences
 from midstride.verify.alloy_atoms import TooLarge
@@ -50,7 +50,7 @@ def verify_plan(
     the reason: no Analyzer, no time, too large. Raises SpecificationError where the document is no plan.
     """
     try:
-        known = plan if isinstance(plan, Plan) else plan_from_document(plan)
+        known = plan if isinstance(plan, Plan) else decode_plan(plan)
     except PlanRefused as error:  # what it speaks of is not there: nothing of it can be told to Alloy
         return _unfit(str(error))
     if start is not None and (found := differences(start, known.start)):

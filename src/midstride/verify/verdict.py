@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any, Literal
+from typing import Literal
+
+from midstride.codec.form import Form
 
 
 class Answer(Enum):
@@ -23,8 +25,7 @@ Kind = Literal[
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class CauseLink:
+class CauseLink(Form, frozen=True):
     """One link of the chain from an assumption to what falls short, for the picture."""
 
     thing: Literal["functionality", "assumption", "input", "topic", "output", "environment"]
@@ -33,17 +34,8 @@ class CauseLink:
     satisfied: bool
     under: tuple[CauseLink, ...] = ()
 
-    def to_document(self) -> dict[str, Any]:
-        document: dict[str, Any] = {
-            "thing": self.thing, "name": self.name, "told": self.told, "satisfied": self.satisfied
-        }  # fmt: skip
-        if self.under:
-            document["under"] = [link.to_document() for link in self.under]
-        return document
 
-
-@dataclass(frozen=True, slots=True)
-class Finding:
+class Finding(Form, frozen=True, omit_defaults=False):
     """One thing that does not hold, in the file's own names.
 
     ``step`` counts from 1; None is the configuration at the start (or the only one), the declarations, or the end.
@@ -59,17 +51,6 @@ class Finding:
 
     def __str__(self) -> str:
         return f"{self.where}: {self.subject}: {self.because}"
-
-    def to_document(self) -> dict[str, Any]:
-        return {
-            "kind": self.kind,
-            "step": self.step,
-            "where": self.where,
-            "subject": self.subject,
-            "assumption": self.assumption,
-            "because": self.because,
-            "chain": None if self.chain is None else self.chain.to_document(),
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,19 +85,34 @@ class Verdict:
     def failed(self) -> int | None:
         return min((finding.step for finding in self.findings if finding.step is not None), default=None)
 
-    def to_document(self) -> dict[str, Any]:
-        return {
-            "verdict": self.answer.value,
-            "subject": self.subject,
-            "scope": self.scope,
-            "by": self.by,
-            "because": self.because,
-            "findings": [finding.to_document() for finding in self.findings],
-            "steps": list(self.steps),
-            "failed": self.failed,
-            "seconds": self.seconds,
-        }
-
     def __str__(self) -> str:
         told = f"{self.headline} ({self.scope}; {self.by})"
         return told if self.because is None else f"{told}: {self.because}"
+
+
+class VerdictForm(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """A verdict in JSON."""
+
+    verdict: Literal["holds", "violated", "unknown"]
+    subject: str
+    scope: str
+    by: str
+    because: str | None
+    findings: list[Finding]
+    steps: list[str]
+    failed: int | None
+    seconds: float
+
+    @classmethod
+    def of(cls, verdict: Verdict) -> VerdictForm:
+        return cls(
+            verdict=verdict.answer.value,
+            subject=verdict.subject,
+            scope=verdict.scope,
+            by=verdict.by,
+            because=verdict.because,
+            findings=list(verdict.findings),
+            steps=list(verdict.steps),
+            failed=verdict.failed,
+            seconds=verdict.seconds,
+        )

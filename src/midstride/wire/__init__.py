@@ -1,5 +1,8 @@
-"""What crosses between the manager and a component: commands, replies, announcements, as plain values.
+"""The control plane: what crosses between the manager and its components, and how it travels.
 
-Both sides speak it and neither knows the other; how it travels is the back end's affair (ROS 2:
-parameter services; ROS 1: one service; the simulator: a call). Everything here maps to JSON.
+Each component listens on an address of its own; the manager connects to it, and so does the component's
+peer of a hand-over. :mod:`.commands` are the typed commands, each with its reply; :mod:`.state` is what a
+component says of itself; :mod:`.frames` is the envelope and its one codec; :mod:`.transport` says what a
+transport is, :mod:`.sockets` is the one of real systems (Unix sockets), :mod:`.pipe` an in-memory one.
+:mod:`.channel` and :mod:`.command_server` are the two ends of a connection. Nothing here uses ROS.
 """

@@ -1,83 +1,363 @@
-"""The vocabulary: every command there is, with its arguments and its result.
+"""The commands of the control plane, each with its reply.
 
-Times on the wire are integers of nanoseconds on the ROS clock; durations are floats of seconds.
-A "gate" stands in front of each attached output: ``closed`` counts and type-checks what the
-component writes and passes nothing on, ``open`` passes it on.
+Times are integers of nanoseconds on the ROS clock unless said otherwise; durations are seconds. A *gate* stands in
+front of each attached output: closed, it counts and type-checks what the component writes and passes nothing on.
 
-Reading (no revision needed, nothing changes):
-
-``observe``       {} -> State (below)
-``grid``          {port} -> {"trigger": "rate"|"message"|"none", "epoch": ns|None, "period": s|None, "now": ns}; the
-                  time grid of the mode that drives the output: slot n is at epoch + n * period
-``records``       {input} -> {"rows": [[received ns (steady), source ns|None, number|None, publisher|None], ...],
-                  "publisher_identity": bool, "now": ns (steady)}
-``export_state``  {} -> {"state": base64 | None}
-``await_write``   {port, topic, timeout} -> {"gated": n, "wrong_type": null | words}; waits for a write behind the gate
-``await_cut``     {cut, timeout} -> CutEnd; waits until this side of the cut is over
-``ping``          {} -> {}
-
-Changing (with the expected revision):
-
-``welcome``       {manager} -> State; the component stops announcing itself
-``attach``        {port, topic, gate: "open"|"closed", peers: n, timeout} -> {}; creates the endpoint, waits until at
-                  least ``peers`` compatible endpoints are matched and settled, and only then opens the gate
-``detach``        {port, topic, timeout} -> {"acknowledged": bool|None, "last": n|None}; gate closed, drained,
-                  endpoint destroyed; ``last`` is the number of an output's last message there
-``modes``         {modes: {functionality: mode}, timeout, because} -> {"from": {functionality: mode}}; takes effect
-                  between two calls of user code; refused (and taken back) if a call does not return in time
-``set``           {parameters: {name: value}} -> {"from": {name: value}}
-``import_state``  {state: base64} -> {}
-``record``        {inputs: [...], on: bool} -> {"now": ns (steady)}; an input always keeps its last 64 receipts, and
-                  all of them while this is on
-``meet``          {peer} -> {}; makes sure the component can call its peer of a hand-over (a `ping` answered)
-``cut_out``       {cut, swaps: [{port, topic}], at: ns, resume_after: s} -> {}; the old side: writes up to ``at``, then
-                  its gates close; they open again if it does not hear ``taken`` within ``resume_after`` after ``at``
-                  (a message-driven output: after the first input newer than ``at``: before, nothing was to be written)
-``cut_in``        {cut, swaps: [{port, topic, latch: bool}], at: ns, epoch: ns|None, peer} -> {}; the new side: its
-                  (closed) gates open at ``at``; a rate-driven mode takes up the grid of ``epoch``; tells ``taken`` to
-                  its peer after its first write; ``latch``: writes the last gated message again at ``at``
-``cancel_cut``    {cut} -> {}; the old side's gates stay or become open, the new side's closed
-``gate``          {port, topic, gate} -> {}
-``release``       {timeout} -> {}; one that was started by hand belongs to nobody again: every functionality goes to its
-                  last mode, every port is detached, and it announces itself as at first
-``stop``          {} -> {}; ends the process in order
-
-Between components (by the token of the system, no revision):
-
-``taken``         {cut} -> {"resumed": bool}; the new side has written. True: too late, the old side writes again
-
-CutEnd, old side: {"outcome": "done"|"resumed"|"cancelled"|"waiting", "last": {port topic: [number, source ns | None]
-| None}}; "done" once it has passed ``at`` and heard ``taken``; the source is None where it has not written since it was
-told of the cut. New side: {"outcome": "done"|"cancelled"|"waiting", "first": {port topic: [number, source ns] | None}}.
-"waiting": not over within the time-out. Where one component is both sides, both are told in one. Keys are "port topic"
-with a space between.
-
-State: {"instance", "uuid", "pid", "revision", "functionalities": {name: {"mode", "since": s ago, "because",
-"busy": s | None}}, "ports": {port: {topic: {"gate": "open"|"closed"|None, "count": n, "gated": n}}},
-"parameters": {name: value}, "waiting": words | None, "stopping": s, how long it may take to end in order}
+A *reading* command changes nothing and needs no revision. A *changing* one names the revision that its sender expects
+the component to be at; the component refuses it at any other. A command between the two components of a hand-over is
+neither: the manager may be gone by then.
 """
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar, get_args
 
-READING: Final = frozenset({"observe", "grid", "records", "export_state", "await_write", "await_cut", "ping"})
-CHANGING: Final = frozenset(
-    {
-        "welcome",
-        "attach",
-        "detach",
-        "modes",
-        "set",
-        "import_state",
-        "record",
-        "meet",
-        "cut_out",
-        "cut_in",
-        "cancel_cut",
-        "gate",
-        "release",
-        "stop",
-    }
+import msgspec
+
+from midstride.wire.state import ComponentState, GateState, Value
+
+R_co = TypeVar("R_co", covariant=True)
+
+Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=0)]
+Kind: TypeAlias = Literal["reading", "changing", "between"]
+Trigger: TypeAlias = Literal["rate", "message", "none"]
+CutOutcome: TypeAlias = Literal["waiting", "done", "resumed", "cancelled"]
+
+# -- replies -----------------------------------------------------------------------------------------
+
+
+class Done(Value, frozen=True, kw_only=True):
+    """Carried out; there is nothing to add."""
+
+
+class Grid(Value, frozen=True, kw_only=True):
+    """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``; ``now`` is the ROS clock.
+
+    ``readers`` is the number of matched subscriptions on the topic asked about.
+    """
+
+    trigger: Trigger
+    now: int
+    epoch: int | None = None
+    period: float | None = None
+    readers: int | None = None
+
+
+class Receipt(msgspec.Struct, frozen=True, array_like=True):
+    """One received message: when (steady ns), and what the middleware tells of it, None where it does not."""
+
+    received: int
+    source: int | None
+    number: int | None
+    publisher: str | None
+
+
+class Records(Value, frozen=True, kw_only=True):
+    """What an input has recorded. ``now`` is the steady clock (ns)."""
+
+    rows: list[Receipt]
+    publisher_identity: bool
+    now: int
+
+
+class ExportedState(Value, frozen=True, kw_only=True):
+    """``state`` is None where the component keeps none."""
+
+    state: bytes | None
+
+
+class GatedWrites(Value, frozen=True, kw_only=True):
+    """How many messages were written behind the gate; ``wrong_type`` says what was wrong with the last that failed."""
+
+    gated: int
+    wrong_type: str | None
+
+
+class LastWrite(Value, frozen=True, kw_only=True):
+    """An output's last number, and when it was written (None: not since the cut was agreed)."""
+
+    number: int
+    source: int | None
+
+
+class CutResult(Value, frozen=True, kw_only=True):
+    """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
+
+    Old side: *done* once it has passed the cut and the new side has written. *waiting*: not over within the time-out.
+    """
+
+    outcome: CutOutcome
+    last: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
+    first: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
+
+
+class Attached(Value, frozen=True, kw_only=True):
+    """``matched``: how many compatible endpoints it is matched with."""
+
+    matched: int
+
+
+class Detached(Value, frozen=True, kw_only=True):
+    """``acknowledged``: whether every reader has the last message, None where that is unknown; ``last``: its number."""
+
+    acknowledged: bool | None
+    last: int | None
+
+
+class ModesBefore(Value, frozen=True, kw_only=True):
+    """The modes before the change, by functionality."""
+
+    before: dict[str, str]
+
+
+class ParametersBefore(Value, frozen=True, kw_only=True):
+    """The values before the change, by name."""
+
+    before: dict[str, Any]
+
+
+class Recording(Value, frozen=True, kw_only=True):
+    """Since when it records, or no longer does: steady ns."""
+
+    now: int
+
+
+class Relieved(Value, frozen=True, kw_only=True):
+    """``resumed``: too late, the old side writes again."""
+
+    resumed: bool
+
+
+# -- commands ----------------------------------------------------------------------------------------
+
+
+class Command(Value, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
+    """``timeout`` is how long the component may take over it (s); ``reply`` is the class of its reply."""
+
+    kind: ClassVar[Kind] = "changing"
+    reply: ClassVar[type[Value]] = Done
+    timeout: Seconds = 2.0
+
+    @property
+    def name(self) -> str:
+        return str(self.__struct_config__.tag)
+
+
+class PingCommand(Command[Done], frozen=True, kw_only=True, tag="ping"):
+    """Answer."""
+
+    kind = "reading"
+
+
+class ObserveCommand(Command[ComponentState], frozen=True, kw_only=True, tag="observe"):
+    """The component's state."""
+
+    kind = "reading"
+    reply = ComponentState
+
+
+class GridCommand(Command[Grid], frozen=True, kw_only=True, tag="grid"):
+    """The time grid of an output; with a topic, its readers there as well."""
+
+    kind = "reading"
+    reply = Grid
+    port: str
+    topic: str | None = None
+
+
+class RecordsCommand(Command[Records], frozen=True, kw_only=True, tag="records"):
+    """What an input has recorded."""
+
+    kind = "reading"
+    reply = Records
+    input: str
+
+
+class ExportStateCommand(Command[ExportedState], frozen=True, kw_only=True, tag="export_state"):
+    """The component's own state, for its replacement."""
+
+    kind = "reading"
+    reply = ExportedState
+
+
+class AwaitWriteCommand(Command[GatedWrites], frozen=True, kw_only=True, tag="await_write"):
+    """Wait for a write behind the gate."""
+
+    kind = "reading"
+    reply = GatedWrites
+    port: str
+    topic: str
+    timeout: Seconds = 5.0
+
+
+class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_cut"):
+    """Wait until the cut is over on this side."""
+
+    kind = "reading"
+    reply = CutResult
+    cut: str
+    timeout: Seconds = 5.0
+
+
+class WelcomeCommand(Command[ComponentState], frozen=True, kw_only=True, tag="welcome"):
+    """The manager has accepted the registration; the component stops waiting for one."""
+
+    reply = ComponentState
+    manager: str
+
+
+class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
+    """Create the endpoint and wait until ``peers`` compatible endpoints are matched; only then open the gate.
+
+    ``everyone`` is how many readers to wait for beyond that, at most ``patience`` seconds.
+    """
+
+    reply = Attached
+    port: str
+    topic: str
+    gate: GateState = "open"
+    peers: int = 0
+    everyone: int = 0
+    patience: Seconds = 0.0
+    timeout: Seconds = 5.0
+
+
+class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
+    """Close the gate, wait for acknowledgements, destroy the endpoint."""
+
+    reply = Detached
+    port: str
+    topic: str
+
+
+class ModesCommand(Command[ModesBefore], frozen=True, kw_only=True, tag="modes"):
+    """Change modes between two calls of user code; refused, and taken back, if a call does not return in time."""
+
+    reply = ModesBefore
+    modes: dict[str, str]
+    because: str = "the manager requested it"
+
+
+class SetParametersCommand(Command[ParametersBefore], frozen=True, kw_only=True, tag="set"):
+    """Set changeable parameters, all of them or none."""
+
+    reply = ParametersBefore
+    parameters: dict[str, Any]
+
+
+class ImportStateCommand(Command[Done], frozen=True, kw_only=True, tag="import_state"):
+    """The state that the replaced component exported."""
+
+    state: bytes
+
+
+class RecordCommand(Command[Recording], frozen=True, kw_only=True, tag="record"):
+    """Keep every receipt of these inputs from now on, or only the last few."""
+
+    reply = Recording
+    inputs: list[str]
+    on: bool
+
+
+class MeetCommand(Command[Done], frozen=True, kw_only=True, tag="meet"):
+    """Connect to the peer of a hand-over, at its address, and have it answer."""
+
+    peer: str
+    address: str
+    timeout: Seconds = 5.0
+
+
+class CutSwap(Value, frozen=True, kw_only=True):
+    """One output of a cut. ``latch``: the new side writes its last gated message again at the cut."""
+
+    port: str
+    topic: str
+    latch: bool = False
+
+
+class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
+    """The old side: write up to ``at``, then close the gates.
+
+    It writes again if the new side has not reported its first write within ``resume_after`` seconds after ``at``; where
+    messages drive the output, after the first input newer than ``at``.
+    """
+
+    cut: str
+    swaps: list[CutSwap]
+    at: int
+    resume_after: Seconds
+
+
+class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
+    """The new side: open the gates at ``at``, and report the first write to the peer.
+
+    A rate-driven mode continues the grid through ``epoch``.
+    """
+
+    cut: str
+    swaps: list[CutSwap]
+    at: int
+    peer: str
+    address: str
+    epoch: int | None = None
+
+
+class CancelCutCommand(Command[Done], frozen=True, kw_only=True, tag="cancel_cut"):
+    """The old side's gates stay or become open, the new side's closed."""
+
+    cut: str
+
+
+class GateCommand(Command[Done], frozen=True, kw_only=True, tag="gate"):
+    """Open or close the gate of an attachment."""
+
+    port: str
+    topic: str
+    gate: GateState
+
+
+class ReleaseCommand(Command[Done], frozen=True, kw_only=True, tag="release"):
+    """A component started by hand leaves the system: last modes, no attachments, waiting for a manager."""
+
+
+class StopCommand(Command[Done], frozen=True, kw_only=True, tag="stop"):
+    """End the process in order."""
+
+
+class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken"):
+    """From the new side of a cut to the old one: it has written."""
+
+    kind = "between"
+    reply = Relieved
+    cut: str
+
+
+AnyCommand: TypeAlias = (
+    PingCommand
+    | ObserveCommand
+    | GridCommand
+    | RecordsCommand
+    | ExportStateCommand
+    | AwaitWriteCommand
+    | AwaitCutCommand
+    | WelcomeCommand
+    | AttachCommand
+    | DetachCommand
+    | ModesCommand
+    | SetParametersCommand
+    | ImportStateCommand
+    | RecordCommand
+    | MeetCommand
+    | CutOutCommand
+    | CutInCommand
+    | CancelCutCommand
+    | GateCommand
+    | ReleaseCommand
+    | StopCommand
+    | CutTakenCommand
 )
-BETWEEN: Final = frozenset({"taken"})
+
+# Every command by its name on the wire.
+COMMANDS: Final[dict[str, type[Command[Any]]]] = {
+    str(command.__struct_config__.tag): command for command in get_args(AnyCommand)
+}

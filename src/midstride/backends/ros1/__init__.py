@@ -1,7 +1,7 @@
-"""ROS 1: what a component's process is given (:func:`create_host`), and the manager's side (:func:`create_backend`).
+"""ROS 1: the component's side (:func:`create_host`), and the manager's side (:func:`create_backend`).
 
-Importing this package imports no ROS. The manager's side never does: it speaks ROS 1's protocols itself
-and may live beside ROS 2. A component's process has rospy, and no ROS 2 on its ``sys.path``.
+Importing this package imports no ROS. The manager's side never does: it calls the ROS master's API itself and may run
+beside ROS 2. A component's process has rospy, and no ROS 2 on its ``sys.path``.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ __all__ = ["available", "create_backend", "create_host"]
 
 
 def available() -> bool:
-    """Whether an interpreter is known here in which components of ROS 1 can run."""
+    """Whether an interpreter is known in which components of ROS 1 can run."""
     from midstride.backends.ros1.launching import interpreter
 
     return interpreter() is not None
 
 
 def create_host(name: str, namespace: str) -> Ros1Host:
-    """Join ROS 1 as the component ``name``. Raises BackendError or NodeError where that is not possible."""
+    """Join ROS 1 as the component ``name``. Raises BackendError or NodeError."""
     try:
         import rospy  # noqa: F401
     except ImportError as error:
@@ -40,14 +40,14 @@ def create_host(name: str, namespace: str) -> Ros1Host:
     return Ros1Host(name, namespace)
 
 
-def create_backend(*, logs: Path | None = None, guardian: Reaper | None = None) -> Ros1Backend:
-    """The back end of a manager. ``logs``: the folder of the components' logs (default: beside ROS's own).
+def create_backend(control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> Ros1Backend:
+    """The back end of a manager whose components have their control sockets in ``control``.
 
-    ``guardian`` ends what is started should this process be killed. Raises BackendError where no
-    interpreter with ROS 1 is known.
+    ``logs`` is the folder of the components' logs (default: beside ROS's own); ``guardian`` ends what was started
+    should this process be killed. Raises BackendError where no interpreter with ROS 1 is known.
     """
     from midstride.backends.ros1.backend import Ros1Backend
     from midstride.backends.ros1.launching import require_interpreter
 
     require_interpreter()
-    return Ros1Backend(logs=logs, guardian=guardian)
+    return Ros1Backend(control, logs=logs, guardian=guardian)

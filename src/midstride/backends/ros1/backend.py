@@ -1,7 +1,7 @@
 """The manager's side on ROS 1: see :class:`midstride.runtime.backend.Backend`.
 
-It is a node of ROS 1 by speaking the protocols itself (:mod:`.rpc`, :mod:`.tcpros`), on the manager's
-event loop: no ROS library is imported, no call is without a deadline, and no thread is held by one.
+The manager is no node of ROS 1. It calls the master's XML-RPC API (:mod:`.rpc`) on its own event loop: it imports no
+ROS library, every call has a deadline, and none blocks a thread.
 """
 
 from __future__ import annotations
@@ -9,16 +9,14 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import os
+import socket
 import tempfile
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
 from midstride.backends import common
 from midstride.backends.ros1 import launching, master_process, names
-from midstride.backends.ros1.announcement_listener import AnnouncementListener
-from midstride.backends.ros1.command_client import Caller
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
@@ -26,171 +24,153 @@ from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.process import Process, find, spawn
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
-from midstride.wire.messages import ENV_INSTANCE, Announcement, Command, Reply
+from midstride.wire.environment import ENV_INSTANCE
+from midstride.wire.sockets import SocketFolder
+from midstride.wire.transport import Transport
 
 # How long taking back what a dead node has registered may delay the news of its death (s).
 _TIDY: Final = 1.0
-# How long a component of an earlier manager may take to be found (s).
-_FIND: Final = 2.0
 
 
 class Ros1Backend:
-    """To be opened, used and closed on one event loop."""
+    """To be opened, used and closed on one event loop. ``control`` is the folder of the control sockets."""
 
     name = "ros1"
 
-    def __init__(self, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:
+    def __init__(self, control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:
         self.clock: Clock = SystemClock()
+        self.transport: Transport = SocketFolder(control)
         self.started_master = False
+        self._control = control
         self._logs = logs
         self._guardian = guardian
         self._children = common.Children(guardian, self._exited)
-        self._listener: AnnouncementListener | None = None
+        self._mark: socket.socket | None = None  # while it is open
         self._tidying: set[asyncio.Task[None]] = set()
+        self._dead: set[str] = set()  # nodes whose process has ended, and that the master may still list
 
     # -- joining and leaving -------------------------------------------------------------------------
 
-    async def open(self, on_event: Callable[[Announcement | Exited], None]) -> None:
+    async def open(self, on_exit: Callable[[Exited], None]) -> None:
         uri = launching.master_uri(os.environ)
-        host = launching.own_host(os.environ, uri)
-        self._on_event = on_event
-        self._master = Master(uri, f"{names.MANAGER}{os.getpid()}_{time.time_ns() // 1_000_000}")
-        self._caller = Caller(self._master)
-        self.started_master = await master_process.ensure(self._master, self._folder(), self._guardian)
+        environment = launching.environment(os.environ, uri)
+        self._on_exit = on_exit
+        self._master = Master(uri, names.MANAGER)
+        mark = master_process.hold(uri)
         try:
-            await master_process.forget_dead_managers(self._master)
-            listener = AnnouncementListener(self._master, names.ANNOUNCEMENT, self._on_backend_event)
-            await listener.open(host)
+            folder = self._log_folder()
+            self.started_master = await master_process.ensure(self._master, environment, folder, self._guardian)
         except BaseException:
-            if self.started_master:
-                await self._release_master()
+            mark.close()
             raise
-        self._listener = listener
+        self._mark = mark
 
     async def close(self) -> None:
-        """Leave; the components go on, and the master with them. Where none is left, what was started of it ends."""
+        """Leave; the components go on, and the master with them. Without components, a master started here ends."""
         any_left = len(self._children) > 0
         self._children.close()
-        listener, self._listener = self._listener, None
-        if listener is None:
+        if self._mark is None:
             return
         await asyncio.gather(*self._tidying, return_exceptions=True)
-        await listener.close()
+        self._mark.close()
+        self._mark = None
         if not any_left:
-            await self._release_master()
-
-    async def _release_master(self) -> None:
-        with contextlib.suppress(BackendError):  # a master that does not answer is left alone
-            await master_process.release(self._master, self._guardian)
+            with contextlib.suppress(BackendError):  # a master that does not answer is left alone
+                await master_process.release(self._master, self._guardian)
 
     # -- components ----------------------------------------------------------------------------------
 
     async def start(self, launch: Launch) -> Handle:
-        master = self._joined()
+        master = self._opened()
         node = names.full(launch.instance, launch.namespace)
         command = common.command(launch.arguments, launch.directory, os.environ, launching.require_interpreter)
-        if await master.holder(node):
+        if await master.is_running(node):
             raise StartFailed(
                 f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
                 "end it yourself, or use another name"
             )
         environment = {
             **launching.environment(os.environ, master.uri),
-            **common.identity(launch, self.name),
+            **common.identity(launch, self.name, self._control),
             launching.NAMESPACE: names.split(launch.instance, launch.namespace)[1],
         }
-        log = self._folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
+        log = self._log_folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
         process = spawn(command, launch.directory, environment, log)
+        self._dead.discard(node)
         self._children.take(launch.instance, process)
         return Handle(launch.instance, process.pid, process.started, str(log))
 
     async def adopt(self, handle: Handle) -> bool:
-        instance, service = handle.instance, names.command_service(names.full(handle.instance))
+        """Raises Unreachable for a component that runs on another master."""
+        instance = handle.instance
         if instance in self._children:
             return True
         if handle.pid is None or handle.started is None:
-            return await self._caller.ready(service, _FIND)
+            return await common.listens(self.transport, instance)
         log = None if handle.log is None else Path(handle.log)
         process = find(handle.pid, handle.started, ENV_INSTANCE, instance, log)
         if process is None:
             await self._tidy(instance)
             return False
         self._children.take(instance, process)
-        if not await self._caller.ready(service, _FIND) and process.running:
-            master = launching.master_of(process.pid)
-            hint = f": it runs with {launching.MASTER_URI}={master}" if master != self._joined().uri else ""
+        master, here = launching.master_of(process.pid), self._opened()
+        if master != here.uri and await here.address_of(names.full(instance)) is None:
             raise Unreachable(
-                f"{instance} runs (process {process.pid}), but its command service is not to be found{hint}"
+                f"{instance} runs (process {process.pid}) with {launching.MASTER_URI}={master}, and this manager has "
+                f"{here.uri}: set {launching.MASTER_URI}={master}, or end the component"
             )
         return process.running
-
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-        self._joined()
-        calling = self._caller.call(names.command_service(names.full(instance)), command, timeout)
-        return await self._children.while_running(instance, command.op, calling)
 
     async def end(self, instance: str, grace: float) -> None:
         if await self._children.end(instance, grace):
             await self._tidy(instance)
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
-        """Clean first, then tell: whoever hears of it may start another on the very same port."""
+        """Clean up, then report: after the report another component may be started on the same port."""
 
-        async def tidy_and_tell() -> None:
+        async def tidy_and_report() -> None:
             await self._tidy(instance)
-            self._on_event(Exited(instance, status, process.last_words()))
+            self._on_exit(Exited(instance, status, process.last_words()))
 
-        task = asyncio.get_running_loop().create_task(tidy_and_tell())
+        task = asyncio.get_running_loop().create_task(tidy_and_report())
         self._tidying.add(task)
         task.add_done_callback(self._tidying.discard)
 
     async def _tidy(self, instance: str) -> None:
-        """Take back what a component that has ended may have left with the master; that must not take long."""
-        self._caller.forget(names.command_service(names.full(instance)))
+        """Take back what a component that has ended may have left with the master, in bounded time."""
+        node = names.full(instance)
+        self._dead.add(node)
         with contextlib.suppress(BackendError, asyncio.TimeoutError):
             async with within(_TIDY):
-                await self._joined().forget(names.full(instance))
+                await self._opened().forget(node)
+                self._dead.discard(node)
 
-    def _folder(self, token: str = "") -> Path:
-        """Where logs go."""
-        if self._logs is not None:
-            return self._logs
-        return _log_folder() / "midstride" / token[:12]
+    def _log_folder(self, token: str = "") -> Path:
+        return _ros_log_folder() / "midstride" / token[:12] if self._logs is None else self._logs
 
     # -- the graph -----------------------------------------------------------------------------------
 
     async def endpoints(self) -> Endpoints:
-        state = await self._joined().state()
-        sides = [
-            tuple(
-                sorted(
-                    (node, topic)
-                    for topic, nodes in kind.items()
-                    if not (names.is_ours(topic) or topic == "/rosout")
-                    for node in nodes
-                )
-            )
-            for kind in (state.publishers, state.subscribers)
-        ]
-        nodes = frozenset(node for node in state.nodes() if not names.is_ours(node))
-        return Endpoints(nodes, sides[0], sides[1])
+        state = await self._opened().state()
+        return Endpoints(state.nodes() - self._dead, self._alive(state.publishers), self._alive(state.subscribers))
 
-    # -- what is heard -------------------------------------------------------------------------------
+    def _alive(self, nodes_of: Mapping[str, tuple[str, ...]]) -> tuple[tuple[str, str], ...]:
+        topics = nodes_of.keys() - names.INTERNAL
+        return tuple(sorted((node, topic) for topic in topics for node in nodes_of[topic] if node not in self._dead))
 
-    def _on_backend_event(self, text: str) -> None:
-        try:
-            announcement = Announcement.from_json(text)
-        except (ValueError, KeyError, TypeError):
-            return  # anybody can write to a topic
-        self._on_event(announcement)
+    async def lingering_readers(self, topic: str) -> int:
+        """Almost always 0: a dead node's registrations are taken back before its end is reported."""
+        if not self._dead:
+            return 0
+        return sum(node in self._dead for node in (await self._opened().state()).subscribers.get(topic, ()))
 
-    def _joined(self) -> Master:
-        if self._listener is None:
+    def _opened(self) -> Master:
+        if self._mark is None:
             raise Unreachable("the back end is not open")
         return self._master
 
 
-def _log_folder() -> Path:
+def _ros_log_folder() -> Path:
     """Where ROS 1 puts logs."""
     if folder := os.environ.get("ROS_LOG_DIR"):
         return Path(folder)

@@ -1,7 +1,7 @@
-"""The data side: an event loop in a thread of its own, in which all user code runs, one call after another.
+"""The data thread: an event loop in which all user code runs, one call after another.
 
-rospy calls back in as many threads as there are connections. Here they only queue what has come; so
-two publishers of one topic never call user code at the same time, and a change of modes falls between two calls.
+rospy calls back in as many threads as there are connections. Here they only queue what has arrived; so two publishers
+of one topic never call user code at the same time, and a change of modes falls between two calls.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ T = TypeVar("T")
 
 
 class DataThread:
-    """Runs functions in its thread, in the order in which they come."""
+    """Runs functions in its thread, in the order of :meth:`post`; what comes before :meth:`start` waits for it."""
 
     def __init__(self, failed: Callable[[str], None]) -> None:
-        """``failed`` is told, in the thread, the traceback of whatever a function raised."""
+        """``failed`` is called, in the thread, with the traceback of what a function raised."""
         # select() takes its time-out in microseconds; epoll() would make every timer up to a millisecond late.
         self.loop = asyncio.SelectorEventLoop(selectors.SelectSelector())
-        self.loop.set_exception_handler(lambda loop, context: failed(_told(context)))
+        self.loop.set_exception_handler(lambda loop, context: failed(_traceback_of(context)))
         self._driven: set[asyncio.Task[None]] = set()  # the loop itself refers to its tasks weakly
         self._thread = threading.Thread(target=self._run, name="midstride-data", daemon=True)
 
@@ -38,6 +38,9 @@ class DataThread:
 
     def stop(self, timeout: float) -> bool:
         """Stop and join it; False where a function does not return in time. Blocks."""
+        if self._thread.ident is None:  # it never started, and nothing that waits may run now
+            self.loop.close()
+            return True
         if self._thread.is_alive():
             self.loop.call_soon_threadsafe(self.loop.stop)
             self._thread.join(timeout)
@@ -50,12 +53,12 @@ class DataThread:
         return True
 
     def post(self, function: Callable[..., object], *arguments: Any) -> None:
-        """Have ``function`` called in its turn. From any thread."""
+        """Queue ``function``. From any thread."""
         if not self.loop.is_closed():
             self.loop.call_soon_threadsafe(function, *arguments)
 
     def run(self, function: Callable[[], T]) -> Awaitable[T]:
-        """Queue ``function`` at once; its result, for the event loop that asks."""
+        """Queue ``function`` at once; its result, on the calling event loop."""
         return on_thread(function, self.post)
 
     def drive(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
@@ -71,7 +74,7 @@ class DataThread:
         task.add_done_callback(ended)
 
 
-def _told(context: dict[str, Any]) -> str:
+def _traceback_of(context: dict[str, Any]) -> str:
     error = context.get("exception")
     if isinstance(error, BaseException):
         return "".join(traceback.format_exception(error)).rstrip()

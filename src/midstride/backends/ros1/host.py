@@ -1,15 +1,14 @@
 """A component's process on ROS 1: see :class:`midstride.node.host.Host`.
 
-rospy's own threads receive; one thread, the data side, runs user code; the main thread runs the event
-loop of the agent, the control side, which also speaks to the master, so that whoever does not answer
-there holds up nothing here.
+rospy's own threads receive; the data thread runs user code; the main thread runs the event loop of the agent, which
+also calls the master, so that a master that does not answer blocks nothing here. The agent answers its manager while
+rospy is still joining ROS, which takes a tenth of a second.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import logging
 import os
 import sys
@@ -18,13 +17,12 @@ import time
 from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, Final, TypeVar
 
+import msgspec
 import rospy
 from std_msgs.msg import String
 
 from midstride.backends import common
 from midstride.backends.ros1 import launching, names, node_parameters, publishing, subscribing
-from midstride.backends.ros1.command_client import Caller
-from midstride.backends.ros1.command_server import CommandServer
 from midstride.backends.ros1.data_thread import DataThread
 from midstride.backends.ros1.master import Master
 from midstride.backends.ros1.publishing import NumberedTopic, PortPublisher
@@ -34,17 +32,19 @@ from midstride.backends.ros1.timers import Ros1GridTimer, RosClock
 from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
 from midstride.node.host import MessageInfo
-from midstride.wire.messages import ENV_TOKEN, Announcement, Command, Reply
+from midstride.wire.environment import ENV_TOKEN
+from midstride.wire.state import ComponentState, Endpoint
+from midstride.wire.transport import Transport
 
 T = TypeVar("T")
 
-# How long the data side may take to let go at the end, the control side to give its last answers, ports to be given
-# up, and rospy to leave (s).
-_JOIN: Final = 2.0
-_LAST_ANSWERS: Final = 1.0
-_GIVE_UP: Final = 1.5
-_LEAVE: Final = 2.0
-# What came late is told again to a reader that is later still; nothing of Midstride's own relies on more.
+# How long the end of each part may take (s): of the data thread, of the ports, and of rospy.
+_DATA_THREAD_END: Final = 2.0
+_PORTS_END: Final = 1.5
+_ROSPY_END: Final = 2.0
+# How long rospy's own shutdown waits for the component to end in order (s).
+_ORDERLY_END: Final = _DATA_THREAD_END + _PORTS_END + 1.0
+# A tool that subscribes late reads the latest states.
 _LATCHED: Final = QoS(durability="transient_local", depth=10)
 
 
@@ -60,22 +60,22 @@ class Ros1Host:
         uri = launching.master_uri(os.environ)
         if launching.is_local(uri) and not os.environ.get("ROS_HOSTNAME"):
             os.environ.setdefault("ROS_IP", launching.LOOPBACK)
-        self._node = names.full(_named(given, node_name), inside)
+        self._arguments = given
+        self._node_name = _renamed(given, node_name)
+        self._node = names.full(self._node_name, inside)
         self.instance = self._node.lstrip("/")
+        transport, self._reachable = common.control_transport(os.environ, sys.argv[1:])
+        self.transport: Transport | None = transport
         self._master = Master(uri, self._node)
         asyncio.run(self._must_be_alone())
-        rospy.init_node(_named(given, node_name), argv=[sys.argv[0], *given], disable_signals=True)
-        publishing.prepare()
-        self._node = rospy.get_name()
         self._logger = logging.getLogger("rosout")
         self._data = DataThread(
-            lambda told: self._logger.error(f"a callback raised, and the component goes on:\n{told}")
+            lambda failure: self._logger.error(f"a callback raised; the component goes on:\n{failure}")
         )
-        self._clock = RosClock(self._data)
         self._parameters = node_parameters.Ros1NodeParameters(managed, self._show_parameter)
         self._ended = threading.Event()
-        self._told_to_end = ""
-        self.now: Callable[[], int] = self._clock.now
+        self._shut_down_because = ""
+        self.now: Callable[[], int] = time.time_ns  # until rospy knows whether the clock is simulated
         self.steady: Callable[[], int] = time.monotonic_ns
         self.read_info: Callable[[Any], MessageInfo] = subscribing.read_info
 
@@ -86,7 +86,7 @@ class Ros1Host:
                 f"no ROS master answers at {self._master.uri}: start one with `roscore` or `rosmaster --core`, "
                 "or have `midstride up --backend ros1` do so"
             )
-        if await self._master.holder(self._node):
+        if await self._master.is_running(self._node):
             raise NodeError(
                 f"a node {self._node} is running already; end it, or give this one another name "
                 "(the master would end the first of two of one name)"
@@ -128,16 +128,13 @@ class Ros1Host:
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
 
-    async def call_peer(self, instance: str, command: Command, timeout: float) -> Reply:
-        return await self._caller.call(names.command_service(names.full(instance)), command, timeout)
+    def reachable(self) -> str:
+        return self._reachable
 
-    def announce(self, announcement: Announcement) -> None:
-        self._announcements.publish(String(announcement.to_json()))
+    def publish_state(self, state: ComponentState) -> None:
+        self._states.publish(String(msgspec.json.encode(state).decode()))
 
-    def publish_state(self, state: dict[str, Any]) -> None:
-        self._states.publish(String(json.dumps(state)))
-
-    def extra_endpoints(self) -> list[dict[str, str]]:
+    def extra_endpoints(self) -> list[Endpoint]:
         return node_parameters.endpoints()
 
     def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
@@ -157,71 +154,87 @@ class Ros1Host:
 
     # -- life ----------------------------------------------------------------------------------------
 
-    def run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
-        common.with_short_pauses()
+    def run(self, main: Callable[[], Awaitable[None]]) -> None:
         try:
-            asyncio.run(self._run(main, serve))
+            asyncio.run(self._run(main))
         finally:
             self._leave()
-        if self._told_to_end:
-            self._logger.warning(f"{self.instance} was told to end: {self._told_to_end}")
+        if self._shut_down_because:
+            self._logger.warning(f"{self.instance} was shut down {self._shut_down_because}")
 
-    async def _run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
-        self._loop = loop = asyncio.get_running_loop()
-        uri = rospy.core.get_node_uri()
-        self._caller = Caller(self._master)
+    async def _run(self, main: Callable[[], Awaitable[None]]) -> None:
+        self._loop = asyncio.get_running_loop()
+        task = asyncio.ensure_future(main())  # it answers its manager, and waits for the data thread
+        with common.ending_on_signals(task) as signals:
+            try:
+                await asyncio.to_thread(self._join)
+            except BaseException:
+                task.cancel()
+                await asyncio.gather(task, return_exceptions=True)
+                raise
+            self._open(task)
+            if not signals:
+                self._data.start()
+            try:
+                await task
+            except asyncio.CancelledError:
+                if not signals and not self._shut_down_because:
+                    raise
+            finally:
+                await self._close()
+
+    def _join(self) -> None:
+        """Join ROS, in a thread: rospy waits for the master."""
+        rospy.init_node(self._node_name, argv=[sys.argv[0], *self._arguments], disable_signals=True)
+        publishing.prepare()
+        self._node = rospy.get_name()
+        self._clock = RosClock(self._data)
+        self.now = self._clock.now
+        common.with_short_pauses()
+
+    def _open(self, main: asyncio.Future[None]) -> None:
+        """What the data thread needs, before it begins."""
+        loop, uri = self._loop, rospy.core.get_node_uri()
         self._publishers: Registrar[NumberedTopic] = Registrar("Publisher", self._master, self._node, uri, loop)
         self._subscribers: Registrar[FramedTopic] = Registrar("Subscriber", self._master, self._node, uri, loop)
-        self._announcements = PortPublisher(names.ANNOUNCEMENT, String, QoS(depth=1), self.now, self._publishers)
         self._states = PortPublisher(names.STATE, String, _LATCHED, self.now, self._publishers)
-        self._data.start()
-        task = asyncio.ensure_future(main())
-        door = CommandServer(self._node, serve)
-        rospy.core.add_client_shutdown_hook(lambda: self._shut_down_by_others(loop, task))
-        try:
-            with common.ending_on_signals(task) as interrupted:
-                try:
-                    await task
-                except asyncio.CancelledError:
-                    if not interrupted and not self._told_to_end:
-                        raise
-        finally:
-            await door.answered(_LAST_ANSWERS)
-            for publisher in (self._announcements, self._states):
-                publisher.destroy()
-            await asyncio.gather(self._publishers.end(_GIVE_UP), self._subscribers.end(_GIVE_UP))
-            await self._take_down_parameters()
+        rospy.core.add_client_shutdown_hook(lambda: self._shut_down_by_others(loop, main))
+
+    async def _close(self) -> None:
+        self._states.destroy()
+        await asyncio.gather(self._publishers.end(_PORTS_END), self._subscribers.end(_PORTS_END))
+        await self._take_down_parameters()
 
     async def _take_down_parameters(self) -> None:
-        """They are of this instance; the next one of its name is not to find them."""
+        """They are this instance's; the next one of its name must not find them."""
         with contextlib.suppress(BackendError):
             for name in self._parameters.names():
                 await self._master.ask("deleteParam", self._node, f"{self._node}/{name}", timeout=0.5)
 
     def _shut_down_by_others(self, loop: asyncio.AbstractEventLoop, main: asyncio.Future[None]) -> None:
-        """rospy was told to shut down (`rosnode kill`, or another node of the name came up): end in order first."""
+        """rospy shuts down (`rosnode kill`, or another node of the name came up): end in order first."""
         if self._ended.is_set() or loop.is_closed():
             return
-        self._told_to_end = "by `rosnode kill`, or by the master for the sake of another node of its name"
+        self._shut_down_because = "by `rosnode kill`, or by the master, because another node of its name came up"
         loop.call_soon_threadsafe(main.cancel)
-        self._ended.wait(_JOIN + _LAST_ANSWERS + _GIVE_UP)
+        self._ended.wait(_ORDERLY_END)
 
     def _leave(self) -> None:
-        """User code first, then rospy, which tells the master; neither may hold the process for long."""
+        """User code ends first, then rospy, which calls the master; each in bounded time."""
         self._ended.set()
-        if not self._data.stop(_JOIN):
-            self._logger.error(f"user code has not returned for {_JOIN:g} s; the process leaves without it")
+        if not self._data.stop(_DATA_THREAD_END):
+            self._logger.error(f"user code has not returned for {_DATA_THREAD_END:g} s; the process ends all the same")
         connecting = managers()
         leaving = threading.Thread(target=rospy.signal_shutdown, args=("the component has ended",), daemon=True)
         leaving.start()
-        deadline = time.monotonic() + _LEAVE
+        deadline = time.monotonic() + _ROSPY_END
         while leaving.is_alive() and time.monotonic() < deadline:
-            for manager in connecting:  # it looks twice a second whether it is over, and rospy waits for that
+            for manager in connecting:  # rospy waits for its thread, which looks twice a second whether to end
                 with manager.cond:
                     manager.cond.notify_all()
             leaving.join(0.01)
 
 
-def _named(given: list[str], name: str) -> str:
-    """The node's name: a launch file may give another one to a component that nobody manages."""
+def _renamed(given: list[str], name: str) -> str:
+    """The node's name: a launch file may give another one to a component that no manager started."""
     return next((argument.partition(":=")[2] for argument in given if argument.startswith("__name:=")), name)

@@ -1,7 +1,7 @@
-"""What the processes of ROS 1 are started with: their interpreter and their environment.
+"""The interpreter and the environment of ROS 1's processes.
 
-The manager needs no ROS 1 itself, so it may run in an environment of ROS 2. What it starts never sees
-that: two ROS on one ``sys.path`` break each other's messages.
+The manager needs no ROS 1 itself, so it may run in an environment of ROS 2. The processes that it starts never see
+that one: two ROS on one ``sys.path`` break each other's messages.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ ENV_PYTHON: Final = "MIDSTRIDE_ROS1_PYTHON"
 # The environment that `make test` sets up, beside the one the manager runs in.
 BESIDE: Final = ".venv-ros1"
 MASTER_URI: Final = "ROS_MASTER_URI"
-# Where a node lives: rospy reads it when it is imported.
+# A node's namespace: rospy reads it when it is imported.
 NAMESPACE: Final = "ROS_NAMESPACE"
 DEFAULT_MASTER: Final = "http://localhost:11311"
 LOOPBACK: Final = "127.0.0.1"
 
 _LOCAL: Final = ("localhost", "127.0.0.1", "::1")
-# Said by a sourced ROS 2, or by its wheels, and meant for ROS 2 alone.
+# Set by a sourced ROS 2 or by its wheels, for ROS 2 alone.
 _OF_ROS2: Final = (
     "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
     "AMENT_PREFIX_PATH",
@@ -41,7 +41,7 @@ _VERSION_OF_ROS2: Final = ("ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION")
 
 
 def interpreter() -> str | None:
-    """The Python in which components run; None where none is known that could."""
+    """The Python in which components run; None where no Python with ROS 1 is known."""
     if named := os.environ.get(ENV_PYTHON):
         return named
     if importlib.util.find_spec("rospy") is not None:
@@ -55,9 +55,9 @@ def require_interpreter() -> str:
     found = interpreter()
     if found is None:
         raise BackendError(
-            "ROS 1 cannot be found here: neither does this Python import rospy, nor does "
-            f"{ENV_PYTHON} name one that does. On Debian 12 and Ubuntu 22.04: apt install python3-rospy "
-            "python3-rosmaster, then `tools/ros1`, or a virtual environment with --system-site-packages"
+            f"ROS 1 was not found: this Python cannot import rospy, and {ENV_PYTHON} names no other. "
+            "On Debian 12 and Ubuntu 22.04: apt install python3-rospy python3-rosmaster, then run `tools/ros1`, "
+            "or make a virtual environment with --system-site-packages"
         )
     return found
 
@@ -67,7 +67,7 @@ def master_uri(environment: Mapping[str, str]) -> str:
 
 
 def master_of(pid: int) -> str:
-    """The master that a process of ours was told to use when it was started."""
+    """The master that a component's process was started with."""
     try:
         return master_uri(psutil.Process(pid).environ())
     except psutil.Error:
@@ -75,12 +75,15 @@ def master_of(pid: int) -> str:
 
 
 def is_local(uri: str) -> bool:
-    """Whether an address means this machine by its loopback."""
+    """Whether an address is on this machine's loopback."""
     return urlsplit(uri).hostname in _LOCAL
 
 
 def own_host(environment: Mapping[str, str], uri: str) -> str:
-    """Under which name other nodes reach this process: what the user says, else loopback with a local master."""
+    """The address under which other nodes reach a process of this machine: the user's, else loopback.
+
+    Raises BackendError where the master is elsewhere and the user names no address.
+    """
     named = environment.get("ROS_HOSTNAME") or environment.get("ROS_IP")
     if named:
         return named
@@ -90,7 +93,7 @@ def own_host(environment: Mapping[str, str], uri: str) -> str:
 
 
 def environment(base: Mapping[str, str], uri: str) -> dict[str, str]:
-    """The environment of any process of ROS 1: the manager's, without what is ROS 2's."""
+    """The environment of any process of ROS 1: the manager's, without ROS 2. Raises as :func:`own_host`."""
     result = {name: value for name, value in base.items() if name not in _OF_ROS2}
     if "AMENT_PREFIX_PATH" in base or base.get("ROS_VERSION") == "2":
         for name in _VERSION_OF_ROS2:
@@ -101,14 +104,14 @@ def environment(base: Mapping[str, str], uri: str) -> dict[str, str]:
     for variable in ("PYTHONPATH", "LD_LIBRARY_PATH", "CMAKE_PREFIX_PATH"):
         _drop(result, variable, prefixes)
     result[MASTER_URI] = uri
-    if is_local(uri) and "ROS_HOSTNAME" not in result:
-        result.setdefault("ROS_IP", LOOPBACK)
+    if not result.get("ROS_HOSTNAME"):
+        result["ROS_IP"] = own_host(base, uri)
     result["PYTHONUNBUFFERED"] = "1"
     return result
 
 
 def _drop(environment: dict[str, str], variable: str, prefixes: list[str]) -> None:
-    """Take the paths under ``prefixes``, and whatever holds rclpy, out of a variable."""
+    """Take the paths under ``prefixes``, and any that hold rclpy, out of a variable."""
     paths = [path for path in environment.get(variable, "").split(os.pathsep) if path]
     kept = [
         path

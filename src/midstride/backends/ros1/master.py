@@ -1,8 +1,7 @@
-"""ROS 1's master: what is registered there, and putting right what a killed node has left.
+"""ROS 1's master: what is registered there, and taking back what a killed node has left.
 
-The master believes what it was told until it is told otherwise: a killed node stays registered for ever,
-and whoever is later given its port is taken for it (platform.md). So its registrations are taken back
-the moment its end is known.
+The master keeps a registration until it is taken back: a killed node stays registered for ever, and a process that is
+later given its port is taken for it. So a component's registrations are taken back the moment its end is known.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from midstride.backends.ros1 import rpc
 from midstride.errors import BackendError, CallTimeout, Unreachable
 from midstride.runtime.timeouts import within
 
-# How long a node that may be dead is given to say that it is not (s).
+# How long a node that may be dead has to answer (s).
 PROBE: Final = 0.5
-# A registration under way when its node was killed may arrive after it has been looked for.
+# A registration under way when its node was killed may arrive after the first look.
 _ROUNDS: Final = 3
 # The parameter to which rospy subscribes with a node's first log message, and never unsubscribes.
 _PARAMETER: Final = "/rosout_disable_topics_generation"
@@ -25,7 +24,7 @@ _PARAMETER: Final = "/rosout_disable_topics_generation"
 
 @dataclass(frozen=True, slots=True)
 class SystemState:
-    """Who publishes, subscribes and serves: the nodes of each topic and service."""
+    """The nodes of each topic and service."""
 
     publishers: dict[str, tuple[str, ...]]
     subscribers: dict[str, tuple[str, ...]]
@@ -37,7 +36,7 @@ class SystemState:
 
 
 class Master:
-    """Asks the master at ``uri``, as the node ``caller``. Every method raises BackendError kinds only."""
+    """Calls the master at ``uri`` under the name ``caller``. Every method raises BackendError kinds only."""
 
     def __init__(self, uri: str, caller: str) -> None:
         self.uri = uri
@@ -47,14 +46,14 @@ class Master:
         """The value that a method of the master returns. Raises BackendError with the master's own words."""
         answer = await rpc.call(self.uri, method, *arguments, timeout=timeout)
         if not isinstance(answer, list) or len(answer) != 3:
-            raise Unreachable(f"{self.uri} is no ROS 1 master: it answers {answer!r}")
+            raise Unreachable(f"{self.uri} is not a ROS 1 master: it answers {answer!r}")
         code, words, value = answer
         if code != 1:
             raise BackendError(f"the ROS master refuses {method}: {words}")
         return value
 
     async def process(self, timeout: float = PROBE) -> int | None:
-        """The number of the master's process; None where no master answers there."""
+        """The pid of the master; None where no master answers."""
         try:
             return int(await self.ask("getPid", self.caller, timeout=timeout))
         except (Unreachable, CallTimeout):
@@ -66,22 +65,13 @@ class Master:
         return SystemState(*kinds)
 
     async def address_of(self, node: str) -> str | None:
-        """Where a node said it can be called; None where the master knows of none."""
+        """The address that a node has registered; None where the master knows no such node."""
         try:
             return str(await self.ask("lookupNode", self.caller, node))
         except (Unreachable, CallTimeout):
             raise
         except BackendError:
             return None
-
-    async def service_at(self, service: str) -> str:
-        """Where a service can be called. Raises Unreachable where there is none."""
-        try:
-            return str(await self.ask("lookupService", self.caller, service))
-        except (Unreachable, CallTimeout):
-            raise
-        except BackendError:
-            raise Unreachable(f"no node serves {service}") from None
 
     async def forget(self, node: str) -> None:
         """Take back every registration of a node that has ended. Raises BackendError where that cannot be done."""
@@ -96,18 +86,19 @@ class Master:
                         await self.ask(f"unregister{method}", node, topic, where)
             for service, nodes in state.services.items():
                 if node in nodes:
-                    await self.ask("unregisterService", node, service, await self.service_at(service))
+                    served_at = await self.ask("lookupService", self.caller, service)
+                    await self.ask("unregisterService", node, service, served_at)
             await self.ask("unsubscribeParam", node, where, _PARAMETER)
             if await self.address_of(node) is None:
                 return
             await self._forget_parameters(node, where)
-        raise BackendError(f"the ROS master does not let go of {node}, which has ended")
+        raise BackendError(f"the ROS master still lists {node}, which has ended")
 
     async def _forget_parameters(self, node: str, where: str) -> None:
-        """What is left is subscriptions to parameters that nobody can list.
+        """What is left are subscriptions to parameters, which the master does not list.
 
-        They go when the node is registered anew from elsewhere. The master then tells whoever is at the old
-        address to shut down: so nobody may be there.
+        They go when the node is registered anew from elsewhere. The master then has the process at the old address
+        shut down, so nothing may listen there.
         """
         host, port, _ = rpc.address(where)
         try:
@@ -122,11 +113,11 @@ class Master:
         else:
             writer.close()
 
-    async def holder(self, node: str) -> bool:
-        """Whether a node of that name is there and alive; what a dead one has left is taken back.
+    async def is_running(self, node: str) -> bool:
+        """Whether a node of that name runs; what a dead one has left is taken back.
 
-        At its address somebody else may answer by now. ROS's Python nodes tell their names; one that does
-        not is taken at the master's word.
+        Another node may listen at its address by now. ROS's Python nodes give their names; where one does not, the
+        master's word counts.
         """
         where = await self.address_of(node)
         if where is None:
@@ -134,7 +125,7 @@ class Master:
         try:
             answer = await rpc.call(where, "getName", self.caller, timeout=PROBE)
         except CallTimeout:
-            return True  # it may be frozen: that is not dead
+            return True  # it may be frozen, which is not dead
         except Unreachable:
             await self.forget(node)
             return False

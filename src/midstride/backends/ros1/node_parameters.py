@@ -1,4 +1,4 @@
-"""The author's own use of the ROS node: its parameters, and the endpoints that are not ports."""
+"""The author's use of the ROS node: its parameters, and the endpoints that are not ports."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from midstride.backends.ros1 import names
 from midstride.backends.ros1.publishing import NumberedTopic
 from midstride.backends.ros1.subscribing import FramedTopic
 from midstride.errors import CommandRefused, MidstrideError
+from midstride.wire.state import Endpoint
 
-# What every node of rospy brings along.
-_OF_ROS: Final = frozenset({"/rosout", "/clock"})
+# Endpoints of every node of rospy.
+_TOPICS_OF_ROS: Final = frozenset({*names.INTERNAL, "/clock"})
 _SERVICES_OF_ROS: Final = ("/get_loggers", "/set_logger_level")
 
 
 class Ros1NodeParameters:
     """Parameters of the component, shown on the parameter server under the node's name.
 
-    The server is a place to look, not to write: what somebody else sets there changes nothing here. Only a component
-    that nobody manages begins with what it finds there (a launch file's values).
+    They are shown to be read: setting them there changes nothing here. Only a component that no manager started begins
+    with the values that it finds there (a launch file's).
     """
 
     def __init__(self, managed: bool, show: Callable[[str, Any], None]) -> None:
-        """``show`` has the server show a value; it must not block."""
+        """``show`` sets a value on the parameter server; it must not block."""
         self._managed = managed
         self._show = show
         self._values: dict[str, Any] = {}
@@ -46,18 +47,18 @@ class Ros1NodeParameters:
         done: list[str] = []
         try:
             for name, value in values.items():
-                self._tell(name, value)
+                self._apply(name, value)
                 done.append(name)
         except Exception as error:
             for name in reversed(done):
-                self._tell(name, self._values[name])
+                self._apply(name, self._values[name])
             words = str(error) if isinstance(error, MidstrideError) else f"{type(error).__name__}: {error}"
             raise CommandRefused(words) from None
         self._values.update(values)
         for name, value in values.items():
             self._show(name, value)
 
-    def _tell(self, name: str, value: Any) -> None:
+    def _apply(self, name: str, value: Any) -> None:
         on_change = self._on_change[name]
         if on_change is not None:
             on_change(value)
@@ -66,15 +67,16 @@ class Ros1NodeParameters:
         return list(self._values)
 
 
-def endpoints() -> list[dict[str, str]]:
-    """The topics and services of this node that are neither ROS's own nor Midstride's nor ports."""
-    found: set[tuple[str, str]] = set()
+def endpoints() -> list[Endpoint]:
+    """The topics and services of this node that are neither ports nor of ROS or Midstride."""
+    found: list[Endpoint] = []
     manager = get_topic_manager()
     for topics, ports in ((manager.pubs, NumberedTopic), (manager.subs, FramedTopic)):
         for name, topic in list(topics.items()):
-            if not isinstance(topic, ports) and name not in _OF_ROS and not names.is_ours(name):
-                found.add(("topic", name))
+            endpoint = Endpoint(kind="topic", name=name)
+            if not isinstance(topic, ports) and name not in _TOPICS_OF_ROS and endpoint not in found:
+                found.append(endpoint)
     for name, _ in get_service_manager().get_services():
-        if not name.endswith(_SERVICES_OF_ROS) and not names.is_ours(name):
-            found.add(("service", name))
-    return [{"kind": kind, "name": name} for kind, name in sorted(found)]
+        if not name.endswith(_SERVICES_OF_ROS):
+            found.append(Endpoint(kind="service", name=name))
+    return sorted(found, key=lambda endpoint: (endpoint.kind, endpoint.name))

@@ -1,7 +1,7 @@
 """The publishers of a component: rospy's, with numbers and source times where a subscriber asks for them.
 
 A message of ROS 1 carries no number and no time of publication (semantics.md section 7 wants both). But
-connections begin with headers (:mod:`.asking`): where a subscriber asks, each message on that connection
+connections begin with headers (:mod:`.connection_headers`): where a subscriber asks, each message on that connection
 ends with some bytes more, beyond the message's own length. Every other subscriber gets exactly what rospy
 would send. The header also names the publisher anew each time, so that two of one name, one after the
 other, are told apart.
@@ -103,7 +103,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
 
     def add_connection(self, transport: Any) -> bool:
         """rospy, in the thread of a new connection: its header has been answered."""
-        requested = connection_headers.asked(_joining_header())
+        requested = connection_headers.requested(_joining_header())
         depth = max((port.depth for port in self.ports), default=1)
         compatible = requested is None or not requested.unmet_by(self._offered)
         peer = SubscriberConnection(transport, requested is not None, compatible, depth, self._control)

@@ -42,7 +42,7 @@ def frame_of(type_: Any, qos: QoS) -> type:
             "__init__": lambda frame: None,
             "_type": type_._type,
             "_md5sum": type_._md5sum,
-            "_full_text": connection_headers.ask(type_._full_text, qos),
+            "_full_text": connection_headers.request(type_._full_text, qos),
             "_has_header": False,
             "deserialize": deserialize,
         },

@@ -7,14 +7,11 @@ says so where there is none.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from midstride.errors import BackendError
-
-if TYPE_CHECKING:
-    from midstride.backends.ros2.backend import Ros2Backend
-    from midstride.backends.ros2.host import Ros2Host
-    from midstride.runtime.reaper import Reaper
+from midstride.node.host import Host
+from midstride.runtime.backend import Backend
+from midstride.runtime.reaper import Reaper
 
 __all__ = ["create_backend", "create_host"]
 
@@ -29,23 +26,21 @@ def _require_rclpy() -> None:
         ) from error
 
 
-def create_host(name: str, namespace: str) -> Ros2Host:
-    """Join ROS 2 as the component ``name``. Raises BackendError where that is not possible."""
+def create_host(name: str, namespace: str) -> Host:
+    """The host of the component ``name``, which joins ROS 2 when it is run. Raises BackendError without ROS 2."""
     _require_rclpy()
     from midstride.backends.ros2.host import Ros2Host
 
     return Ros2Host(name, namespace)
 
 
-def create_backend(
-    *, logs: Path | None = None, guardian: Reaper | None = None, tuned: bool = True, use_sim_time: bool = False
-) -> Ros2Backend:
-    """The back end of a manager. ``logs``: the folder of the components' logs (default: beside ROS's own).
+def create_backend(control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> Backend:
+    """The back end of a manager. ``control``: the folder of the components' control sockets.
 
-    ``guardian`` ends what is started should this process be killed. ``tuned`` False leaves the
-    middleware's discovery as it comes, as it should be across Wi-Fi. Raises BackendError without ROS 2.
+    ``logs``: the folder of the components' logs (default: beside ROS's own). ``guardian`` ends what is started should
+    this process be killed. Raises BackendError without ROS 2.
     """
     _require_rclpy()
     from midstride.backends.ros2.backend import Ros2Backend
 
-    return Ros2Backend(logs=logs, guardian=guardian, tuned=tuned, use_sim_time=use_sim_time)
+    return Ros2Backend(control, logs=logs, guardian=guardian)

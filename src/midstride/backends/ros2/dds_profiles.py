@@ -1,16 +1,16 @@
 """Discovery and transports for a system whose processes come and go; and whether the settings took effect.
 
-The defaults of Fast DDS keep a killed process in the graph for 20 s, lose first replies over shared
-memory, and acknowledge what a reliable writer has sent after up to 3 s. For the processes that
-Midstride starts, and for the manager itself, the profiles beside this file say otherwise, unless the
-user has set something of their own. Three things are easily got wrong, hence so much care:
+By default Fast DDS uses shared memory, which loses the first messages to a new process and leaves files behind when a
+process is killed, and a reliable writer learns only after up to 3 s that everything has arrived. For the processes that
+Midstride starts, and for the manager itself, the profiles beside this file change that, unless the user has set a
+profile. Three things are easy to get wrong:
 
 - Fast DDS 3 reads the profile named by one variable, Fast DDS 2 by another, in another spelling, and
-  each is silent about, or complains of, what is meant for the other.
-- Under ``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` rmw_fastrtps replaces all transports, shared
-  memory included, whatever the environment asks for. A profile of its own does what that setting
-  does, with sockets alone, and the setting is taken back.
-- A profile is read once in a process, when its first node is made: later is too late.
+  each ignores, or complains of, what is meant for the other.
+- Under ``ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST`` rmw_fastrtps replaces all transports, and uses shared
+  memory whatever the environment asks for. A profile does what that setting does, with sockets
+  alone, and the setting is reset.
+- A profile is read once in a process, when its first node is created: later is too late.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import ctypes
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -31,58 +31,60 @@ RANGE: Final = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILE_VARIABLES: Final = {3: "FASTDDS_DEFAULT_PROFILES_FILE", 2: "FASTRTPS_DEFAULT_PROFILES_FILE"}
 _LIBRARIES: Final = {3: "libfastdds.so", 2: "libfastrtps.so"}
 _FAST_DDS: Final = frozenset({"rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"})
-_IN_OPEN: Final = 0x20  # inotify: somebody opened the file
+_IN_OPEN: Final = 0x20  # inotify: the file was opened
 
-# The profile that this process has been seen to read: Fast DDS keeps it for good, and so it is kept here.
+# The profiles that this process has read: Fast DDS keeps the first one, and so it is remembered here.
 _read: set[str] = set()
 
 
 @dataclass(frozen=True, slots=True)
-class Tuning:
-    """What is set in the environment of the processes Midstride starts, and what stays untuned, in words."""
+class DdsSettings:
+    """What is set in the environment of the processes Midstride starts; ``warnings`` say what is left as it was."""
 
     middleware: str
     variables: Mapping[str, str] = field(default_factory=dict)
-    untuned: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     @property
     def profile(self) -> str | None:
         return next((self.variables[name] for name in PROFILE_VARIABLES.values() if name in self.variables), None)
 
 
-def choose(environment: Mapping[str, str], middleware: str, major: int | None) -> Tuning:
+def choose(environment: Mapping[str, str], middleware: str, major: int | None) -> DdsSettings:
     """What to set, given what the user has set. ``major``: the version of Fast DDS, None where it is not known."""
     if middleware not in _FAST_DDS:
-        return Tuning(
+        return DdsSettings(
             middleware,
-            untuned=(f"discovery: {middleware} is left as it comes, and may show a killed process for long",),
+            warnings=(f"discovery: {middleware} keeps its defaults, and may show a killed process for a while",),
         )
     if major is None:
-        return Tuning(middleware, untuned=("discovery: which Fast DDS this is cannot be told",))
+        return DdsSettings(
+            middleware, warnings=("discovery: the version of Fast DDS is unknown, so it keeps its defaults",)
+        )
     own = [name for name in PROFILE_VARIABLES.values() if environment.get(name)]
     if any(Path(environment[name]).parent == PROFILES for name in own):
-        return Tuning(middleware)  # tuned already: this process was started by Midstride
+        return DdsSettings(middleware)  # set already: this process was started by Midstride
     if own:
-        return Tuning(middleware, untuned=(f"discovery: your own profile ({own[0]}) counts",))
+        return DdsSettings(middleware, warnings=(f"discovery: your own profile ({own[0]}) is used",))
     transports = environment.get(TRANSPORTS)
     if transports is None and _on_this_host_alone(environment):
         profile = PROFILES / f"fastdds{major}_localhost.xml"
-        return Tuning(middleware, {PROFILE_VARIABLES[major]: str(profile), RANGE: "SYSTEM_DEFAULT"})
+        return DdsSettings(middleware, {PROFILE_VARIABLES[major]: str(profile), RANGE: "SYSTEM_DEFAULT"})
     variables = {PROFILE_VARIABLES[major]: str(PROFILES / f"fastdds{major}_subnet.xml")}
     if transports is not None:
-        return Tuning(middleware, variables, (f"transports: your own {TRANSPORTS}={transports} counts",))
-    return Tuning(middleware, {**variables, TRANSPORTS: "UDPv4?sockets_size=4MB"})
+        return DdsSettings(middleware, variables, (f"transports: your own {TRANSPORTS}={transports} is used",))
+    return DdsSettings(middleware, {**variables, TRANSPORTS: "UDPv4?sockets_size=4MB"})
 
 
 def _on_this_host_alone(environment: Mapping[str, str]) -> bool:
-    """Peers of the user's own, and the old variable of the same meaning, are understood by rmw_fastrtps alone."""
+    """The user's static peers, and the older variable for the same, are left to rmw_fastrtps."""
     if environment.get("ROS_STATIC_PEERS") or environment.get("ROS_LOCALHOST_ONLY") == "1":
         return False
     return environment.get(RANGE, "").upper() == "LOCALHOST"
 
 
-def of_this_process() -> Tuning:
-    """What to set for this process and those like it. Imports rclpy, and so loads the middleware."""
+def of_this_process() -> DdsSettings:
+    """What to set for this process and those it starts. Imports rclpy, which loads the middleware."""
     from rclpy.utilities import get_rmw_implementation_identifier
 
     middleware = str(get_rmw_implementation_identifier())
@@ -90,7 +92,7 @@ def of_this_process() -> Tuning:
 
 
 def tuned_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """``environment`` as a component's process would get it, for others on the same footing (recorders, benchmarks)."""
+    """``environment`` as a component's process gets it, for other processes to be compared with it (benchmarks)."""
     return {**environment, **choose(environment, of_this_process().middleware, loaded_major()).variables}
 
 
@@ -102,31 +104,24 @@ def loaded_major() -> int | None:
 
 
 def installed_major(prefix: Path) -> int | None:
-    """The version of the Fast DDS that is installed under ``prefix``, as the wheels do it."""
+    """The version of the Fast DDS that is installed under ``prefix``, as the wheels lay it out."""
     return next((major for major, library in _LIBRARIES.items() if any((prefix / "lib").glob(f"{library}*"))), None)
 
 
-class Check:
-    """Filled in at the end of :func:`in_force`: the tuning as it turned out."""
-
-    def __init__(self, tuning: Tuning) -> None:
-        self.tuning = tuning
-
-
 @contextmanager
-def in_force(tuning: Tuning) -> Iterator[Check]:
-    """The environment in which to make this process's first node; afterwards it is as it was.
+def applied_profile(settings: DdsSettings) -> Iterator[list[str]]:
+    """The environment in which to create this process's first node; afterwards it is as it was.
 
-    Tells, in ``tuning.untuned`` of what it yields, what did not take effect: whether the profile was
-    read is seen by watching the file, whether sockets alone are in use by what is mapped.
+    The list that it yields has, in the end, the warnings of ``settings`` and what did not take effect: whether the
+    profile was read shows by watching the file, whether shared memory is in use by what is mapped.
     """
-    check = Check(tuning)
-    before = {name: os.environ.get(name) for name in tuning.variables}
-    watch = _watch(tuning.profile)
-    os.environ.update(tuning.variables)
+    warnings = list(settings.warnings)
+    before = {name: os.environ.get(name) for name in settings.variables}
+    watch = _watch(settings.profile)
+    os.environ.update(settings.variables)
     try:
-        yield check
-        check.tuning = _checked(tuning, watch)
+        yield warnings
+        warnings += _not_applied(settings, watch)
     finally:
         for name, value in before.items():
             if value is None:
@@ -150,20 +145,17 @@ def _watch(path: str | None) -> int | None:
     return int(descriptor)
 
 
-def _checked(tuning: Tuning, watch: int | None) -> Tuning:
-    profile = tuning.profile
+def _not_applied(settings: DdsSettings, watch: int | None) -> Iterator[str]:
+    profile = settings.profile
     if profile is None:
-        return tuning
-    untuned = list(tuning.untuned)
+        return
     if _was_opened(watch):
         _read.add(profile)
     if profile not in _read:
-        why = "it cannot be seen" if watch is None else "this process has used ROS 2 before, with other settings"
-        untuned.append(f"discovery: whether {Path(profile).name} was read is not known ({why})")
-    sockets_alone = TRANSPORTS in tuning.variables or RANGE in tuning.variables
-    if sockets_alone and _shared_memory():
-        untuned.append("transports: shared memory is in use, and may lose the first messages to a new process")
-    return replace(tuning, untuned=tuple(untuned))
+        why = "it cannot be watched" if watch is None else "this process has used ROS 2 before, with other settings"
+        yield f"discovery: whether {Path(profile).name} was read is unknown ({why})"
+    if (TRANSPORTS in settings.variables or RANGE in settings.variables) and _shared_memory():
+        yield "transports: shared memory is in use, and may lose the first messages to a new process"
 
 
 def _was_opened(watch: int | None) -> bool:

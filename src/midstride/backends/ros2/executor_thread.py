@@ -14,7 +14,7 @@ class ExecutorThread:
     """Spins a SingleThreadedExecutor in a thread until it is stopped; survives what user callbacks raise."""
 
     def __init__(self, name: str, context: Any, failed: Callable[[str], None]) -> None:
-        """``failed`` is told, in the thread, the traceback of whatever a callback raised."""
+        """``failed`` is called, in the thread, with the traceback of whatever a callback raised."""
         self.executor: Any = SingleThreadedExecutor(context=context)
         self._context = context
         self._failed = failed
@@ -23,11 +23,6 @@ class ExecutorThread:
 
     def start(self) -> None:
         self._thread.start()
-
-    @property
-    def is_current(self) -> bool:
-        """Whether the caller runs in this thread."""
-        return threading.current_thread() is self._thread
 
     def stop(self, timeout: float) -> bool:
         """Stop and join it; False where a callback does not return in time. Blocks.

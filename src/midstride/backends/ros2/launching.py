@@ -10,21 +10,26 @@ from typing import Final
 
 from midstride.backends import common
 from midstride.backends.ros2 import dds_profiles
-from midstride.backends.ros2.dds_profiles import Tuning
+from midstride.backends.ros2.dds_profiles import DdsSettings
 from midstride.runtime.backend import Launch
 
 # Set by the ROS wheels in an interpreter that they have started anew with their libraries' paths.
 _BOOTSTRAPPED: Final = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 
 
-def environment(launch: Launch, program: str, chosen: Tuning, base: Mapping[str, str]) -> dict[str, str]:
-    """The environment of a component's process: the manager's, without what would break another interpreter."""
+def environment(
+    launch: Launch, control: Path, program: str, settings: DdsSettings, base: Mapping[str, str]
+) -> dict[str, str]:
+    """The environment of a component's process: the manager's, without what would break another interpreter.
+
+    ``control`` is the folder of the control sockets.
+    """
     result = dict(base)
     if program != sys.executable:
         _leave_own_wheels(result)
     _drop_ros1(result)
-    result.update(_variables(program, chosen, base))
-    result.update(common.identity(launch, "ros2"))
+    result.update(_variables(program, settings, base))
+    result.update(common.identity(launch, "ros2", control))
     return result
 
 
@@ -48,9 +53,9 @@ def _drop_ros1(environment: dict[str, str]) -> None:
         environment["PYTHONPATH"] = os.pathsep.join(kept)
 
 
-def _variables(program: str, chosen: Tuning, base: Mapping[str, str]) -> Mapping[str, str]:
-    """The tuning for the Fast DDS that ``program`` will load, which may be another one than the manager's."""
+def _variables(program: str, settings: DdsSettings, base: Mapping[str, str]) -> Mapping[str, str]:
+    """The settings for the Fast DDS that ``program`` will load, which may be another one than the manager's."""
     major = None if program == sys.executable else dds_profiles.installed_major(Path(program).parent.parent)
-    if major is None or not chosen.variables:
-        return chosen.variables
-    return dds_profiles.choose(base, chosen.middleware, major).variables
+    if major is None or not settings.variables:
+        return settings.variables
+    return dds_profiles.choose(base, settings.middleware, major).variables

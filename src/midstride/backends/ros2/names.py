@@ -1,4 +1,4 @@
-"""Names of nodes and of the control plane's services."""
+"""Names of nodes, topics and parameters."""
 
 from __future__ import annotations
 
@@ -7,25 +7,19 @@ from typing import Final
 from midstride.backends.naming import full as full
 from midstride.backends.naming import split as split
 
-STANDARD: Final = (
-    "describe_parameters",
-    "get_parameters",
-    "get_parameter_types",
-    "list_parameters",
-    "set_parameters",
-    "set_parameters_atomically",
-)
+PARAMETER_EVENTS: Final = "/parameter_events"
+# Topics that every node has, and that belong to no port.
+OF_EVERY_NODE: Final = frozenset({PARAMETER_EVENTS, "/rosout"})
+# What a component's state is shown under, and its parameter with the whole of it, as JSON.
 PREFIX: Final = "midstride."
-COMMAND: Final = PREFIX + "command"
-ANNOUNCEMENT: Final = PREFIX + "announcement"
 STATE: Final = PREFIX + "state"
 
 
 def control(name: str) -> str:
-    """The hidden node that answers for the node ``name``."""
+    """The hidden node that serves the parameter services of the node ``name``."""
     return f"_{name}_control"
 
 
 def is_hidden(full_name: str) -> bool:
-    """Whether ROS's tools pass the node over: a part of its name starts with an underscore."""
+    """Whether ROS's tools leave the node out: a part of its name starts with an underscore."""
     return "/_" in full_name

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from typing import Any, Final
+from typing import Any, Final, Literal, TypeAlias
 
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.exceptions import (
@@ -14,8 +14,11 @@ from rclpy.exceptions import (
 from rclpy.parameter import Parameter
 
 from midstride.errors import CommandRefused, NodeError
+from midstride.wire.state import Endpoint
 
-# What every node of rclpy brings along.
+Kind: TypeAlias = Literal["topic", "service", "ROS action"]
+
+# What every node of rclpy has.
 _OF_ROS: Final = frozenset({"/parameter_events", "/rosout", "/clock"})
 _SERVICES_OF_ROS: Final = ("/get_type_description",)
 
@@ -88,19 +91,19 @@ class Ros2NodeParameters:
         return SetParametersResult(successful=True)
 
 
-def endpoints(node: Any, ports: Collection[int]) -> list[dict[str, str]]:
+def endpoints(node: Any, ports: Collection[int]) -> list[Endpoint]:
     """The topics, services and ROS actions of ``node`` that are neither ROS's own nor in ``ports`` (by ``id``)."""
-    found: dict[tuple[str, str], None] = {}
+    found: set[tuple[Kind, str]] = set()
     for topic in (*node.publishers, *node.subscriptions):
         if id(topic) not in ports and topic.topic_name not in _OF_ROS:
-            found["topic", topic.topic_name] = None
+            found.add(("topic", topic.topic_name))
     for service in (*node.services, *node.clients):
         name = _service_name(node, service)
         if not name.endswith(_SERVICES_OF_ROS):
-            found["service", name] = None
+            found.add(("service", name))
     for name in _actions(node):
-        found["ROS action", name] = None
-    return [{"kind": kind, "name": name} for kind, name in sorted(found)]
+        found.add(("ROS action", name))
+    return [Endpoint(kind=kind, name=name) for kind, name in sorted(found)]
 
 
 def _service_name(node: Any, service: Any) -> str:

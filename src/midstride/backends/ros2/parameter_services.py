@@ -1,81 +1,68 @@
-"""The component's side of the control plane: its node's parameter services, served by hand.
+"""The parameter services of a component's node, with the component's state as read-only parameters.
 
-Every ROS tool reads a component's state as parameters under ``midstride.``. They are changed by one
-thing alone: a command, which is the parameter ``midstride.command`` of a SetParametersAtomically
-request, answered late, when it has been carried out. Anything else under ``midstride.`` is refused
-with the reason. The node's own parameters are read at once, and set on the data side, since that
-runs the author's callbacks.
+Every ROS tool reads a component's state as parameters under ``midstride.``, and its changes on ``/parameter_events``.
+Nothing sets them: commands travel over the control socket. The node's own parameters are read at once, and set on the
+data thread, since that runs the author's callbacks.
 
-The services bear the data node's name, and belong to a hidden node that another executor spins: a
-reply never waits for user code.
+The services have the data node's name, and belong to the hidden control node, which another executor spins: a reply to
+a reading request never waits for user code.
 """
 
 from __future__ import annotations
 
-import asyncio
-import json
-import time
-from collections.abc import Awaitable, Callable, Coroutine, Mapping
+from collections.abc import Mapping
 from typing import Any, Final
 
+import msgspec
 from rcl_interfaces import srv
-from rcl_interfaces.msg import ListParametersResult, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import ListParametersResult, ParameterDescriptor, ParameterEvent, SetParametersResult
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.exceptions import ParameterNotDeclaredException, ParameterUninitializedException
 from rclpy.parameter import Parameter
+from rclpy.qos import qos_profile_parameter_events
 from rclpy.task import Future
 
-from midstride.backends.ros2.names import COMMAND, PREFIX, STANDARD, STATE
-from midstride.errors import CommandRefused
-from midstride.wire.messages import Command, Reply
+from midstride.backends.ros2.names import PARAMETER_EVENTS, PREFIX, STATE
+from midstride.wire.state import ComponentState
 
-_TYPES: Final = (
-    srv.DescribeParameters,
-    srv.GetParameters,
-    srv.GetParameterTypes,
-    srv.ListParameters,
-    srv.SetParameters,
-    srv.SetParametersAtomically,
-)
-# A reply is on its way for a moment after it was given to the middleware (s).
-_ON_ITS_WAY: Final = 0.1
+_SERVICES: Final = {
+    "describe_parameters": srv.DescribeParameters,
+    "get_parameters": srv.GetParameters,
+    "get_parameter_types": srv.GetParameterTypes,
+    "list_parameters": srv.ListParameters,
+    "set_parameters": srv.SetParameters,
+    "set_parameters_atomically": srv.SetParametersAtomically,
+}
 
 
 class ParameterServices:
-    """Serves the parameter services of ``data_node`` on ``control_node``; to be made on the control loop."""
+    """Serves the parameter services of ``data_node`` on ``control_node``, each spun by its executor."""
 
-    def __init__(
-        self,
-        control_node: Any,
-        data_node: Any,
-        group: Any,
-        executor: Any,
-        serve: Callable[[Command], Awaitable[Reply]],
-        on_data: Callable[[Callable[[], Any]], Awaitable[Any]],
-    ) -> None:
+    def __init__(self, control_node: Any, control_executor: Any, data_node: Any, data_executor: Any) -> None:
         self._node = data_node
-        self._executor = executor
-        self._serve = serve
-        self._on_data = on_data
-        self._loop = asyncio.get_running_loop()
+        self._control_executor = control_executor
+        self._data_executor = data_executor
         self._values: Mapping[str, Any] = {}
-        self._pending = 0
-        self._answered = 0.0
-        full_name = data_node.get_fully_qualified_name()
-        for name, type_ in zip(STANDARD, _TYPES, strict=True):
-            control_node.create_service(type_, f"{full_name}/{name}", getattr(self, f"_{name}"), callback_group=group)
+        self._full_name = data_node.get_fully_qualified_name()
+        self._events = control_node.create_publisher(ParameterEvent, PARAMETER_EVENTS, qos_profile_parameter_events)
+        group = ReentrantCallbackGroup()
+        for name, type_ in _SERVICES.items():
+            serve = getattr(self, f"_{name}")
+            control_node.create_service(type_, f"{self._full_name}/{name}", serve, callback_group=group)
 
-    def show(self, values: Mapping[str, Any]) -> None:
-        """The values of all parameters under ``midstride.`` from now on."""
-        self._values = values
+    def show(self, values: Mapping[str, Any], now: int) -> None:
+        """The values of all parameters under ``midstride.`` from now (ns) on; what has changed is published."""
+        before, self._values = self._values, values
+        event = ParameterEvent(node=self._full_name)
+        event.stamp.sec, event.stamp.nanosec = divmod(now, 1_000_000_000)
+        event.changed_parameters = [
+            Parameter(name, value=value).to_parameter_msg()
+            for name, value in values.items()
+            if before.get(name) != value
+        ]
+        self._events.publish(event)
 
-    async def answered(self, timeout: float) -> None:
-        """Wait until what was asked has been answered, and the answers are on their way."""
-        deadline = time.monotonic() + timeout
-        while self._pending and time.monotonic() < deadline:
-            await asyncio.sleep(0.002)
-        await asyncio.sleep(max(0.0, self._answered + _ON_ITS_WAY - time.monotonic()))
-
-    # -- reading, on the control executor ------------------------------------------------------------
+    # -- reading, on the control executor -----------------------------------------------------------
 
     def _describe_parameters(self, request: Any, response: Any) -> Any:
         own = self._values
@@ -83,7 +70,7 @@ class ParameterServices:
             if name in own:
                 described = ParameterDescriptor(name=name, read_only=True, dynamic_typing=False)
                 described.type = _value(name, own[name]).type
-                described.description = "state of a Midstride component, changed by its manager's commands alone"
+                described.description = "state of a Midstride component; read only"
             elif self._node.has_parameter(name):
                 described = self._node.describe_parameter(name)
             else:
@@ -101,7 +88,7 @@ class ParameterServices:
         return response
 
     def _read(self, names: list[str]) -> list[Any]:
-        """The values of all of them, or of none where one is not there: ROS 2's rule."""
+        """The values of all of them, or of none where one is missing: ROS 2's rule."""
         own = self._values
         try:
             return [
@@ -131,53 +118,28 @@ class ParameterServices:
 
     async def _set(self, parameters: list[Any]) -> Any:
         ours = [parameter.name for parameter in parameters if parameter.name.startswith(PREFIX)]
-        if ours == [COMMAND] and len(parameters) == 1:
-            return await self._from_loop(self._carry_out(parameters[0].value.string_value))
-        if COMMAND in ours:
-            return _refused(f"{COMMAND} must be set alone")
         if ours:
             return _refused(
-                f"{ours[0]} shows the state of a Midstride component and cannot be set: its manager changes it by "
-                f"commands ({COMMAND}, with the system's token and the expected revision)"
+                f"{ours[0]} shows the state of a Midstride component and cannot be set: use `midstride` to change it"
             )
-        return await self._from_loop(self._set_on_data([Parameter.from_parameter_msg(one) for one in parameters]))
+        return await self._set_on_data([Parameter.from_parameter_msg(one) for one in parameters])
 
-    async def _carry_out(self, text: str) -> Any:
-        try:
-            command = Command.from_json(text)
-        except CommandRefused as error:
-            return _refused(str(error))
-        reply = await self._serve(command)
-        return SetParametersResult(successful=reply.ok, reason=reply.to_json())
+    def _set_on_data(self, parameters: list[Any]) -> Any:
+        """The result, to be awaited on the control executor."""
+        future = Future(executor=self._control_executor)
 
-    async def _set_on_data(self, parameters: list[Any]) -> Any:
-        try:
-            return await self._on_data(lambda: self._node.set_parameters_atomically(parameters))
-        except ParameterNotDeclaredException as error:
-            return _refused(str(error))
-
-    def _from_loop(self, coroutine: Coroutine[Any, Any, Any]) -> Any:
-        """What ``coroutine`` comes to on the control loop, to be awaited on the control executor."""
-        future = Future(executor=self._executor)
-        self._pending += 1
-
-        async def run() -> None:
+        def work() -> None:
             try:
-                result = await coroutine
+                result = self._node.set_parameters_atomically(parameters)
+            except ParameterNotDeclaredException as error:
+                result = _refused(str(error))
             except Exception as error:
                 result = _refused(f"{type(error).__name__}: {error}")
             future.set_result(result)
-            self._executor.wake()
+            self._control_executor.wake()
 
-        async def awaited() -> Any:
-            try:
-                return await future
-            finally:
-                self._answered = time.monotonic()
-                self._pending -= 1
-
-        asyncio.run_coroutine_threadsafe(run(), self._loop)
-        return awaited()
+        self._data_executor.create_task(work)
+        return future
 
 
 def _value(name: str, value: Any) -> Any:
@@ -189,7 +151,7 @@ def _refused(reason: str) -> Any:
 
 
 def _listed(name: str, prefixes: list[str], depth: int) -> bool:
-    """ROS 2's rule: ``depth`` counts the parts of a name below a prefix; 0 stands for any."""
+    """ROS 2's rule: ``depth`` counts the parts of a name below a prefix; 0 means any."""
     if not prefixes:
         return depth == 0 or name.count(".") < depth
     for prefix in prefixes:
@@ -200,17 +162,17 @@ def _listed(name: str, prefixes: list[str], depth: int) -> bool:
     return False
 
 
-def parameters_of(state: dict[str, Any]) -> dict[str, Any]:
+def parameters_of(state: ComponentState) -> dict[str, Any]:
     """The component's state as parameters: the whole as JSON, and what people look for by name."""
     shown: dict[str, Any] = {
-        STATE: json.dumps(state),
-        f"{PREFIX}revision": int(state.get("revision", 0)),
-        f"{PREFIX}waiting": str(state.get("waiting") or ""),
+        STATE: msgspec.json.encode(state).decode(),
+        f"{PREFIX}revision": state.revision,
+        f"{PREFIX}waiting": state.waiting or "",
     }
-    for name, functionality in state.get("functionalities", {}).items():
-        shown[f"{PREFIX}mode.{name}"] = str(functionality["mode"])
-        shown[f"{PREFIX}because.{name}"] = str(functionality.get("because") or "")
-    for port, topics in state.get("ports", {}).items():
-        told = [f"{topic}: {view['gate'] or 'attached'}" for topic, view in topics.items()]
-        shown[f"{PREFIX}gate.{port}"] = ", ".join(told)
+    for name, functionality in state.functionalities.items():
+        shown[f"{PREFIX}mode.{name}"] = functionality.mode
+        shown[f"{PREFIX}because.{name}"] = functionality.because
+    for port, topics in state.ports.items():
+        gates = [f"{topic}: {link.gate or 'attached'}" for topic, link in topics.items()]
+        shown[f"{PREFIX}gate.{port}"] = ", ".join(gates)
     return shown

@@ -10,14 +10,16 @@ from typing import Any, Final, TypeVar
 from midstride.backends.simulator import loop as virtual
 from midstride.backends.simulator import messages
 from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.control import SimulatedControl
 from midstride.backends.simulator.cooperative_thread import simulated_sleep
 from midstride.backends.simulator.faults import Faults
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.process import SimulatedProcess
-from midstride.errors import BackendError, CallTimeout, StartFailed, Unreachable
+from midstride.errors import BackendError, StartFailed
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock
-from midstride.wire.messages import Announcement, Command, Reply
+from midstride.wire.state import ComponentState
+from midstride.wire.transport import Transport
 
 T = TypeVar("T")
 
@@ -53,8 +55,10 @@ class Simulator:
         self.network = Network(self.time, latency, jitter, discovery, seed)
         self.processes: dict[str, SimulatedProcess] = {}
         self.faults = Faults(self.processes, self.network)
+        self.control = SimulatedControl(self.time, latency, self.faults)
+        self.transport: Transport = self.control
         self._starting = starting
-        self._on_event: Callable[[Announcement | Exited], None] | None = None
+        self._on_exit: Callable[[Exited], None] | None = None
         self._held = ExitStack()
         self._powered = False
         self._pids = FIRST_PID
@@ -75,7 +79,7 @@ class Simulator:
 
     async def shutdown(self) -> None:
         """End everything that runs, at once, and take back what was changed of this process."""
-        self._on_event = None
+        self._on_exit = None
         for process in list(self.processes.values()):
             process.kill()
         self._powered = False
@@ -90,12 +94,12 @@ class Simulator:
 
     # -- the back-end protocol ---------------------------------------------------------------------
 
-    async def open(self, on_event: Callable[[Announcement | Exited], None]) -> None:
+    async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._power()
-        self._on_event = on_event
+        self._on_exit = on_exit
 
     async def close(self) -> None:
-        self._on_event = None
+        self._on_exit = None
 
     async def start(self, launch: Launch) -> Handle:
         self._power()
@@ -110,43 +114,6 @@ class Simulator:
 
     async def adopt(self, handle: Handle) -> bool:
         return handle.instance in self.processes
-
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply:
-        deadline = self.time.steady() + timeout
-        fault = self.faults.of_call(instance, command.op)
-        process = self.processes.get(instance)
-        if process is None or fault == "unreachable":
-            raise Unreachable(f"no component {instance} runs")
-        if fault == "refused":
-            return Reply(-1, {}, "the simulator was told to refuse this call")
-        if fault == "lost_request":
-            await self.time.sleep(timeout)
-            raise CallTimeout(f"{instance} did not answer within {timeout:g} s")
-        await self.time.sleep(self.network.latency)
-        answer = self.time.loop.create_task(self._serve(process, Command.from_json(command.to_json())))
-        gone = self.time.loop.create_task(process.gone.wait())
-        try:
-            left = max(deadline - self.time.steady() - self.network.latency, 0.0)
-            await asyncio.wait({answer, gone}, timeout=left, return_when=asyncio.FIRST_COMPLETED)
-        finally:
-            gone.cancel()
-        if answer.done() and not answer.cancelled() and fault is None:
-            await self.time.sleep(self.network.latency)
-            return Reply.from_json(answer.result().to_json())
-        if process.dead:
-            raise Unreachable(f"{instance} ended during the call")
-        await self.time.sleep(max(deadline - self.time.steady(), 0.0))
-        raise CallTimeout(f"{instance} did not answer within {timeout:g} s")
-
-    async def _serve(self, process: SimulatedProcess, command: Command) -> Reply:
-        """A process that is not up yet, or frozen, answers later."""
-        while process.host is None or process.host.serve is None:
-            await self.time.sleep(self.network.discovery)
-            await process.thaw()
-        await process.thaw()
-        reply = await process.host.serve(command)
-        await process.thaw()
-        return reply
 
     async def end(self, instance: str, grace: float) -> None:
         process = self.processes.get(instance)
@@ -167,11 +134,10 @@ class Simulator:
             subscribers=tuple((r.owner.node, name) for name, topic in topics for r in topic.readers),
         )
 
-    # -- for processes -----------------------------------------------------------------------------
+    async def lingering_readers(self, topic: str) -> int:
+        return 0  # a process that is gone is gone from the simulated graph
 
-    def announce(self, announcement: Announcement) -> None:
-        told = Announcement.from_json(announcement.to_json())
-        self.time.loop.call_later(self.network.latency, self._tell, told)
+    # -- for processes -----------------------------------------------------------------------------
 
     def register(self, instance: str, process: SimulatedProcess) -> None:
         """``process`` is on the platform as ``instance``. Raises StartFailed where the name is taken."""
@@ -183,11 +149,11 @@ class Simulator:
             del self.processes[process.instance]
         if not process.awaited:
             told = Exited(process.instance, process.status, process.log.tail(20))
-            self.time.loop.call_later(EXIT_SEEN, self._tell, told)
+            self.time.loop.call_later(EXIT_SEEN, self._report, told)
 
-    def _tell(self, event: Announcement | Exited) -> None:
-        if self._on_event is not None:
-            self._on_event(event)
+    def _report(self, exited: Exited) -> None:
+        if self._on_exit is not None:
+            self._on_exit(exited)
 
     # -- looking -----------------------------------------------------------------------------------
 
@@ -195,7 +161,7 @@ class Simulator:
         """What a running component has written to its output."""
         return self.processes[instance].log.tail()
 
-    def state(self, instance: str) -> dict[str, Any]:
+    def state(self, instance: str) -> ComponentState | None:
         """What a running component last published of its state."""
         host = self.processes[instance].host
-        return {} if host is None else dict(host.state)
+        return None if host is None else host.state

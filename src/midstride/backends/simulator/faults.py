@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
 
+from midstride.backends.simulator.control import RequestFault
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import BackendError
-
-How = Literal["lost_request", "lost_reply", "refused", "unreachable"]
 
 
 @dataclass(slots=True)
@@ -19,7 +17,7 @@ class FailingCall:
 
     instance: str
     op: str | None
-    how: How
+    how: RequestFault
     times: int
     after: int
 
@@ -47,12 +45,12 @@ class Faults:
         self._network.topic(topic).delay = seconds
 
     def fail_next(
-        self, instance: str, op: str | None = None, how: How = "lost_request", times: int = 1, after: int = 0
+        self, instance: str, op: str | None = None, how: RequestFault = "lost_request", times: int = 1, after: int = 0
     ) -> None:
         """The next call of ``op`` at ``instance`` fails; ``lost_reply``: it is carried out, and nobody hears of it."""
         self._failing.append(FailingCall(instance, op, how, times, after))
 
-    def of_call(self, instance: str, op: str) -> How | None:
+    def of_call(self, instance: str, op: str) -> RequestFault | None:
         """What shall happen to this call; counts it."""
         for fault in self._failing:
             if fault.instance == instance and fault.op in (None, op):

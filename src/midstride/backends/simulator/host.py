@@ -3,24 +3,68 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import logging
 from collections import deque
 from collections.abc import Awaitable, Callable, Coroutine
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
-from midstride.backends.simulator.cooperative_thread import Waits
-from midstride.backends.simulator.network import SimulatedReader, SimulatedWriter
+from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.network import Network, SimulatedReader, SimulatedWriter
 from midstride.backends.simulator.timer import SimulatedTimer
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.model.contract import QoS
 from midstride.node.contracts import type_name
 from midstride.node.host import MessageInfo
-from midstride.wire.messages import Announcement, Command, Reply
-
-if TYPE_CHECKING:
-    from midstride.backends.simulator.process import SimulatedProcess
+from midstride.wire.state import ComponentState, Endpoint
+from midstride.wire.transport import Transport
 
 T = TypeVar("T")
+
+
+class HostProcess(Protocol):
+    """The process that a host lives in."""
+
+    host: SimulatedHost | None
+    terminating: bool
+    clock: SimulatedClock
+    network: Network
+    transport: Transport
+
+    @property
+    def log(self) -> io.TextIOBase:
+        """Its standard output and error."""
+        ...
+
+    @property
+    def dead(self) -> bool: ...
+
+    @property
+    def node(self) -> str:
+        """The full name of its node."""
+        ...
+
+    def ready(self) -> bool:
+        """Whether its thread waits for work."""
+        ...
+
+    def resume(self, work: Callable[[], None]) -> None:
+        """Let its thread run ``work``."""
+        ...
+
+    def wait_for_work(self) -> Callable[[], None]:
+        """In its thread: let the loop go on until there is work."""
+        ...
+
+    def awake_at(self) -> float: ...
+
+    def awake_on_loop(self) -> float: ...
+
+    async def thaw(self) -> None: ...
+
+    def join_platform(self, instance: str) -> None:
+        """Raises StartFailed where the name is taken."""
+        ...
 
 
 class Pause:
@@ -38,13 +82,13 @@ class SimulatedHost:
 
     backend = "sim"
 
-    def __init__(self, process: SimulatedProcess, instance: str) -> None:
+    def __init__(self, process: HostProcess, instance: str) -> None:
         self.instance = instance
-        self.serve: Callable[[Command], Awaitable[Reply]] | None = None
-        self.state: dict[str, Any] = {}
+        self.transport: Transport | None = process.transport
+        self.state: ComponentState | None = None
         self.main: asyncio.Task[None] | None = None
         self._process = process
-        self._clock = process.world.time
+        self._clock = process.clock
         self._queue: deque[Callable[[], None]] = deque()
         self._scheduled = False
         self._ended = False
@@ -109,7 +153,7 @@ class SimulatedHost:
         return Pause(seconds)
 
     def create_publisher(self, topic: str, type_: type, qos: QoS) -> SimulatedWriter:
-        return self._process.world.network.create_writer(self._process, topic, type_name(type_), qos)
+        return self._process.network.create_writer(self._process, topic, type_name(type_), qos)
 
     def create_subscription(
         self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
@@ -118,7 +162,7 @@ class SimulatedHost:
             if reader.queue and not reader.gone:
                 callback(*reader.queue.popleft())
 
-        network = self._process.world.network
+        network = self._process.network
         reader = network.create_reader(self._process, topic, type_name(type_), qos, lambda: self.enqueue(take))
         return reader
 
@@ -168,16 +212,13 @@ class SimulatedHost:
         await asyncio.sleep(seconds)
         await self._process.thaw()
 
-    async def call_peer(self, instance: str, command: Command, timeout: float) -> Reply:
-        return await self._process.world.call(instance, command, timeout)
+    def reachable(self) -> str:
+        return "in this simulation"
 
-    def announce(self, announcement: Announcement) -> None:
-        self._process.world.announce(announcement)
-
-    def publish_state(self, state: dict[str, Any]) -> None:
+    def publish_state(self, state: ComponentState) -> None:
         self.state = state
 
-    def extra_endpoints(self) -> list[dict[str, str]]:
+    def extra_endpoints(self) -> list[Endpoint]:
         return []
 
     def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
@@ -207,22 +248,19 @@ class SimulatedHost:
 
     # -- the component's thread ------------------------------------------------------------------
 
-    def run(self, main: Callable[[], Awaitable[None]], serve: Callable[[Command], Awaitable[Reply]]) -> None:
-        self._process.world.register(self.instance, self._process)
-        fibre = self._process.fibre
+    def run(self, main: Callable[[], Awaitable[None]]) -> None:
+        self._process.join_platform(self.instance)
 
         async def control() -> None:
             await main()
 
-        self.serve = serve
         self._process.host = self
         self.main = self._clock.loop.create_task(control())
         self.main.add_done_callback(lambda _: self.enqueue(self._end))
         if self._process.terminating:  # a signal that came while it was starting
             self.main.cancel()
         while not self._ended:
-            fibre.give_way(Waits())()
-        self.serve = None
+            self._process.wait_for_work()()
         if not self.main.cancelled() and (error := self.main.exception()) is not None:
             raise error
 

@@ -16,14 +16,15 @@ from types import CodeType, ModuleType
 from typing import Any, Final, Protocol
 
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Killed, Sleeps, Yielded
+from midstride.backends.simulator.control import SimulatedControl
+from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Killed, Sleeps, Waits, Yielded
 from midstride.backends.simulator.host import SimulatedHost
 from midstride.backends.simulator.network import Network
 from midstride.errors import BackendError, StartFailed
 from midstride.node import process_context
 from midstride.node.host import Host
 from midstride.runtime.backend import Launch
-from midstride.wire.messages import Announcement, Command, Reply
+from midstride.wire.transport import Transport
 
 _PYTHON: Final = re.compile(r"python(3(\.\d+)?)?\Z")
 # Lines of output that are kept.
@@ -35,10 +36,7 @@ class SimulatedPlatform(Protocol):
 
     time: SimulatedClock
     network: Network
-
-    async def call(self, instance: str, command: Command, timeout: float) -> Reply: ...
-
-    def announce(self, announcement: Announcement) -> None: ...
+    control: SimulatedControl
 
     def register(self, instance: str, process: SimulatedProcess) -> None: ...
 
@@ -69,6 +67,9 @@ class SimulatedProcess:
         self, world: SimulatedPlatform, launch: Launch, pid: int, on_exit: Callable[[SimulatedProcess], None]
     ) -> None:
         self.world = world
+        self.clock = world.time
+        self.network = world.network
+        self.transport: Transport = world.control.of(self)
         self.launch = launch
         self.pid = pid
         self.log = ProcessOutput()
@@ -138,6 +139,15 @@ class SimulatedProcess:
         elif self.host is not None:
             self.host.idle()
 
+    def wait_for_work(self) -> Callable[[], None]:
+        """In its thread: let the loop go on until there is work."""
+        work: Callable[[], None] = self.fibre.give_way(Waits())
+        return work
+
+    def join_platform(self, instance: str) -> None:
+        """It is on the platform as ``instance``. Raises StartFailed where the name is taken."""
+        self.world.register(instance, self)
+
     def _wake(self) -> None:
         """A `time.sleep` of its code is over."""
         if self.awake_at() > self.world.time.steady():
@@ -183,6 +193,7 @@ class SimulatedProcess:
         self.dead = True
         self.status = status
         self.world.network.remove_party(self)
+        self.world.control.remove(self)
         if self.host is not None and self.host.main is not None:
             self.host.main.cancel()
         with self._program.foreground():

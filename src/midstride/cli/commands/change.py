@@ -83,9 +83,9 @@ def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, ve
 def apply_command(new: Path, system: str | None, strategy: str, verify: bool, yes: bool) -> int:
     """Change the running system to the specification NEW."""
     from midstride.cli.files import load
-    from midstride.model.document import specification_to_document
+    from midstride.codec.specification import encode_specification
 
-    request = {"to": specification_to_document(load(new)), "strategy": strategy}
+    request = {"to": encode_specification(load(new)), "strategy": strategy}
     return change(system, request, f"apply {new.name}", yes, verify)
 
 
@@ -93,10 +93,10 @@ def _components(file: Path | None) -> list[Document]:
     if file is None:
         return []
     from midstride.cli.files import load
-    from midstride.model.document import component_to_document
+    from midstride.codec.component import encode_component
 
     specification = load(file)
-    return [component_to_document(specification.components[name]) for name in sorted(specification.components)]
+    return [encode_component(specification.components[name]) for name in sorted(specification.components)]
 
 
 def change(system: str | None, request: Document, title: str, yes: bool, verify: bool) -> int:

@@ -52,11 +52,11 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     """Say for each node of FILE what falls, and how far, if it is removed or crashes; the worst come first."""
     from midstride.cli.files import load
     from midstride.cli.output import print_json, wants_json
-    from midstride.plan.impact import impacts
+    from midstride.plan.impact import ImpactForm, impacts
 
     found = impacts(load(file), nodes)
     if wants_json():
-        print_json({"impacts": [impact.to_document() for impact in found]})
+        print_json({"impacts": [ImpactForm.of(impact) for impact in found]})
         return 0
     for impact in found:
         mark = "single point of failure: " if impact.single_point_of_failure else ""
@@ -82,7 +82,7 @@ def diff_command(old: Path, new: Path) -> int:
 
     found = differences(load(old), load(new))
     if wants_json():
-        print_json({"same": not found, "differences": [difference.to_document() for difference in found]})
+        print_json({"same": not found, "differences": found})
     elif found:
         click.echo("\n".join(str(difference) for difference in found))
     else:

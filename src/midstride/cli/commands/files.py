@@ -19,15 +19,15 @@ from midstride.cli.systems import find, system_option
 def export_command(file: Path | None, schema: bool, system: str | None) -> int:
     """Print the specification in FILE, or the one that the running system has, as JSON."""
     if schema:
-        from midstride.lang.schema import schema as schema_of_specifications
+        from midstride.codec.schema import specification_schema
 
-        print_json(schema_of_specifications())
+        print_json(specification_schema())
         return 0
     if file is not None:
         from midstride.cli.files import read
-        from midstride.model.document import specification_to_document
+        from midstride.codec.specification import encode_specification
 
-        print_json(specification_to_document(read(file)))
+        print_json(encode_specification(read(file)))
         return 0
     client, _ = find(system)
     print_json(client.get("/specification"))

@@ -14,7 +14,7 @@ from midstride.errors import MidstrideError, SpecificationError
 
 if TYPE_CHECKING:
     from midstride.generate.merge import Merged
-    from midstride.generate.project import Generated
+    from midstride.generate.project import GeneratedFile
     from midstride.lang import Loaded
 
 # What was written last, so that an edited copy of the specification is known for one.
@@ -82,7 +82,7 @@ def _sources(file: Path, loaded: Loaded) -> dict[PurePosixPath, str]:
     return sources
 
 
-def _merge(generated: Generated, existing: str | None, record: dict[str, str]) -> Merged:
+def _merge(generated: GeneratedFile, existing: str | None, record: dict[str, str]) -> Merged:
     from midstride.generate.merge import merge_component, merge_copy, merge_empty, merge_whole
 
     if generated.kind == "component":

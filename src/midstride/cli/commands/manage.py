@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
 if TYPE_CHECKING:
     from midstride.model.specification import Specification
+    from midstride.runtime.backend import Handle
     from midstride.runtime.workspace import Workspace
 
 
@@ -32,7 +33,7 @@ def manager_command(file: Path, backend: str, http: int | None, http_host: str |
 
     async def run() -> int:
         specification = await _still_running(workspace) or wanted
-        platform = backends.make(backend, logs=workspace.logs)
+        platform = backends.make(backend, workspace)
         manager = Manager(specification, platform, workspace, file.resolve().parent)
         return await serve(manager, workspace, backend=backend, tcp=tcp)
 
@@ -41,29 +42,29 @@ def manager_command(file: Path, backend: str, http: int | None, http_host: str |
 
 
 async def _still_running(workspace: Workspace) -> Specification | None:
-    """What an earlier manager left running: it is taken up as it stands, whatever FILE says by now.
+    """What an earlier manager left running: it is reattached unchanged, whatever FILE says by now.
 
-    What is left written of a system of which nothing runs any more is forgotten, once what is not even written has
-    ended.
+    The record of a system of which nothing runs any more is removed, once processes that are in no record have ended.
     """
     from midstride.runtime.launcher import STOP_GRACE
     from midstride.runtime.orphans import end_orphans
-    from midstride.runtime.recovery import specification_of
+    from midstride.runtime.state_store import StateStore
 
-    state = workspace.load()
-    if state is None:
+    store = StateStore(workspace.state)
+    saved = store.load()
+    if saved is None:
         return None
-    if not any(_runs(entry["handle"]) for entry in state["instances"]):
-        await end_orphans(str(state["token"]), (), STOP_GRACE)
-        workspace.forget()
+    if not any(_runs(entry.handle) for entry in saved.instances):
+        await end_orphans(saved.token, (), STOP_GRACE)
+        store.forget()
         return None
-    return specification_of(state)
+    return saved.specification
 
 
-def _runs(handle: dict[str, Any] | None) -> bool:
+def _runs(handle: Handle | None) -> bool:
     from midstride.runtime.reaper import process_info
 
-    if handle is None or handle["pid"] is None:
+    if handle is None or handle.pid is None:
         return False
-    info = process_info(handle["pid"])
-    return info is not None and info.alive and info.started == handle["started"]
+    seen = process_info(handle.pid)
+    return seen is not None and seen.alive and seen.started == handle.started

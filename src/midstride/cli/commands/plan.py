@@ -37,17 +37,18 @@ def plan_command(
     from midstride.cli.output import console, print_json, wants_json
     from midstride.model.specification import initial
     from midstride.plan.change import Change
+    from midstride.plan.forms import encode_plan
     from midstride.plan.registry import planner
-    from midstride.plan.request import Request
+    from midstride.plan.request_form import decode_request
 
     if not (to or replaced or added or removed):
         raise click.UsageError("say what is to change: --to NEW, --replace, --add or --remove")
     specification = load(file)
-    request = Request.from_document(
+    request = decode_request(
         {
             "replace": [change_options.pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
             "add": [change_options.added(shlex.split(text)) for text in added],
-            "remove": removed,
+            "remove": list(removed),
             "strategy": strategy,
         }
     )
@@ -57,7 +58,7 @@ def plan_command(
         target = load(to)
     else:
         target = request.target(specification)
-    document = planner(strategy)(Change.between(initial(specification), specification, target)).to_document()
+    document = encode_plan(planner(strategy)(Change.between(initial(specification), specification, target)))
     if wants_json():
         print_json(document)
     else:

@@ -50,7 +50,7 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     """
     from midstride.cli.files import load
     from midstride.cli.output import print_json, wants_json
-    from midstride.model.document import specification_to_document
+    from midstride.codec.specification import encode_specification
     from midstride.runtime.workspace import Workspace
 
     if http_host is not None and http is None:
@@ -77,7 +77,7 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
         click.echo(f"\nEnding what has been started of {workspace.name} …", err=True)
         _take_back(client, workspace, manager, log)
         raise
-    if client.get("/specification") != specification_to_document(wanted):
+    if client.get("/specification") != encode_specification(wanted):
         click.echo(
             f"{workspace.name} was running, and is not as {file} says: it has been taken up as it is. "
             f"`midstride apply {file}` changes it.",

@@ -71,7 +71,9 @@ def verify_command(
         else:
             click.echo(f"There is nothing to draw: {picture} is not written.", err=True)
     if wants_json():
-        print_json(verdict.to_document())
+        from midstride.verify.verdict import VerdictForm
+
+        print_json(VerdictForm.of(verdict))
     else:
         for text, style in lines(verdict):
             console().print(text, style=style, markup=False)
@@ -106,13 +108,13 @@ def _live(system: str | None, asking: Asking) -> Verdict:
     from dataclasses import replace
 
     from midstride.cli.systems import find
-    from midstride.model.snapshot import configuration_from_document
+    from midstride.codec.configuration import decode_configuration
     from midstride.verify.checking import verify_configuration
     from midstride.verify.verdict import Answer
 
     client, workspace = find(system)
     document = client.get("/configuration")
-    configuration = configuration_from_document(document["configuration"])
+    configuration = decode_configuration(document["configuration"])
     verdict = verify_configuration(configuration, workspace.name, f"{workspace.name} as it runs", asking=asking)
     if (silent := ", ".join(document["silent"])) and verdict.answer is Answer.HOLDS:
         because = f"it holds only if what the manager believes of {silent} is true: no answer came from there"

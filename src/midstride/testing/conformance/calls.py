@@ -15,7 +15,7 @@ async def calls_at_its_rate(backend: Backend, workspace: Path) -> None:
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker(rate=50))
         assert (await lab.told("talker"))["calls"] == {"talk.degraded": 1}
-        assert await lab.mode("talker", "talk", "normal") == {"from": {"talk": "degraded"}}
+        assert await lab.mode("talker", "talk", "normal") == {"before": {"talk": "degraded"}}
         await lab.eventually("the first call comes", lambda: _calls(lab, "talker", "talk.normal"))
         grid = await lab.read("talker", "grid", port="out")
         assert grid["trigger"] == "rate" and grid["period"] == 0.02 and grid["epoch"] <= grid["now"], grid
@@ -27,7 +27,7 @@ async def calls_at_its_rate(backend: Backend, workspace: Path) -> None:
         later = await lab.read("talker", "grid", port="out")
         slots = (later["epoch"] - grid["epoch"]) / 20e6
         assert abs(slots - round(slots)) < 1e-3 and slots > 90, "a slot off the grid"
-        assert await lab.mode("talker", "talk", "degraded") == {"from": {"talk": "normal"}}
+        assert await lab.mode("talker", "talk", "degraded") == {"before": {"talk": "normal"}}
         calls = await lab.told("talker")
         await lab.sleep(0.2)
         assert await lab.told("talker") == calls and calls["calls"]["talk.degraded"] == 2
@@ -120,7 +120,7 @@ async def refuses_modes_that_are_not(backend: Backend, workspace: Path) -> None:
         words = await lab.refusal("talker", "modes", modes={"talk": "loud"})
         assert "loud" in words and "normal, degraded" in words, words
         before = await lab.functionality("talker", "talk")
-        assert await lab.mode("talker", "talk", "degraded") == {"from": {"talk": "degraded"}}
+        assert await lab.mode("talker", "talk", "degraded") == {"before": {"talk": "degraded"}}
         after = await lab.functionality("talker", "talk")
         assert after["because"] == before["because"], "a change to the mode it is in is none"
 

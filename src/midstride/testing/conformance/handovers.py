@@ -91,8 +91,8 @@ async def _hand_over_on_the_grid(backend: Backend, workspace: Path) -> str | Non
         for side in ("old", "new"):
             spoken = [int(word.rsplit(" ", 1)[1]) for word in words if word.startswith(side)]
             assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), (side, spoken)
-        assert old["last"]["out /chatter"][0] == turn, (old, turn)
-        assert new["first"]["out /chatter"][0] == 1, new
+        assert old["last"]["out /chatter"]["number"] == turn, (old, turn)
+        assert new["first"]["out /chatter"]["number"] == 1, new
         rows = await lab.rows("sink")
         return _fault_of_slots(rows, at, period) if all(row[1] is not None for row in rows) else None
 
@@ -120,7 +120,7 @@ async def hands_over_to_another_output_of_its_own(backend: Backend, workspace: P
         await lab.change("old", "cut_in", cut="cut", swaps=swaps, at=at, epoch=epoch, peer="old")
         told = await lab.read("old", "await_cut", cut="cut", timeout=5.0)
         assert told["outcome"] == "done", told
-        assert told["last"]["out /chatter"] and told["first"]["other /chatter"][0] == 1, told
+        assert told["last"]["out /chatter"] and told["first"]["other /chatter"]["number"] == 1, told
         assert (await lab.port("old", "out", "/chatter"))["gate"] == "closed"
         assert (await lab.port("old", "other", "/chatter"))["gate"] == "open"
         await lab.change("old", "detach", port="out", topic="/chatter", timeout=2.0)

@@ -11,10 +11,13 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
-from midstride.errors import BackendError, CommandRefused
+import msgspec
+
+from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
 from midstride.testing.conformance.puppets import Description, command_of
-from midstride.wire.messages import Announcement, Command, Reply
+from midstride.wire.channel import Channel, Report
+from midstride.wire.frames import Greeting, Registration, Reply, Request
 
 TOKEN: Final = "the-token-of-the-laboratory"
 # How long anything may take that only waits for processes and discovery (s); a loaded machine is slow.
@@ -29,31 +32,32 @@ class Lab:
     def __init__(self, backend: Backend, workspace: Path) -> None:
         self.backend = backend
         self.clock = backend.clock
-        self.announcements: list[Announcement] = []
+        self.registrations: dict[str, tuple[Greeting, Registration]] = {}
+        self.reports = 0
         self.exits: dict[str, Exited] = {}
         self.handles: dict[str, Handle] = {}
         self._workspace = workspace
         self._revisions: dict[str, int] = {}
+        self._channels: dict[tuple[str, str], Channel] = {}
         self._ids = 0
 
     async def __aenter__(self) -> Lab:
-        await self.backend.open(self._on_event)
+        await self.backend.open(self.on_exit)
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
+        for channel in self._channels.values():
+            channel.close()
         try:
             for instance in self.handles:
                 await self.backend.end(instance, GRACE)
         finally:
             await self.backend.close()
 
-    def _on_event(self, event: Announcement | Exited) -> None:
-        if isinstance(event, Announcement):
-            self.announcements.append(event)
-        else:
-            self.exits[event.instance] = event
+    def on_exit(self, event: Exited) -> None:
+        self.exits[event.instance] = event
 
     # -- processes ---------------------------------------------------------------------------------
 
@@ -64,21 +68,23 @@ class Lab:
         self.handles[instance] = handle
         return handle
 
-    async def start(self, instance: str, description: Description, **parameters: object) -> Announcement:
-        """Start a puppet, and welcome it once it has announced itself."""
+    async def start(self, instance: str, description: Description, **parameters: object) -> Registration:
+        """Start a puppet, and welcome it once it has registered."""
         await self.launch(instance, description, **parameters)
-        announcement = await self.announced(instance)
+        _, registration = await self.registered(instance)
         await self.welcome(instance)
-        return announcement
+        return registration
 
-    async def announced(self, instance: str) -> Announcement:
-        def look() -> Announcement | None:
+    async def registered(self, instance: str) -> tuple[Greeting, Registration]:
+        async def look() -> tuple[Greeting, Registration] | None:
             if exited := self.exits.get(instance):
-                raise AssertionError(f"{instance} ended before it announced itself: {exited}")
-            return next((a for a in self.announcements if a.instance == instance), None)
+                raise AssertionError(f"{instance} ended before it registered: {exited}")
+            with contextlib.suppress(Unreachable, CallTimeout):
+                await self.channel(instance)
+            return self.registrations.get(instance)
 
-        announcement: Announcement = await self.eventually(f"{instance} announces itself", look)
-        return announcement
+        registered: tuple[Greeting, Registration] = await self.eventually(f"{instance} registers", look)
+        return registered
 
     async def welcome(self, instance: str) -> dict[str, Any]:
         await self.read(instance, "observe")
@@ -90,14 +96,51 @@ class Lab:
 
     # -- commands ----------------------------------------------------------------------------------
 
-    async def send(self, instance: str, command: Command, timeout: float = PATIENCE) -> Reply:
-        return await self.backend.call(instance, command, timeout)
+    async def channel(self, instance: str, token: str = TOKEN) -> Channel:
+        """The control connection to a component, as a client with ``token``."""
+        channel = self._channels.get((instance, token))
+        if channel is None or channel.closed.is_set():
+            made: list[Channel] = []
+            early: list[Report] = []
+
+            def report(frame: Report) -> None:
+                if not made:
+                    early.append(frame)
+                elif isinstance(frame, Registration):
+                    self.registrations[instance] = (made[0].greeting, frame)
+                else:
+                    self.reports += 1
+
+            transport = self.backend.transport
+            channel = await Channel.open(transport, transport.address(instance), token, timeout=PATIENCE, report=report)
+            made.append(channel)
+            for frame in early:
+                report(frame)
+            self._channels[instance, token] = channel
+        return channel
+
+    async def send(
+        self,
+        instance: str,
+        op: str,
+        arguments: dict[str, Any],
+        *,
+        id: str = "",
+        revision: int | None = None,
+        token: str = TOKEN,
+        timeout: float = PATIENCE,
+    ) -> Reply:
+        """Any request, sensible or not: the command is what ``op`` and ``arguments`` say, unchecked."""
+        if op in ("meet", "cut_in") and "peer" in arguments:
+            arguments = {"address": self.backend.transport.address(arguments["peer"]), **arguments}
+        channel = await self.channel(instance, token)
+        command = msgspec.Raw(msgspec.json.encode({"command": op, **arguments}))
+        return await channel.send(Request(id=id, revision=revision, command=command), timeout)
 
     async def reply(self, instance: str, op: str, changes: bool, **arguments: Any) -> Reply:
         self._ids += 1
         revision = self._revisions[instance] if changes else None
-        command = Command(op, arguments, f"lab-{id(self)}-{self._ids}", TOKEN, revision)
-        reply = await self.send(instance, command)
+        reply = await self.send(instance, op, arguments, id=f"lab-{id(self)}-{self._ids}", revision=revision)
         if changes or op == "observe":
             self._revisions[instance] = reply.revision
         return reply
@@ -127,7 +170,8 @@ class Lab:
     def _result(self, reply: Reply) -> dict[str, Any]:
         if reply.refused is not None:
             raise CommandRefused(reply.refused)
-        return dict(reply.result)
+        result: dict[str, Any] = msgspec.json.decode(reply.result)
+        return result
 
     # -- what checks do over and over --------------------------------------------------------------
 
@@ -176,9 +220,9 @@ class Lab:
             await self.sleep(0.02)
 
     async def unreachable(self, instance: str) -> bool:
-        """Whether calling ``instance`` fails as calling somebody who is gone must."""
+        """Whether calling ``instance`` fails, as calling a component that is gone must."""
         with contextlib.suppress(BackendError):
-            await self.send(instance, Command("ping", {}, "gone", TOKEN), 1.0)
+            await self.send(instance, "ping", {}, timeout=1.0)
             return False
         return True
 

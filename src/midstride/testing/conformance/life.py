@@ -5,35 +5,35 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Final
 
+from midstride.codec.component import decode_component
 from midstride.errors import BackendError
-from midstride.model.document import component_from_document
 from midstride.runtime.backend import Backend
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import TOKEN, Lab
-from midstride.wire.messages import Command
+from midstride.wire.frames import Reply
 
 
 async def starts_announces_and_waits(backend: Backend, workspace: Path) -> None:
-    """A component says who it is until it is welcomed, and stands degraded and unattached."""
+    """A component registers with every client that connects, and waits for its welcome, degraded and unattached."""
     async with Lab(backend, workspace) as lab:
         description = puppets.relay()
         await lab.launch("relay_2", description)
-        announcement = await lab.announced("relay_2")
-        assert announcement.start_token == TOKEN
-        assert component_from_document(announcement.declaration) == component_from_document(description["component"])
-        assert announcement.endpoints == ()
-        count = len(lab.announcements)
-        await lab.eventually("it announces itself again", lambda: len(lab.announcements) > count)
+        greeting, registration = await lab.registered("relay_2")
+        assert greeting.start_token == TOKEN and greeting.instance == "relay_2"
+        assert registration.declaration.checked() == decode_component(description["component"])
+        assert registration.endpoints == []
+        assert lab.backend.transport.present() == {"relay_2": lab.backend.transport.address("relay_2")}
+        lab.registrations.clear()
+        await lab.channel("relay_2", "of another client")
+        await lab.eventually("it registers again", lambda: lab.registrations)
         state = await lab.read("relay_2", "observe")
-        assert state["instance"] == "relay_2" and state["uuid"] == announcement.uuid
+        assert state["instance"] == "relay_2" and state["uuid"] == greeting.uuid
         assert state["waiting"] and state["ports"] == {"out": {}, "in": {}}
         assert state["functionalities"]["answer"]["mode"] == "degraded"
         welcomed = await lab.welcome("relay_2")
         assert welcomed["waiting"] is None
-        await lab.sleep(0.5)
-        count = len(lab.announcements)
-        await lab.sleep(0.5)
-        assert len(lab.announcements) == count, "it went on announcing itself after it was welcomed"
+        reports = lab.reports
+        await lab.eventually("it goes on reporting its state", lambda: lab.reports > reports + 1)
         assert "/relay_2" in (await lab.backend.endpoints()).nodes
 
 
@@ -95,7 +95,7 @@ async def tells_of_what_never_comes_up(backend: Backend, workspace: Path) -> Non
         assert raising.status == 1 and "no such calibration file" in raising.log_tail, raising
         assert leaving.status == 3, leaving
         await lab.sleep(0.5)
-        assert not lab.announcements and "endless" not in lab.exits
+        assert not lab.registrations and "endless" not in lab.exits
         await lab.backend.end("endless", 1.0)
         assert await lab.unreachable("endless")
 
@@ -121,7 +121,7 @@ async def finds_again_what_was_started(backend: Backend, workspace: Path) -> Non
         await lab.start("talker", puppets.talker())
         handle = lab.handles["talker"]
         await backend.close()
-        await backend.open(lab._on_event)
+        await backend.open(lab.on_exit)
         assert await backend.adopt(handle)
         assert (await lab.read("talker", "observe"))["instance"] == "talker"
         await lab.change("talker", "stop")
@@ -135,21 +135,25 @@ async def obeys_its_manager_alone(backend: Backend, workspace: Path) -> None:
         await lab.start("talker", puppets.talker())
         state = await lab.read("talker", "observe")
         degrade = {"modes": {"talk": "normal"}, "timeout": 1.0}
-        for command, word in (
-            (Command("modes", degrade, "a", "somebody else's", state["revision"]), "token"),
-            (Command("modes", degrade, "b", "", state["revision"]), "token"),
-            (Command("observe", {}, "c", "somebody else's"), "token"),
-            (Command("modes", degrade, "d", TOKEN, state["revision"] - 1), "revision"),
-            (Command("modes", degrade, "e", TOKEN, state["revision"] + 1), "revision"),
-            (Command("modes", degrade, "f", TOKEN, None), "revision"),
-            (Command("explode", {}, "g", TOKEN, state["revision"]), "explode"),
-            (Command("modes", {"modes": "normal"}, "h", TOKEN, state["revision"]), "modes"),
-            (Command("attach", {"topic": "/chatter"}, "i", TOKEN, state["revision"]), "port"),
-            (Command("attach", {"port": "put", "topic": "/chatter"}, "j", TOKEN, state["revision"]), "put"),
+        now = state["revision"]
+        attach = {"topic": "/chatter", "port": "put"}
+        for op, arguments, token, revision, word in (
+            ("modes", degrade, "of another system", now, "token"),
+            ("modes", degrade, "", now, "token"),
+            ("observe", {}, "of another system", None, "token"),
+            ("modes", degrade, TOKEN, now - 1, "revision"),
+            ("modes", degrade, TOKEN, now + 1, "revision"),
+            ("modes", degrade, TOKEN, None, "revision"),
+            ("explode", {}, TOKEN, now, "explode"),
+            ("modes", {"modes": "normal"}, TOKEN, now, "modes"),
+            ("attach", {"topic": "/chatter"}, TOKEN, now, "port"),
+            ("attach", {**attach, "colour": "red"}, TOKEN, now, "colour"),
+            ("attach", {**attach, "timeout": -1}, TOKEN, now, "timeout"),
+            ("attach", attach, TOKEN, now, "put"),
         ):
-            reply = await lab.send("talker", command)
-            assert reply.refused is not None and word in reply.refused, (command, reply)
-            assert reply.revision == state["revision"], (command, reply)
+            reply = await lab.send("talker", op, arguments, id=f"{op} {word}", token=token, revision=revision)
+            assert reply.refused is not None and word in reply.refused, (op, arguments, reply)
+            assert reply.revision == now, (op, arguments, reply)
         after = await lab.read("talker", "observe")
         assert after["functionalities"]["talk"]["mode"] == "degraded" and after["ports"] == {"out": {}}
 
@@ -159,14 +163,19 @@ async def answers_a_repeat_as_before(backend: Backend, workspace: Path) -> None:
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker())
         revision = (await lab.read("talker", "observe"))["revision"]
-        attach = Command("attach", {"port": "out", "topic": "/chatter"}, "once", TOKEN, revision)
-        first = await lab.send("talker", attach)
-        detach = Command("detach", {"port": "out", "topic": "/chatter"}, "back", TOKEN, revision + 1)
-        assert first.ok and (await lab.send("talker", detach)).ok
-        assert await lab.send("talker", attach) == first, "a late duplicate was not answered as the first"
-        refused = Command("gate", {"port": "out", "topic": "/chatter", "gate": "open"}, "no", TOKEN, revision + 2)
-        words = await lab.send("talker", refused)
-        assert words.refused is not None and await lab.send("talker", refused) == words
+        link = {"port": "out", "topic": "/chatter"}
+
+        async def attach() -> Reply:
+            return await lab.send("talker", "attach", link, id="once", revision=revision)
+
+        async def gate() -> Reply:
+            return await lab.send("talker", "gate", {**link, "gate": "open"}, id="no", revision=revision + 2)
+
+        first = await attach()
+        assert first.ok and (await lab.send("talker", "detach", link, id="back", revision=revision + 1)).ok
+        assert await attach() == first, "a late duplicate was not answered as the first"
+        refused = await gate()
+        assert refused.refused is not None and await gate() == refused
         state = await lab.read("talker", "observe")
         assert state["revision"] == revision + 2 and state["ports"] == {"out": {}}
 

@@ -1,0 +1,121 @@
+"""The two nodes of a component's process, each spun by a thread: data and control.
+
+The *data* node has the instance's name and runs user code. The hidden *control* node serves its parameter services, and
+answers while user code runs.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.signals import SignalHandlerOptions
+
+from midstride.backends.ros2 import names
+from midstride.backends.ros2.executor_thread import ExecutorThread
+from midstride.backends.ros2.parameter_services import ParameterServices
+from midstride.errors import NodeError
+
+# A node that a manager started looks for another one of its name after it has joined; one that was started by hand
+# looks before (s). So of two, the one that was started by hand gives way.
+LOOK: Final = 0.5
+# How long the threads may take to end (s).
+_JOIN: Final = 2.0
+
+
+class ComponentNodes:
+    """``managed``: a manager started the process. ``failed`` is called with the traceback of what a callback raised.
+
+    Raises NodeError where the name is taken.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        namespace: str,
+        *,
+        managed: bool,
+        parameters: Mapping[str, Any],
+        failed: Callable[[str], None],
+    ) -> None:
+        self._own_context = not rclpy.ok()
+        if self._own_context:
+            rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
+        self._context = rclpy.utilities.get_default_context()
+        self._control = Node(
+            names.control(name),
+            namespace=namespace,
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter("start_type_description_service", value=False)],
+        )
+        self._full_name = names.full(name, namespace)
+        try:
+            self._check_alone(others=0, seconds=0.0 if managed else LOOK)
+        except NodeError:
+            self._leave_ros()
+            raise
+        pinned = ["--ros-args", "-r", f"__node:={name}", "-r", f"__ns:={namespace}"] if managed else None
+        self.data: Any = Node(
+            name,
+            namespace=namespace,
+            cli_args=pinned,
+            start_parameter_services=False,
+            parameter_overrides=[Parameter(name, value=value) for name, value in parameters.items()],
+        )
+        self._full_name = self.data.get_fully_qualified_name()
+        self._checked_until = time.monotonic() + LOOK
+        self._data_thread = ExecutorThread("midstride-data", self._context, failed)
+        self._control_thread = ExecutorThread("midstride-control", self._context, failed)
+        self.data_executor = self._data_thread.executor
+        self.data_executor.add_node(self.data)
+        self._control_thread.executor.add_node(self._control)
+        self.parameter_services = ParameterServices(
+            self._control, self._control_thread.executor, self.data, self.data_executor
+        )
+        self._data_thread.start()
+        self._control_thread.start()
+
+    def check(self) -> None:
+        """Raises NodeError where the component cannot go on: ROS was shut down, or another node has its name."""
+        if not self._context.ok():
+            raise NodeError("rclpy was shut down from within the component; leave that to start()")
+        if time.monotonic() < self._checked_until:
+            self._check_alone(others=1, seconds=0.0)
+
+    def _check_alone(self, others: int, seconds: float) -> None:
+        """Raises NodeError where more than ``others`` nodes of our name are in the graph within ``seconds``."""
+        deadline = time.monotonic() + seconds
+        while True:
+            seen = [names.full(name, inside) for name, inside in self._control.get_node_names_and_namespaces()]
+            if seen.count(self._full_name) > others:
+                raise NodeError(
+                    f"a node {self._full_name} is running already; end it, or give this one another name "
+                    "(two of one name would both answer)"
+                )
+            if time.monotonic() >= deadline:
+                return
+            time.sleep(0.02)
+
+    def leave(self) -> bool:
+        """Leave ROS; False where user code does not return, and the process has to leave without it."""
+        # Threads first, then the nodes, then ROS: any other order aborts the process.
+        control_left = self._control_thread.stop(_JOIN)
+        data_left = self._data_thread.stop(_JOIN)
+        if control_left and data_left:
+            self.data.destroy_node()
+            self._leave_ros()
+        elif self._own_context:
+            self._context.try_shutdown()
+        return data_left
+
+    def _leave_ros(self) -> None:
+        self._control.destroy_node()
+        if self._own_context:
+            self._context.try_shutdown()

@@ -1,0 +1,314 @@
+"""The JSON forms of a component: its ports, parameters, functionalities and modes.
+
+    {"run": "python3 -m demo.talker", "takes_seconds": 2, "holds": {"gpu_memory": 2048},
+     "parameters": {"threshold": {"value": 0.4, "changeable": true}},
+     "allows": [{"kind": "service", "name": "~/reset"}],
+     "inputs": {"in": {"type": …, "rate": 5}}, "outputs": ["out"],
+     "functionalities": {"talk": {"weight": 3, "uses": ["in"], "produces": ["out"], "modes": {
+         "normal":   {"assumes": ["in", {"any_of": ["left", "right"]}, {"type": …}],
+                      "guarantees": {"out": {"type": …, "rate": 10}}},
+         "degraded": {}}}}}
+
+The order of ``modes`` is their rank, best first, and that of ports and functionalities is that of their declaration:
+do not sort keys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, TypeAlias, cast
+
+from immutables import Map
+from msgspec import UNSET, Meta, UnsetType
+
+from midstride.codec.contract import (
+    MessageType,
+    PredicateForm,
+    QoSForm,
+    Rate,
+    Where,
+    predicate_of,
+    qos_form,
+    where_form,
+)
+from midstride.codec.form import (
+    LARGEST,
+    Document,
+    FiniteNumber,
+    Form,
+    Name,
+    Scalar,
+    SecondsOrZero,
+    Shape,
+    ShapedForm,
+    encode,
+    field,
+    finite,
+    given,
+    named,
+    plain,
+    stated,
+)
+from midstride.codec.reading import decode
+from midstride.errors import SpecificationError
+from midstride.model.component import (
+    Assumption,
+    ComponentSpec,
+    Endpoint,
+    FunctionalitySpec,
+    InputAlternatives,
+    Mode,
+    ParameterSpec,
+    ParameterValue,
+)
+from midstride.model.contract import Predicate
+from midstride.model.name_checks import component_names
+
+_KINDS = {bool: "booleans", int: "integers", float: "reals", str: "texts"}
+_LISTS = [{"type": "array", "items": {"type": kind}} for kind in ("string", "number", "boolean")]
+_ONE_TYPE = {"allOf": [{"anyOf": [{"not": {"type": "array"}}, *_LISTS]}]}
+
+
+def _mixed(value: object) -> str | None:
+    kinds = sorted({_KINDS[type(member)] for member in value}) if isinstance(value, list) else []
+    return f"the values of a list must be of one type, here are {' and '.join(kinds)}" if len(kinds) > 1 else None
+
+
+PlainValue: TypeAlias = bool | int | float | str | list[bool | int | float | str]
+Value: TypeAlias = Annotated[
+    bool | int | FiniteNumber | str | list[Scalar],
+    field(
+        "a text, a number or a boolean",
+        "the value of a parameter; a list is of one kind",
+        help="1.0 is a real",
+        check=_mixed,
+        extra_json_schema=_ONE_TYPE,
+    ),
+]
+InputNames: TypeAlias = Annotated[list[Name], field("a list of names of inputs", "its inputs")]
+OutputNames: TypeAlias = Annotated[list[Name], field("a list of names of outputs", "its outputs")]
+
+
+def value_of(value: PlainValue) -> ParameterValue:
+    """The value of a parameter. Raises ValueError for a list of mixed types and for a number no float can hold."""
+    for member in value if isinstance(value, list) else [value]:
+        finite(member)
+    if (wrong := _mixed(value)) is not None:
+        raise ValueError(wrong)
+    return cast("ParameterValue", value)
+
+
+def values_form(parameters: Mapping[str, ParameterValue]) -> dict[str, PlainValue]:
+    """The values of parameters, sorted by name."""
+    return {name: cast("PlainValue", value) for name, value in sorted(parameters.items())}
+
+
+class ParameterForm(Form, frozen=True):
+    """A parameter's value, and whether it can be set in place."""
+
+    what: ClassVar[str] = "a parameter"
+
+    value: Value
+    changeable: bool = False
+
+
+EndpointKind: TypeAlias = Literal["topic", "service", "action"]
+
+
+class EndpointForm(Form, frozen=True):
+    """An endpoint of the node that is not a port."""
+
+    what: ClassVar[str] = "an allowed endpoint"
+
+    kind: EndpointKind
+    name: Annotated[str, field("the name of an endpoint", min_length=1)]
+
+
+class AssumptionForm(ShapedForm, frozen=True):
+    """One of several inputs, or what a message of some input must be like."""
+
+    what: ClassVar[str] = "an assumption (the name of an input, an object with any_of, or a predicate)"
+    shapes: ClassVar[tuple[Shape, ...]] = (Shape("an assumption of inputs", ("any_of",)),)
+    otherwise: ClassVar[Shape] = Shape("a predicate", ("type",), ("rate", "qos", "where"))
+
+    any_of: Annotated[list[Name], field("names of inputs", "one of these inputs", min_length=1)] | UnsetType = UNSET
+    type: MessageType | UnsetType = UNSET
+    rate: Rate | UnsetType = UNSET
+    qos: QoSForm | UnsetType = UNSET
+    where: Where | UnsetType = UNSET
+
+    @classmethod
+    def of(cls, assumption: Assumption) -> AssumptionForm | str:
+        if isinstance(assumption, Predicate):
+            qos, where = qos_form(assumption), where_form(assumption)
+            return cls(type=assumption.type, rate=stated(assumption.rate), qos=qos, where=where)
+        if len(assumption.inputs) == 1:
+            return assumption.inputs[0]
+        return cls(any_of=list(assumption.inputs))
+
+    def assumption(self) -> Assumption:
+        if self.any_of is not UNSET:
+            return InputAlternatives(tuple(self.any_of))
+        return predicate_of(given(self.type), self.rate, self.qos, self.where)
+
+
+AnyAssumption: TypeAlias = Annotated[
+    Annotated[str, field("the name of an input", min_length=1)] | AssumptionForm, field(AssumptionForm.what)
+]
+
+
+class ModeForm(Form, frozen=True):
+    """A mode: what it assumes, and what it then guarantees on outputs; those left out produce nothing."""
+
+    what: ClassVar[str] = "a mode"
+
+    assumes: Annotated[list[AnyAssumption], field("a list of assumptions")] = []
+    guarantees: Annotated[dict[str, PredicateForm], field("an object of guarantees", "by output")] = {}
+
+    @classmethod
+    def of(cls, mode: Mode, functionality: FunctionalitySpec) -> ModeForm:
+        order = {name: index for index, name in enumerate(functionality.outputs)}
+        outputs = sorted(mode.guarantees, key=lambda name: (order.get(name, len(order)), name))
+        return cls(
+            assumes=[AssumptionForm.of(assumption) for assumption in mode.assumptions],
+            guarantees={name: PredicateForm.of(mode.guarantees[name]) for name in outputs},
+        )
+
+    def mode(self, name: str) -> Mode:
+        assumptions = (
+            InputAlternatives((assumed,)) if isinstance(assumed, str) else assumed.assumption()
+            for assumed in self.assumes
+        )
+        guarantees = {output: guarantee.predicate() for output, guarantee in self.guarantees.items()}
+        return Mode(name, tuple(assumptions), Map(guarantees))
+
+
+class FunctionalityForm(Form, frozen=True, kw_only=True):
+    """A computation from inputs to outputs, with its chain of modes."""
+
+    what: ClassVar[str] = "a functionality"
+
+    weight: Annotated[float, field("a weight", "how much its loss matters", ge=0, le=LARGEST)] | UnsetType = UNSET
+    uses: InputNames = []
+    produces: OutputNames = []
+    modes: Annotated[
+        dict[str, ModeForm],
+        field("an object of modes", "its modes, best first", extra_json_schema={"propertyNames": named()}),
+    ]
+
+    @classmethod
+    def of(cls, functionality: FunctionalitySpec) -> FunctionalityForm:
+        return cls(
+            weight=UNSET if functionality.weight == 1 else plain(functionality.weight),
+            uses=list(functionality.inputs),
+            produces=list(functionality.outputs),
+            modes={mode.name: ModeForm.of(mode, functionality) for mode in functionality.modes},
+        )
+
+    def functionality(self, name: str) -> FunctionalitySpec:
+        return FunctionalitySpec(
+            name,
+            modes=tuple(mode.mode(mode_name) for mode_name, mode in self.modes.items()),
+            inputs=tuple(self.uses),
+            outputs=tuple(self.produces),
+            weight=1.0 if self.weight is UNSET else self.weight,
+        )
+
+
+class ComponentForm(Form, frozen=True):
+    """A component, whose name is the key it is under."""
+
+    what: ClassVar[str] = "a component"
+
+    run: Annotated[str, field("a command", "the command that starts it; none: started elsewhere")] | UnsetType = UNSET
+    takes_seconds: SecondsOrZero | UnsetType = UNSET
+    holds: Annotated[
+        dict[str, Annotated[float, field("an amount", gt=0, le=LARGEST)]],
+        field("an object of amounts", "what it holds of resources"),
+    ] = {}
+    parameters: Annotated[dict[str, ParameterForm], field("an object of parameters", "its parameters")] = {}
+    allows: Annotated[list[EndpointForm], field("a list of endpoints", "endpoints that are not ports")] = []
+    inputs: Annotated[
+        dict[str, PredicateForm],
+        field("an object of inputs", "its assumption on each input", extra_json_schema={"propertyNames": named()}),
+    ] = {}
+    outputs: Annotated[
+        list[Annotated[str, Meta(min_length=1, extra_json_schema=named())]],
+        field("a list of names of outputs", "the names of its outputs"),
+    ] = []
+    functionalities: Annotated[
+        dict[str, FunctionalityForm],
+        field("an object of functionalities", "what it does", extra_json_schema={"propertyNames": named()}),
+    ] = {}
+
+    @classmethod
+    def of(cls, component: ComponentSpec) -> ComponentForm:
+        return cls(**_body(component))
+
+    def component(self, name: str) -> ComponentSpec:
+        """The component under that name; the names in it are not checked. Raises ValueError as :func:`value_of`."""
+        return ComponentSpec.of(
+            name,
+            inputs={port: assumption.predicate() for port, assumption in self.inputs.items()},
+            outputs=tuple(self.outputs),
+            functionalities=tuple(form.functionality(key) for key, form in self.functionalities.items()),
+            holds=self.holds,
+            parameters={
+                key: ParameterSpec(value_of(form.value), form.changeable) for key, form in self.parameters.items()
+            },
+            allows=tuple(Endpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
+            run=None if self.run is UNSET else self.run,
+            takes=None if self.takes_seconds is UNSET else self.takes_seconds,
+        )
+
+
+class NamedComponentForm(ComponentForm, frozen=True, kw_only=True):
+    """A component by itself, its name in it: what a node registers."""
+
+    name: Annotated[str, field("a name", min_length=1, extra_json_schema=named())]
+
+    @classmethod
+    def of(cls, component: ComponentSpec) -> NamedComponentForm:
+        return cls(name=component.name, **_body(component))
+
+    def declared(self) -> ComponentSpec:
+        """The component, without a check of its names. Raises ValueError as :func:`value_of`."""
+        return self.component(self.name)
+
+    def checked(self) -> ComponentSpec:
+        """The component. Raises SpecificationError with every fault in its names and values."""
+        try:
+            component = self.declared()
+        except ValueError as error:
+            raise SpecificationError(f"component {self.name}: {error}") from None
+        if faults := component_names(component, ()):
+            raise SpecificationError(faults)
+        return component
+
+
+def _body(component: ComponentSpec) -> dict[str, Any]:
+    return {
+        "run": component.run or UNSET,
+        "takes_seconds": stated(component.startup_seconds),
+        "holds": {name: plain(amount) for name, amount in sorted(component.resource_usage.items())},
+        "parameters": {
+            name: ParameterForm(value=cast("PlainValue", parameter.value), changeable=parameter.changeable)
+            for name, parameter in sorted(component.parameters.items())
+        },
+        "allows": [
+            EndpointForm(kind=cast("EndpointKind", endpoint.kind), name=endpoint.name) for endpoint in component.allows
+        ],
+        "inputs": {name: PredicateForm.of(component.inputs[name]) for name in component.input_order},
+        "outputs": list(component.outputs),
+        "functionalities": {form.name: FunctionalityForm.of(form) for form in component},
+    }
+
+
+def decode_component(document: object) -> ComponentSpec:
+    """The component that a document with a ``name`` declares. Raises SpecificationError with every fault in it."""
+    return decode(document, NamedComponentForm, NamedComponentForm.declared, lambda found: component_names(found, ()))
+
+
+def encode_component(component: ComponentSpec) -> Document:
+    """The document of one component by itself, its name first."""
+    return {"name": component.name, **encode(ComponentForm.of(component))}

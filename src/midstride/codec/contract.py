@@ -1,0 +1,204 @@
+"""The JSON forms of contracts: predicates, QoS profiles, sets of values.
+
+``{"type": "std_msgs/msg/String", "rate": 10, "qos": {"depth": 5}, "where": {"width": {">=": 640}}}``
+
+A rate is in Hz; a key whose value is a duration ends in ``_seconds``. A field is constrained with ``=``, ``in``,
+``>=``, ``>``, ``<=``, ``<``, which hold together; ``{}`` is any number.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import reduce
+from typing import Annotated, ClassVar, TypeAlias
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+from midstride.codec.form import (
+    END,
+    LARGEST,
+    TOKEN,
+    Document,
+    FiniteNumber,
+    Form,
+    Scalar,
+    Seconds,
+    encode,
+    field,
+    finite,
+    given,
+    stated,
+)
+from midstride.codec.reading import decode
+from midstride.model.contract import (
+    DEFAULT_QOS,
+    Durability,
+    History,
+    Interval,
+    Liveliness,
+    OneOf,
+    Predicate,
+    QoS,
+    Reliability,
+    ValueSet,
+)
+
+Bound: TypeAlias = Annotated[int | FiniteNumber, field("a number")]
+
+
+class ValuesForm(Form, frozen=True):
+    """A set of values: all that is stated holds."""
+
+    what: ClassVar[str] = "a field constraint"
+
+    equal: Scalar | UnsetType = msgspec.field(default=UNSET, name="=")
+    one_of: Annotated[list[Scalar], field("a list of values")] | UnsetType = msgspec.field(default=UNSET, name="in")
+    at_least: Bound | UnsetType = msgspec.field(default=UNSET, name=">=")
+    above: Bound | UnsetType = msgspec.field(default=UNSET, name=">")
+    at_most: Bound | UnsetType = msgspec.field(default=UNSET, name="<=")
+    below: Bound | UnsetType = msgspec.field(default=UNSET, name="<")
+
+    @classmethod
+    def of(cls, values: ValueSet) -> ValuesForm:
+        if isinstance(values, OneOf):
+            members = list(values.values)
+            return cls(equal=members[0]) if len(members) == 1 else cls(one_of=members)
+        low = UNSET if math.isinf(values.low) else values.low
+        high = UNSET if math.isinf(values.high) else values.high
+        return cls(
+            at_least=UNSET if values.low_open else low,
+            above=low if values.low_open else UNSET,
+            at_most=UNSET if values.high_open else high,
+            below=high if values.high_open else UNSET,
+        )
+
+    def value_set(self) -> ValueSet:
+        """Raises ValueError for a number that no float can hold."""
+        sets: list[ValueSet] = []
+        if self.equal is not UNSET:
+            sets.append(OneOf.of([finite(self.equal)]))
+        if self.one_of is not UNSET:
+            sets.append(OneOf.of(map(finite, self.one_of)))
+        for low, is_open in ((self.at_least, False), (self.above, True)):
+            if low is not UNSET:
+                sets.append(Interval(low=finite(low), low_open=is_open))
+        for high, is_open in ((self.at_most, False), (self.below, True)):
+            if high is not UNSET:
+                sets.append(Interval(high=finite(high), high_open=is_open))
+        return reduce(_both, sets) if sets else Interval()
+
+
+def _both(one: ValueSet, other: ValueSet) -> ValueSet:
+    return one.intersection(other)
+
+
+class QoSForm(Form, frozen=True):
+    """A QoS profile; what is not stated is ROS 2's default."""
+
+    what: ClassVar[str] = "a QoS profile"
+
+    reliability: Reliability | UnsetType = UNSET
+    durability: Durability | UnsetType = UNSET
+    deadline_seconds: Seconds | UnsetType = UNSET
+    liveliness: Liveliness | UnsetType = UNSET
+    lease_seconds: Seconds | UnsetType = UNSET
+    depth: Annotated[int, field("a depth", ge=1)] | UnsetType = UNSET
+    history: History | UnsetType = UNSET
+    lifespan_seconds: Seconds | UnsetType = UNSET
+
+    @classmethod
+    def of(cls, qos: QoS) -> QoSForm:
+        return cls(
+            reliability=qos.reliability or UNSET,
+            durability=qos.durability or UNSET,
+            deadline_seconds=stated(qos.deadline),
+            liveliness=qos.liveliness or UNSET,
+            lease_seconds=stated(qos.lease),
+            depth=UNSET if qos.depth is None else qos.depth,
+            history=qos.history or UNSET,
+            lifespan_seconds=stated(qos.lifespan),
+        )
+
+    def qos(self) -> QoS:
+        return QoS(
+            reliability=given(self.reliability),
+            durability=given(self.durability),
+            deadline=given(self.deadline_seconds),
+            liveliness=given(self.liveliness),
+            lease=given(self.lease_seconds),
+            depth=given(finite(self.depth)),
+            history=given(self.history),
+            lifespan=given(self.lifespan_seconds),
+        )
+
+
+MessageType: TypeAlias = Annotated[
+    str,
+    field(
+        "a message type",
+        "the message type, pkg/msg/Type or pkg/Type",
+        help="write it as `std_msgs/msg/String`",
+        min_length=1,
+        pattern=f"^{TOKEN}/(msg/)?{TOKEN}{END}",
+    ),
+]
+Rate: TypeAlias = Annotated[float, field("a rate in Hz", "in Hz, at least", gt=0, le=LARGEST)]
+FieldPath: TypeAlias = Annotated[
+    str,
+    field("the path of a field", help="write it as `header.frame_id`", pattern=rf"^[^\W\d]\w*(\.[^\W\d]\w*)*{END}"),
+]
+Where: TypeAlias = Annotated[
+    dict[FieldPath, ValuesForm], field("an object of fields", "the values that fields may have, by dotted path")
+]
+
+
+class PredicateForm(Form, frozen=True):
+    """What messages are like: a guarantee, or an assumption."""
+
+    what: ClassVar[str] = "a predicate"
+
+    type: MessageType
+    rate: Rate | UnsetType = UNSET
+    qos: QoSForm | UnsetType = UNSET
+    where: Where | UnsetType = UNSET
+
+    @classmethod
+    def of(cls, predicate: Predicate) -> PredicateForm:
+        return cls(
+            type=predicate.type, rate=stated(predicate.rate), qos=qos_form(predicate), where=where_form(predicate)
+        )
+
+    def predicate(self) -> Predicate:
+        return predicate_of(self.type, self.rate, self.qos, self.where)
+
+
+def qos_form(predicate: Predicate) -> QoSForm | UnsetType:
+    return UNSET if predicate.qos == DEFAULT_QOS else QoSForm.of(predicate.qos)
+
+
+def where_form(predicate: Predicate) -> dict[str, ValuesForm] | UnsetType:
+    return {path: ValuesForm.of(values) for path, values in predicate.fields} or UNSET
+
+
+def predicate_of(
+    type_: str,
+    rate: float | UnsetType,
+    qos: QoSForm | UnsetType,
+    where: dict[str, ValuesForm] | UnsetType,
+) -> Predicate:
+    return Predicate(
+        type=type_,
+        rate=None if rate is UNSET else rate,
+        qos=DEFAULT_QOS if qos is UNSET else qos.qos(),
+        fields=() if where is UNSET else tuple((path, values.value_set()) for path, values in where.items()),
+    )
+
+
+def decode_predicate(document: object) -> Predicate:
+    """The predicate that a document states. Raises SpecificationError with every fault of form."""
+    return decode(document, PredicateForm, PredicateForm.predicate)
+
+
+def encode_predicate(predicate: Predicate) -> Document:
+    return encode(PredicateForm.of(predicate))

@@ -1,0 +1,264 @@
+"""The JSON form of a specification.
+
+    {"system": "demo",
+     "topics":      {"/chatter": {"type": "std_msgs/msg/String", "rate": 10, "qos": {"depth": 5}, "max_publishers": 1}},
+     "resources":   {"gpu_memory": {"capacity": 8192}},
+     "environment": {"camera": {"guarantee": {"type": …}}, "recording": {"guarantee": {…}, "topic": "/odom"}},
+     "components":  {"Talker": …},
+     "nodes":       {"talker": {"component": "Talker", "attachments": {"out": ["/chatter"]},
+                                "parameters": {"threshold": 0.5}}},
+     "constraints": [{"keep": "talker.talk", "at": "normal"}, {"limit": "talker.talk", "below_baseline_seconds": 2},
+                     {"order": "talker", "before": "listener"}],
+     "timing_seconds": {"create": 0.5}}
+
+What is the default may be left out, and is left out when it is written. Reading covers form and names; whether what is
+declared makes sense is for :mod:`midstride.model.specification_checks` to judge.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, TypeAlias
+
+import msgspec
+from immutables import Map
+from msgspec import UNSET, UnsetType
+
+from midstride.codec.component import ComponentForm, PlainValue, Value, value_of, values_form
+from midstride.codec.contract import PredicateForm
+from midstride.codec.form import (
+    LARGEST,
+    TOKEN,
+    Document,
+    Form,
+    Name,
+    SecondsOrZero,
+    Shape,
+    ShapedForm,
+    encode,
+    field,
+    finite,
+    given,
+    named,
+    plain,
+)
+from midstride.codec.reading import decode
+from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
+from midstride.model.name_checks import specification_names
+from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification
+
+TopicName: TypeAlias = Annotated[str, field("the name of a topic", min_length=1)]
+
+
+class TopicForm(PredicateForm, frozen=True):
+    """A topic: its contract, and how many may publish on it."""
+
+    what: ClassVar[str] = "a topic"
+
+    max_publishers: Annotated[int, field("the number of publishers allowed", ge=0)] | UnsetType = UNSET
+    topic: Annotated[TopicName, msgspec.Meta(description="the name in the ROS graph, where it differs")] | UnsetType = (
+        UNSET
+    )
+
+    @classmethod
+    def of_connector(cls, connector: Connector) -> TopicForm:
+        contract = PredicateForm.of(connector.guarantee)
+        return cls(
+            type=contract.type,
+            rate=contract.rate,
+            qos=contract.qos,
+            where=contract.where,
+            max_publishers=UNSET if connector.max_publishers is None else connector.max_publishers,
+            topic=UNSET if connector.topic == connector.name else connector.topic,
+        )
+
+    def connector(self, name: str) -> Connector:
+        return Connector(
+            name, self.predicate(), max_publishers=given(finite(self.max_publishers)), topic=given(self.topic) or ""
+        )
+
+
+class ResourceForm(Form, frozen=True):
+    """Something of which there is a limited amount."""
+
+    what: ClassVar[str] = "a resource"
+
+    capacity: Annotated[float, field("a capacity", gt=0, le=LARGEST)] | UnsetType = UNSET
+
+
+class OfferForm(Form, frozen=True):
+    """What the environment guarantees; with a topic, as a publisher of it."""
+
+    what: ClassVar[str] = "a guarantee of the environment"
+
+    guarantee: PredicateForm
+    topic: TopicName | UnsetType = UNSET
+
+
+class NodeForm(Form, frozen=True):
+    """A node: its component, the topics of its ports, its own parameter values."""
+
+    what: ClassVar[str] = "a node"
+
+    component: Annotated[str, field("the name of a component", min_length=1)]
+    attachments: Annotated[
+        dict[str, Annotated[list[Name], field("a list of names of topics")]],
+        field("an object of attachments", "the topics of each port"),
+    ] = {}
+    parameters: Annotated[dict[str, Value], field("an object of values", "its own values, over its component's")] = {}
+
+    @classmethod
+    def of(cls, node: Node, specification: Specification) -> NodeForm:
+        component = specification.components.get(node.component)
+        order = {} if component is None else {name: index for index, name in enumerate(component.ports())}
+        ports = sorted(node.attachments, key=lambda name: (order.get(name, len(order)), name))
+        return cls(
+            component=node.component,
+            attachments={name: list(node.attachments[name]) for name in ports if node.attachments[name]},
+            parameters=values_form(node.parameters),
+        )
+
+    def node(self, role: str) -> Node:
+        return node_of(role, self.component, self.attachments, self.parameters)
+
+
+def node_of(role: str, component: str, attachments: dict[str, list[str]], parameters: dict[str, PlainValue]) -> Node:
+    """Raises ValueError as :func:`midstride.codec.component.value_of` does."""
+    topics = {port: tuple(names) for port, names in attachments.items()}
+    return Node(role, component, Map(topics), Map({name: value_of(value) for name, value in parameters.items()}))
+
+
+class ConstraintForm(ShapedForm, frozen=True):
+    """A constraint on every plan."""
+
+    what: ClassVar[str] = (
+        "a constraint with `keep` and `at`, `limit` and `below_baseline_seconds`, or `order` and `before`"
+    )
+    shapes: ClassVar[tuple[Shape, ...]] = (
+        Shape("the constraint `keep`", ("keep", "at")),
+        Shape("the constraint `limit`", ("limit", "below_baseline_seconds")),
+        Shape("the constraint `order`", ("order", "before")),
+    )
+
+    keep: Annotated[Name, field("a name")] | UnsetType = UNSET
+    at: Annotated[Name, field("a name")] | UnsetType = UNSET
+    limit: Annotated[Name, field("a name")] | UnsetType = UNSET
+    below_baseline_seconds: SecondsOrZero | UnsetType = UNSET
+    order: Annotated[Name, field("a name")] | UnsetType = UNSET
+    before: Annotated[Name, field("a name")] | UnsetType = UNSET
+
+    @classmethod
+    def of(cls, constraint: Constraint) -> ConstraintForm:
+        if isinstance(constraint, Keep):
+            return cls(keep=str(constraint.functionality), at=constraint.mode)
+        if isinstance(constraint, Limit):
+            return cls(limit=str(constraint.functionality), below_baseline_seconds=plain(constraint.seconds))
+        return cls(order=constraint.first, before=constraint.then)
+
+    def constraint(self) -> Constraint:
+        """One of which a part could not be read is an order of nothing, which the checks of names pass over."""
+        if self.keep and self.at:
+            return Keep(FunctionalityRef.parse(self.keep), self.at)
+        if self.limit and self.below_baseline_seconds is not UNSET:
+            return Limit(FunctionalityRef.parse(self.limit), self.below_baseline_seconds)
+        return Order(given(self.order) or "", given(self.before) or "")
+
+
+class TimingForm(Form, frozen=True):
+    """How long steps take, where known."""
+
+    what: ClassVar[str] = "the timing of steps"
+
+    attach: SecondsOrZero | UnsetType = UNSET
+    create: SecondsOrZero | UnsetType = UNSET
+    degrade: SecondsOrZero | UnsetType = UNSET
+    detach: SecondsOrZero | UnsetType = UNSET
+    handover: SecondsOrZero | UnsetType = UNSET
+    remove: SecondsOrZero | UnsetType = UNSET
+    set: SecondsOrZero | UnsetType = UNSET
+    upgrade: SecondsOrZero | UnsetType = UNSET
+
+
+class SpecificationForm(Form, frozen=True):
+    """A whole specification: what a robot's software is made of."""
+
+    what: ClassVar[str] = "a specification"
+
+    system: Annotated[str, field("the name of the system", min_length=1, extra_json_schema=named())]
+    topics: Annotated[dict[str, TopicForm], field("an object of topics", "the topics, by full name")] = {}
+    resources: Annotated[
+        dict[str, ResourceForm], field("an object of resources", "what there is a limited amount of")
+    ] = {}
+    environment: Annotated[
+        dict[str, OfferForm],
+        field(
+            "an object of guarantees of the environment",
+            "what is there without any node's doing",
+            extra_json_schema={"propertyNames": named()},
+        ),
+    ] = {}
+    components: Annotated[
+        dict[str, ComponentForm],
+        field("an object of components", "types of nodes", extra_json_schema={"propertyNames": named()}),
+    ] = {}
+    nodes: Annotated[
+        dict[str, NodeForm],
+        field(
+            "an object of nodes",
+            "the nodes, by name, namespaces in front",
+            extra_json_schema={"propertyNames": named(f"/?{TOKEN}(/{TOKEN})*")},
+        ),
+    ] = {}
+    constraints: Annotated[list[ConstraintForm], field("a list of constraints")] = []
+    timing_seconds: TimingForm | UnsetType = UNSET
+
+    @classmethod
+    def of(cls, specification: Specification) -> SpecificationForm:
+        timing = {kind: plain(seconds) for kind, seconds in specification.timing.items()}
+        return cls(
+            system=specification.name,
+            topics={name: TopicForm.of_connector(found) for name, found in sorted(specification.connectors.items())},
+            resources={
+                name: ResourceForm(capacity=plain(found.capacity))
+                for name, found in sorted(specification.resources.items())
+            },
+            environment={
+                offer.name: OfferForm(guarantee=PredicateForm.of(offer.guarantee), topic=offer.topic or UNSET)
+                for offer in specification.environment
+            },
+            components={name: ComponentForm.of(found) for name, found in sorted(specification.components.items())},
+            nodes={role: NodeForm.of(node, specification) for role, node in sorted(specification.nodes.items())},
+            constraints=[ConstraintForm.of(constraint) for constraint in specification.constraints],
+            timing_seconds=TimingForm(**timing) if timing else UNSET,
+        )
+
+    def specification(self) -> Specification:
+        """The specification; its names are not checked. Raises ValueError for values that only the model refuses."""
+        timing = {} if self.timing_seconds is UNSET else encode(self.timing_seconds)
+        return Specification(
+            name=self.system,
+            connectors=Map({name: form.connector(name) for name, form in self.topics.items()}),
+            components=Map({name: form.component(name) for name, form in self.components.items()}),
+            nodes=Map({role: form.node(role) for role, form in self.nodes.items()}),
+            environment=tuple(
+                EnvironmentGuarantee(name, form.guarantee.predicate(), given(form.topic))
+                for name, form in self.environment.items()
+            ),
+            resources=Map(
+                {
+                    name: Resource(name, 1.0 if form.capacity is UNSET else form.capacity)
+                    for name, form in self.resources.items()
+                }
+            ),
+            constraints=tuple(form.constraint() for form in self.constraints),
+            timing=Map(timing),
+        )
+
+
+def decode_specification(document: object) -> Specification:
+    """The specification that a document states. Raises SpecificationError with every fault of form and of names."""
+    return decode(document, SpecificationForm, SpecificationForm.specification, specification_names)
+
+
+def encode_specification(specification: Specification) -> Document:
+    """The document of a specification; what is empty or the default is left out."""
+    return encode(SpecificationForm.of(specification))

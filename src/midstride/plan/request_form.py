@@ -1,0 +1,80 @@
+"""The JSON form of a request for a change: what a client of the manager sends, and what `demo.json` has."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Annotated, ClassVar, Literal, TypeAlias
+
+from midstride.codec.component import NamedComponentForm, Value, values_form
+from midstride.codec.form import Form, Name, field
+from midstride.codec.reading import decode, under
+from midstride.codec.specification import SpecificationForm, node_of
+from midstride.model.diagnostics import Problem
+from midstride.model.name_checks import component_names, specification_names
+from midstride.model.specification import Node
+from midstride.plan.request import Request
+
+Strategy: TypeAlias = Literal["minimal", "paper", "quiesce"]
+Replacement: TypeAlias = Annotated[tuple[Name, Name], field("a replacement", "[node, component]")]
+
+
+class NewNode(Form, frozen=True):
+    """A node to add: its role, its component, and the topics its ports are attached to."""
+
+    what: ClassVar[str] = "a new node"
+
+    role: Name
+    component: Name
+    attachments: Annotated[
+        dict[str, Annotated[list[Name], field("a list of topics")]],
+        field("an object of attachments", "the topics of each port"),
+    ] = {}
+    parameters: Annotated[dict[str, Value], field("an object of values")] = {}
+
+    @classmethod
+    def of(cls, node: Node) -> NewNode:
+        attachments = {port: list(topics) for port, topics in node.attachments.items()}
+        parameters = values_form(node.parameters)
+        return cls(role=node.role, component=node.component, attachments=attachments, parameters=parameters)
+
+    def node(self) -> Node:
+        return node_of(self.role, self.component, self.attachments, self.parameters)
+
+
+class ChangeRequest(Form, frozen=True):
+    """What is asked for: single changes, or a whole specification (`to`) to change to."""
+
+    what: ClassVar[str] = "a request"
+
+    replace: Annotated[list[Replacement], field("a list of replacements", "[node, component] pairs")] = []
+    add: Annotated[list[NewNode], field("a list of new nodes", "nodes to add")] = []
+    remove: Annotated[list[Name], field("a list of nodes", "nodes to remove")] = []
+    to: SpecificationForm | None = None
+    components: Annotated[
+        list[NamedComponentForm], field("a list of components", "components that the specification does not have yet")
+    ] = []
+    strategy: Strategy = "minimal"
+
+    def request(self) -> Request:
+        """The request as the planners know it; names are not checked. Raises ValueError as the parts do."""
+        return Request(
+            replace=tuple(self.replace),
+            add=tuple(form.node() for form in self.add),
+            remove=tuple(self.remove),
+            to=None if self.to is None else self.to.specification(),
+            components=tuple(form.declared() for form in self.components),
+            strategy=self.strategy,
+        )
+
+
+def decode_request(document: object) -> Request:
+    """The request that a document states. Raises SpecificationError with every fault of form and of names in it."""
+    return decode(document, ChangeRequest, ChangeRequest.request, request_names)
+
+
+def request_names(request: Request) -> Iterable[Problem]:
+    """The faults in the names of what a request declares."""
+    if request.to is not None:
+        yield from under("to", specification_names(request.to))
+    for index, component in enumerate(request.components):
+        yield from component_names(component, ("components", str(index)))

@@ -1,0 +1,178 @@
+"""The change session: one change from its request to its report.
+
+Plan, have it verified where that is asked for, carry it out step by step, measure at the subscribers, report
+(docs/semantics.md sections 6 and 7). Planning and verification run beside the event loop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import cast
+
+from msgspec import UNSET, UnsetType, structs
+
+from midstride.errors import ManagerError, PlanRefused, StepFailed
+from midstride.model.configuration import Configuration
+from midstride.model.specification import Specification
+from midstride.plan.change import Change
+from midstride.plan.forms import PlanForm, PlanPreview
+from midstride.plan.plan import Plan
+from midstride.plan.registry import planner
+from midstride.plan.request import Request
+from midstride.runtime.clock import Clock
+from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.degradation_timer import DegradationTimer
+from midstride.runtime.events import EventLog
+from midstride.runtime.executor import Executor
+from midstride.runtime.observed_configuration import ObservedConfiguration, observe
+from midstride.runtime.reconciler import Reconciler
+from midstride.runtime.recording import Recording
+from midstride.runtime.reports import Outcome, OutcomeKind
+from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.runtime_verification import StepVerifier, Verifier
+from midstride.runtime.state_store import StateStore
+from midstride.verify.verdict import Verdict, VerdictForm
+
+
+class ChangeSession:
+    """Carries out changes, one after the other; the caller holds the turn. ``executor`` makes what carries out steps.
+
+    ``measuring``: all steps are done, and the session only watches.
+    """
+
+    def __init__(
+        self,
+        system: RunningSystem,
+        client: ComponentClient,
+        clock: Clock,
+        events: EventLog,
+        store: StateStore,
+        reconciler: Reconciler,
+        verifier: Verifier,
+        executor: Callable[[], Executor],
+    ) -> None:
+        self.measuring = False
+        self._system = system
+        self._client = client
+        self._clock = clock
+        self._events = events
+        self._store = store
+        self._reconciler = reconciler
+        self._verifier = verifier
+        self._executor = executor
+
+    # -- planning ----------------------------------------------------------------------------------
+
+    async def plan(self, request: Request) -> tuple[Plan, Specification]:
+        """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
+        specification, configuration = self._system.specification, self._system.configuration
+        return await asyncio.to_thread(_plan, request, specification, configuration)
+
+    async def change(self, request: Request, *, expected: int | None = None, verify: bool = False) -> Outcome:
+        """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
+        if expected is not None and expected != self._system.revision:
+            because = "the configuration has changed since the plan was shown; look at the new plan"
+            return Outcome(outcome="refused", because=because)
+        try:
+            plan, target = await self.plan(request)
+            self._store.require()
+        except (PlanRefused, ManagerError) as error:
+            return self._refuse(str(error))
+        if not verify:
+            return await self.carry_out(plan, target)
+        self._events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
+        verdict = await self._verifier.plan(plan)
+        self._verified(verdict)
+        if not verdict.holds:
+            return self._refuse(verdict.words, VerdictForm.of(verdict))
+        step_verifier = StepVerifier(self._verifier, tuple(plan.configurations()), self._observe, self._verified)
+        outcome = await self.carry_out(plan, target, step_verifier)
+        return structs.replace(outcome, verdict=VerdictForm.of(verdict))
+
+    def _observe(self, configuration: Configuration) -> ObservedConfiguration:
+        return observe(configuration, self._client, self._reconciler.crashes.unsettled)
+
+    def _verified(self, verdict: Verdict) -> None:
+        self._events.add("verified", str(verdict), verdict=VerdictForm.of(verdict))
+
+    def _refuse(self, because: str, verdict: VerdictForm | UnsetType = UNSET) -> Outcome:
+        self._events.add("outcome", f"refused: {because}", outcome="refused")
+        return Outcome(outcome="refused", because=because, verdict=verdict)
+
+    # -- carrying out ------------------------------------------------------------------------------
+
+    async def carry_out(self, plan: Plan, target: Specification, verifier: StepVerifier | None = None) -> Outcome:
+        """Carry out ``plan``, measure, and report."""
+        recording = Recording(self._client, self._clock)
+        try:
+            return await self._carry_out(plan, target, recording, verifier)
+        finally:
+            await recording.stop(self._system.configuration.instances)
+
+    async def _carry_out(
+        self, plan: Plan, target: Specification, recording: Recording, verifier: StepVerifier | None
+    ) -> Outcome:
+        system, crashes = self._system, self._reconciler.crashes
+        preview = PlanPreview.of(plan)
+        self._events.add("plan", f"{counted(len(plan.steps), 'step')}, disruption {plan.disruption:g}", plan=preview)
+        actions = [step.action for step in plan.steps]
+        await recording.begin(system.configuration, actions)
+        timer = DegradationTimer(plan.change, self._clock.steady)
+        begun, before, missing = self._clock.steady(), system.configuration, dict(crashes.missing)
+        self._reconciler.degraded.clear()
+        system.configuration = plan.change.start
+        executor = self._executor()
+        executor.on_moved = timer.moved
+        executor.driver.before_handover = recording.witness
+        executor.after_step = None if verifier is None else verifier.look
+        outcome: OutcomeKind = "done"
+        because = None
+        try:
+            await executor.run(actions, preview.steps)
+            if target != system.specification:
+                self._store.write_specification(target)
+            system.specification = target
+            system.configuration = plan.change.settled(system.configuration)
+            crashes.forget(system.configuration, system.specification.nodes)
+        except StepFailed as error:
+            outcome, because = cast("OutcomeKind", error.outcome), str(error)
+            if outcome == "rolled_back":
+                system.configuration = before
+        seconds, fallen = self._clock.steady() - begun, timer.stop()
+        await self._reconciler.reconcile_crashes()  # before measuring: what relied on it is to be lowered now
+        if recording.subjects:
+            self._events.add("measuring", "watching the subscribers for 20 periods more")
+        self.measuring = True
+        try:
+            swaps = await recording.finish(executor.driver.last_numbers)
+        finally:
+            self.measuring = False
+        await self._reconciler.reconcile()  # the report includes what has degraded by itself meanwhile
+        if swaps:
+            self._events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
+        self._events.add("outcome", f"{outcome}: {because}" if because else outcome, outcome=outcome)
+        return Outcome(
+            outcome=outcome,
+            plan=PlanForm.of(plan),
+            seconds=round(seconds, 6),
+            fallen=fallen,
+            swaps=swaps,
+            because=because,
+            ended=sorted(name for name, event in crashes.missing.items() if missing.get(name) is not event),
+            degraded=sorted(map(str, self._reconciler.degraded)),
+        )
+
+
+def _plan(request: Request, specification: Specification, configuration: Configuration) -> tuple[Plan, Specification]:
+    target = request.target(specification)
+    if request.to is None and len(request.replace) + len(request.remove) + len(request.add) == 1:
+        change = Change.of_request(configuration, specification, request, target)
+    else:
+        change = Change.between(configuration, specification, target)
+    return planner(request.strategy)(change), target
+
+
+def counted(count: int, what: str) -> str:
+    """``1 step``, ``2 steps``."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

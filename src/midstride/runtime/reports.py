@@ -1,0 +1,177 @@
+"""What the manager reports, as it goes out in JSON: outcomes, the status, events, the live configuration.
+
+The answers of the HTTP API are instances of these classes, and its OpenAPI document describes them. A client passes
+over fields that it does not know: later versions may add some.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, TypeAlias
+
+from msgspec import UNSET, Meta, UnsetType
+
+from midstride.codec.configuration import ConfigurationForm
+from midstride.codec.form import Form
+from midstride.plan.forms import AnyStep, PlanForm, PlanPreview
+from midstride.runtime.measure import SwapReport
+from midstride.verify.verdict import VerdictForm
+
+OutcomeKind: TypeAlias = Literal["done", "refused", "rolled_back", "failed"]
+
+
+class Report(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """Every field is written, null where nothing is known."""
+
+
+# -- changes -----------------------------------------------------------------------------------------------------
+
+
+class UpReport(Report, frozen=True):
+    """The system is up, with these instances."""
+
+    outcome: Literal["done"]
+    components: list[str]
+
+
+class DownReport(Report, frozen=True):
+    """The system is down."""
+
+    outcome: Literal["done"] = "done"
+
+
+class Outcome(Report, frozen=True, kw_only=True):
+    """What came of a change; `refused`: nothing was changed."""
+
+    outcome: OutcomeKind
+    plan: PlanForm | None = None
+    seconds: float = 0.0
+    fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
+    swaps: list[SwapReport] = []
+    because: str | None = None
+    ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
+    degraded: Annotated[list[str], Meta(description="functionalities that degraded by themselves meanwhile")] = []
+    verdict: Annotated[VerdictForm | UnsetType, Meta(description="what Alloy found, where it was asked")] = UNSET
+
+
+class PlannedChange(PlanForm, frozen=True, kw_only=True):
+    """A plan, and the revision of the configuration that it was made for: `expected` of a change."""
+
+    revision: int
+
+
+# -- what is live ------------------------------------------------------------------------------------------------
+
+
+class FunctionalityStatus(Report, frozen=True):
+    """A functionality: the mode it is in and the one it should be in. Null: its component did not answer."""
+
+    name: str
+    mode: str
+    modelled: str
+    normal: bool
+    because: str | None
+    since: Annotated[float | None, Meta(description="in this mode for so long, in seconds")]
+    busy: Annotated[float | None, Meta(description="in a call of user code for so long, in seconds")]
+
+
+class AttachmentStatus(Report, frozen=True):
+    """A port on a topic; the gate of an output lets its messages through or not."""
+
+    port: str
+    connector: str
+    gate: Literal["open", "closed"] | None
+
+
+class ComponentStatus(Report, frozen=True, kw_only=True):
+    """An instance, by its own report where it is reachable."""
+
+    name: str
+    role: str
+    component: str
+    pid: int | None
+    reachable: bool
+    waiting: Annotated[str | None, Meta(description="what it is waiting for")]
+    as_modelled: bool
+    functionalities: list[FunctionalityStatus]
+    attachments: list[AttachmentStatus]
+
+
+class CrashedInstance(Report, frozen=True):
+    """An instance that exited unexpectedly; `status` is negative for a signal, null where it is not known."""
+
+    name: str
+    status: int | None
+    log: str
+
+
+class TopicStatus(Report, frozen=True):
+    """A topic, whether its contract is satisfied, and its ports."""
+
+    name: str
+    satisfied: bool
+    publishers: list[str]
+    subscribers: list[str]
+
+
+class RunningCommand(Report, frozen=True):
+    """The command that is being carried out, and for how long, in seconds."""
+
+    command: str
+    since: float
+
+
+class Status(Report, frozen=True, kw_only=True):
+    """The running system."""
+
+    valid: bool
+    violations: list[str]
+    components: list[ComponentStatus]
+    crashed: list[CrashedInstance]
+    topics: list[TopicStatus]
+    system: str
+    backend: str
+    revision: int
+    running: RunningCommand | None
+    unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
+
+
+class LiveConfiguration(Report, frozen=True):
+    """The configuration as its components report it; of those in `silent` it is what the manager believes."""
+
+    revision: int
+    silent: list[str]
+    configuration: ConfigurationForm
+
+
+class Why(Report, frozen=True, kw_only=True):
+    """Why a functionality is in its mode: its own reason, and what each better mode lacks."""
+
+    functionality: str
+    mode: str
+    normal: bool
+    because: str | None
+    chain: list[str]
+    inputs: Annotated[dict[str, bool], Meta(description="whether each input is satisfied")]
+
+
+# -- events ------------------------------------------------------------------------------------------------------
+
+
+class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
+    """What happened: numbered from 1, at a time (unix seconds), its kind, in words, with the details of that kind."""
+
+    n: int
+    at: float
+    kind: str
+    words: str
+    command: Annotated[str | UnsetType, Meta(description="waiting: the command that waits")] = UNSET
+    id: Annotated[str | UnsetType | None, Meta(description="waiting, command: the id that its request bears")] = UNSET
+    index: Annotated[int | UnsetType, Meta(description="step…: which step, from 0")] = UNSET
+    of: Annotated[int | UnsetType, Meta(description="step…, rollback: of how many steps")] = UNSET
+    step: Annotated[AnyStep | UnsetType, Meta(description="step…: the step of the plan")] = UNSET
+    plan: Annotated[PlanPreview | UnsetType, Meta(description="plan: what will be done")] = UNSET
+    swaps: Annotated[list[SwapReport] | UnsetType, Meta(description="measured: what each subscriber saw")] = UNSET
+    verdict: Annotated[VerdictForm | UnsetType, Meta(description="verified: what Alloy found")] = UNSET
+    outcome: Annotated[OutcomeKind | UnsetType, Meta(description="outcome: how the change ended")] = UNSET
+    functionality: Annotated[str | UnsetType, Meta(description="degraded: which functionality")] = UNSET
+    log: Annotated[str | UnsetType, Meta(description="exited: the last of the instance's output")] = UNSET

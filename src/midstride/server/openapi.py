@@ -1,0 +1,85 @@
+"""The OpenAPI document: FastAPI knows the operations, the schemas come from the classes that are sent and read."""
+
+from __future__ import annotations
+
+from typing import Any, Final, TypeAlias, get_args
+
+import msgspec
+from fastapi import FastAPI
+
+from midstride.codec.schema import Schema, schemas
+from midstride.codec.specification import SpecificationForm
+from midstride.plan.request_form import ChangeRequest
+from midstride.runtime.reports import (
+    DownReport,
+    Event,
+    LiveConfiguration,
+    Outcome,
+    PlannedChange,
+    Status,
+    UpReport,
+    Why,
+)
+from midstride.server.errors import Failure
+from midstride.server.requests import SubmittedChange
+from midstride.server.service import Service
+
+Body: TypeAlias = type[msgspec.Struct]
+Responses: TypeAlias = dict[int | str, dict[str, Any]]
+
+FORMS: Final[tuple[Body, ...]] = (
+    ChangeRequest,
+    DownReport,
+    Event,
+    Failure,
+    LiveConfiguration,
+    Outcome,
+    PlannedChange,
+    Service,
+    SpecificationForm,
+    Status,
+    SubmittedChange,
+    UpReport,
+    Why,
+)
+_TEMPLATE: Final = "#/components/schemas/{name}"
+
+
+def answers(form: Any) -> Responses:
+    """The answers of an operation: ``form``, or a list of it, and what each failure means."""
+    return {200: _described(form, "the answer"), **failures()}
+
+
+def failures() -> Responses:
+    return {
+        409: _described(Failure, "refused, nothing was changed; the message says why"),
+        422: _described(Failure, "not a request, or not a specification; every fault is named"),
+        502: _described(Failure, "the platform below failed"),
+    }
+
+
+def request_body(form: Body) -> dict[str, Any]:
+    """What an operation reads, as FastAPI's ``openapi_extra``."""
+    return {"requestBody": {"required": True, "content": {"application/json": {"schema": _schema(form)}}}}
+
+
+def document_forms(app: FastAPI) -> None:
+    """Have the application's OpenAPI document contain the schemas of all forms."""
+    plain = app.openapi
+
+    def openapi() -> dict[str, Any]:
+        document = plain()
+        document.setdefault("components", {})["schemas"] = schemas(FORMS, _TEMPLATE)
+        return document
+
+    app.openapi = openapi  # type: ignore[method-assign]  # the way that FastAPI documents
+
+
+def _described(form: Any, description: str) -> dict[str, Any]:
+    return {"description": description, "content": {"application/json": {"schema": _schema(form)}}}
+
+
+def _schema(form: Any) -> Schema:
+    if members := get_args(form):  # list[…]
+        return {"type": "array", "items": _schema(members[0])}
+    return {"$ref": _TEMPLATE.format(name=form.__name__)}

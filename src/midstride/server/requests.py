@@ -1,0 +1,59 @@
+"""What clients send, and how a body is read: every fault in it is named with its path."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Annotated, ClassVar, TypeVar
+
+import msgspec
+from fastapi import Request as HttpRequest
+
+from midstride.codec.form import Form, field
+from midstride.codec.reading import decode, parse_json, under
+from midstride.errors import SpecificationError
+from midstride.model.diagnostics import Problem
+from midstride.plan.request import Request
+from midstride.plan.request_form import ChangeRequest, request_names
+
+F = TypeVar("F", bound=msgspec.Struct)
+T = TypeVar("T")
+
+
+class SubmittedChange(Form, frozen=True):
+    """A request to be carried out.
+
+    `expected`: only if the configuration is still of that revision (else it is refused). `verify`: only if Alloy finds
+    every step of the plan safe, and what is live after each of them. `id`: any text; the events `waiting` and `command`
+    of this change bear it, and what follows until the next `command` belongs to it.
+    """
+
+    what: ClassVar[str] = "a change"
+
+    request: ChangeRequest
+    expected: int | None = None
+    verify: bool = False
+    id: Annotated[str, field("an id", max_length=100)] | None = None
+
+
+async def read_request(http: HttpRequest) -> Request:
+    """The request in the body. Raises SpecificationError with every fault."""
+    return await _read(http, ChangeRequest, ChangeRequest.request, request_names)
+
+
+async def read_change(http: HttpRequest) -> tuple[SubmittedChange, Request]:
+    """The change in the body, and its request. Raises SpecificationError with every fault."""
+    return await _read(http, SubmittedChange, _parts, lambda parts: under("request", request_names(parts[1])))
+
+
+def _parts(form: SubmittedChange) -> tuple[SubmittedChange, Request]:
+    return form, form.request.request()
+
+
+async def _read(
+    http: HttpRequest, form: type[F], build: Callable[[F], T], names: Callable[[T], Iterable[Problem]]
+) -> T:
+    try:
+        text = (await http.body()).decode()
+    except UnicodeDecodeError as error:
+        raise SpecificationError([Problem("E001", (), f"not JSON: {error}")]) from None
+    return decode(parse_json(text), form, build, names)

@@ -1,0 +1,181 @@
+"""The client's end of a control connection: requests with their replies, and what the component reports meanwhile."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import uuid
+from collections.abc import Callable, Coroutine
+from typing import Any, TypeVar
+
+import msgspec
+
+from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Unreachable
+from midstride.wire.commands import Command
+from midstride.wire.frames import (
+    INVALID,
+    PROTOCOL,
+    Greeting,
+    Hello,
+    Registration,
+    Reply,
+    Request,
+    StateChanged,
+    decode_from_component,
+    decode_greeting,
+    encode,
+    encode_value,
+)
+from midstride.wire.transport import Connection, Transport
+
+R = TypeVar("R")
+T = TypeVar("T")
+Report = Registration | StateChanged
+
+
+class Channel:
+    """One connection to one component. ``report`` is called with each of its reports, ``ended`` once when it is gone.
+
+    ``greeting`` says which component answered. To be used on one event loop.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        greeting: Greeting,
+        report: Callable[[Report], None],
+        ended: Callable[[], None],
+    ) -> None:
+        self.greeting = greeting
+        self.closed = asyncio.Event()
+        self._connection = connection
+        self._report = report
+        self._ended = ended
+        self._waiting: dict[str, asyncio.Future[Reply]] = {}
+        self._reading = asyncio.get_running_loop().create_task(self._read())
+
+    @classmethod
+    async def open(
+        cls,
+        transport: Transport,
+        address: str,
+        token: str,
+        *,
+        timeout: float,
+        report: Callable[[Report], None] = lambda _: None,
+        ended: Callable[[], None] = lambda: None,
+    ) -> Channel:
+        """Connect, and exchange greetings within ``timeout`` seconds.
+
+        Raises Unreachable, CallTimeout (something listens but does not greet), ProtocolError (another version).
+        """
+        connection = await transport.connect(address)
+        try:
+            greeting = await _within(
+                timeout, _greet(connection, address, token), f"{address} did not greet within {timeout:g} s"
+            )
+        except BaseException:
+            connection.close()
+            raise
+        return cls(connection, greeting, report, ended)
+
+    async def request(self, command: Command[R], *, revision: int | None = None, timeout: float, id: str = "") -> Reply:
+        """The reply to one request, whatever it says.
+
+        Raises CallTimeout where none comes within ``timeout`` seconds, Unreachable where the component is gone.
+        """
+        request = Request(id=id or uuid.uuid4().hex, revision=revision, command=encode_value(command))
+        return await self.send(request, timeout)
+
+    async def send(self, request: Request, timeout: float) -> Reply:
+        """As :meth:`request`, for a request that is made already. Its id must not be that of one under way."""
+        name = self.greeting.instance
+        if self.closed.is_set():
+            raise Unreachable(f"{name} has closed its control connection")
+        return await _within(timeout, self._exchange(request), f"{name} did not answer within {timeout:g} s")
+
+    async def _exchange(self, request: Request) -> Reply:
+        waiting: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
+        self._waiting[request.id] = waiting
+        try:
+            await self._connection.send(encode(request))
+            return await waiting
+        finally:
+            self._waiting.pop(request.id, None)
+            if waiting.done() and not waiting.cancelled():
+                waiting.exception()  # retrieved: the connection may have ended while the request was being sent
+
+    def close(self) -> None:
+        """Close it from here; ``ended`` is not called."""
+        self._ended = lambda: None
+        self._reading.cancel()
+        self._end("the connection was closed at this end")
+
+    async def _read(self) -> None:
+        words = "it has closed its control connection"
+        try:
+            while (line := await self._connection.receive()) is not None:
+                self._take(line)
+        except ProtocolError as error:
+            words = str(error)
+        except Exception as error:  # of the caller's `report`
+            words = f"internal error: {error!r}"
+            asyncio.get_running_loop().call_exception_handler(
+                {"message": f"handling a report of {self.greeting.instance} failed", "exception": error}
+            )
+        ended = self._ended
+        self._end(words)
+        ended()
+
+    def _take(self, line: bytes) -> None:
+        frame = decode_from_component(line)
+        if isinstance(frame, Reply):
+            waiting = self._waiting.pop(frame.id, None)  # None: the request was given up, and its reply is late
+            if waiting is not None and not waiting.done():
+                waiting.set_result(frame)
+        elif isinstance(frame, (Registration, StateChanged)):
+            self._report(frame)
+
+    def _end(self, words: str) -> None:
+        if self.closed.is_set():
+            return
+        self.closed.set()
+        with contextlib.suppress(Exception):
+            self._connection.close()
+        for waiting in self._waiting.values():
+            if not waiting.done():
+                waiting.set_exception(Unreachable(f"{self.greeting.instance} is gone: {words}"))
+        self._waiting.clear()
+
+
+async def _greet(connection: Connection, address: str, token: str) -> Greeting:
+    with contextlib.suppress(Unreachable):  # closed at once, which is explained below
+        await connection.send(encode(Hello(protocol=PROTOCOL, token=token)))
+    line = await connection.receive()
+    if line is None:
+        raise Unreachable(f"{address} closed the connection without a greeting: it may accept other users only")
+    return decode_greeting(line)
+
+
+async def _within(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T:
+    """What ``work`` returns. Raises CallTimeout with ``words`` after ``timeout`` seconds, and ends it."""
+    task = asyncio.get_running_loop().create_task(work)
+    try:
+        await asyncio.wait({task}, timeout=timeout)
+        if not task.done():
+            raise CallTimeout(words)
+        return task.result()
+    finally:
+        task.cancel()
+
+
+def result_of(reply: Reply, command: Command[R]) -> R:
+    """What the command came to. Raises CommandRefused with the component's reason, ProtocolError."""
+    if reply.refused is not None:
+        raise CommandRefused(reply.refused)
+    try:
+        result: Any = msgspec.json.decode(reply.result, type=command.reply)
+    except INVALID as error:
+        raise ProtocolError(f"the reply to `{command.name}` is not one: {error}") from None
+    found: R = result
+    return found

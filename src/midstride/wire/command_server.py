@@ -1,0 +1,184 @@
+"""The component's end of its control connections: greeting, requests to a handler, reports to every client."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections import deque
+from collections.abc import Awaitable, Callable
+from typing import Final
+
+from midstride.errors import ProtocolError, Unreachable
+from midstride.wire.frames import (
+    PROTOCOL,
+    Frame,
+    FromClient,
+    Greeting,
+    Hello,
+    Registration,
+    Reply,
+    Request,
+    StateChanged,
+    decode_from_client,
+    encode,
+)
+from midstride.wire.transport import Connection, Listener, Transport
+
+# The reply to a request of a client with this token.
+Handler = Callable[[Request, str], Awaitable[Reply]]
+
+# How long a client may take to greet (s).
+HELLO_TIMEOUT: Final = 10.0
+# How many requests of one client may be under way, or answered and not yet sent. Its next ones are not read until then.
+UNDER_WAY: Final = 64
+
+
+class _Client:
+    """One connection, and what is still to be sent on it.
+
+    A client that does not read (its process is stopped) must cost a bounded amount of memory: a state that is not yet
+    sent is replaced by the next one, and replies are bounded by ``UNDER_WAY``.
+    """
+
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
+        self.room = asyncio.Semaphore(UNDER_WAY)
+        self._frames: deque[Frame] = deque()
+        self._state: StateChanged | None = None
+        self._arrived = asyncio.Event()
+        self._flushed = asyncio.Event()
+        self._flushed.set()
+
+    def put(self, frame: Frame) -> None:
+        """Send ``frame`` after what was put before, save that a state not yet sent is replaced."""
+        if isinstance(frame, StateChanged):
+            waiting, self._state = self._state, frame
+            if waiting is not None:
+                return
+        self._frames.append(frame)
+        self._flushed.clear()
+        self._arrived.set()
+
+    async def write(self) -> None:
+        """Send what is put, until cancelled or until the client is gone."""
+        try:
+            while True:
+                while not self._frames:
+                    self._flushed.set()
+                    self._arrived.clear()
+                    await self._arrived.wait()
+                frame = self._frames.popleft()
+                if isinstance(frame, StateChanged) and self._state is not None:
+                    frame, self._state = self._state, None
+                await self.connection.send(encode(frame))
+                if isinstance(frame, Reply):
+                    self.room.release()
+        except Unreachable:
+            pass
+        finally:
+            self._flushed.set()
+
+    async def flushed(self) -> None:
+        await self._flushed.wait()
+
+
+class CommandServer:
+    """Serves one component at its address. To be used on one event loop, which never runs user code."""
+
+    def __init__(self, greeting: Greeting, handler: Handler) -> None:
+        self._greeting = greeting
+        self._handler = handler
+        self._clients: list[_Client] = []
+        self._connections: dict[Connection, asyncio.Task[None]] = {}
+        self._answering: set[asyncio.Task[None]] = set()
+        self._registration: Registration | None = None
+        self._state: StateChanged | None = None
+        self._listener: Listener | None = None
+
+    async def open(self, transport: Transport) -> None:
+        """Listen. Raises NodeError where the name is taken."""
+        self._listener = await transport.listen(self._greeting.instance, self._serve)
+
+    async def close(self, timeout: float) -> None:
+        """Accept no further clients, answer the requests under way within ``timeout`` seconds, and disconnect."""
+        if self._listener is not None:
+            self._listener.close()
+        finishing = asyncio.ensure_future(self._finish())
+        await asyncio.wait({finishing}, timeout=timeout)
+        finishing.cancel()
+        for connection, task in list(self._connections.items()):
+            task.cancel()
+            connection.close()
+
+    async def _finish(self) -> None:
+        await asyncio.gather(*self._answering, return_exceptions=True)
+        await asyncio.gather(*(client.flushed() for client in self._clients))
+
+    def register(self, registration: Registration) -> None:
+        """The component is set up: report it to every client, and to each later one."""
+        self._registration = registration
+        self._broadcast(registration)
+
+    def report(self, state: StateChanged) -> None:
+        """The component's state now, to every client, and to each later one."""
+        self._state = state
+        self._broadcast(state)
+
+    def _broadcast(self, frame: Frame) -> None:
+        for client in self._clients:
+            client.put(frame)
+
+    async def _serve(self, connection: Connection) -> None:
+        task = asyncio.current_task()
+        assert task is not None
+        self._connections[connection] = task
+        try:
+            await connection.send(encode(self._greeting))
+            hello = await self._hello(connection)
+            if hello is not None:
+                await self._serve_client(_Client(connection), hello.token)
+        except (Unreachable, ProtocolError):
+            pass  # the client is gone, or what connected is not a client
+        finally:
+            del self._connections[connection]
+            connection.close()
+
+    async def _hello(self, connection: Connection) -> Hello | None:
+        """The client's greeting; None where there is none, or one of another version: ours says which is spoken."""
+        receiving = asyncio.ensure_future(self._receive(connection))
+        try:
+            await asyncio.wait({receiving}, timeout=HELLO_TIMEOUT)
+            hello = receiving.result() if receiving.done() else None
+        finally:
+            receiving.cancel()
+        return hello if isinstance(hello, Hello) and hello.protocol == PROTOCOL else None
+
+    async def _serve_client(self, client: _Client, token: str) -> None:
+        for known in (self._registration, self._state):
+            if known is not None:
+                client.put(known)
+        self._clients.append(client)
+        tasks = {asyncio.ensure_future(work) for work in (self._read(client, token), client.write())}
+        try:
+            # The writer finds out first that a client is gone whose requests are not read because of UNDER_WAY.
+            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            self._clients.remove(client)
+            for task in tasks:
+                task.cancel()
+
+    async def _read(self, client: _Client, token: str) -> None:
+        with contextlib.suppress(Unreachable, ProtocolError):  # it is gone, or sends what is not a request
+            await client.room.acquire()
+            while isinstance(request := await self._receive(client.connection), Request):
+                answering = asyncio.ensure_future(self._answer(client, request, token))
+                self._answering.add(answering)
+                answering.add_done_callback(self._answering.discard)
+                await client.room.acquire()
+
+    async def _receive(self, connection: Connection) -> FromClient | None:
+        line = await connection.receive()
+        return None if line is None else decode_from_client(line)
+
+    async def _answer(self, client: _Client, request: Request, token: str) -> None:
+        client.put(await self._handler(request, token))

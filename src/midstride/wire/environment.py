@@ -1,0 +1,15 @@
+"""The environment variables that tell a component's process which instance of which system it is."""
+
+from __future__ import annotations
+
+from typing import Final
+
+ENV_INSTANCE: Final = "MIDSTRIDE_INSTANCE"
+ENV_NAMESPACE: Final = "MIDSTRIDE_NAMESPACE"
+ENV_TOKEN: Final = "MIDSTRIDE_TOKEN"
+ENV_BACKEND: Final = "MIDSTRIDE_BACKEND"
+ENV_PARAMETERS: Final = "MIDSTRIDE_PARAMETERS"
+# The folder of the system's control sockets, which the manager passes on.
+ENV_CONTROL: Final = "MIDSTRIDE_CONTROL"
+# The system that a component started by hand belongs to, by name.
+ENV_SYSTEM: Final = "MIDSTRIDE_SYSTEM"

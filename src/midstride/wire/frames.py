@@ -1,0 +1,163 @@
+"""The envelope of the control plane and its one codec: each frame is a JSON object on a line.
+
+The component greets first, with the version of the protocol; the client answers with its own and with the token of
+the system it acts for. Then the client sends requests, and the component replies and reports its state.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final, TypeAlias
+
+import msgspec
+
+from midstride.codec.component import NamedComponentForm
+from midstride.errors import CommandRefused, ProtocolError
+from midstride.wire.commands import COMMANDS, AnyCommand, Command
+from midstride.wire.state import ComponentState, Endpoint, Value
+
+# Incremented with every change of a frame, command, reply or event that another version could misread.
+PROTOCOL: Final = 1
+# The longest frame (bytes): recorded receipts and exported state included.
+LONGEST_FRAME: Final = 256 * 1024 * 1024
+
+
+class Frame(Value, frozen=True, kw_only=True, tag_field="frame"):
+    """One line."""
+
+
+class Greeting(Frame, frozen=True, kw_only=True, tag="greeting"):
+    """The component's first words. ``start_token`` is the token it was started with, empty where started by hand."""
+
+    protocol: int
+    instance: str
+    uuid: str
+    pid: int
+    start_token: str
+
+
+class Hello(Frame, frozen=True, kw_only=True, tag="hello"):
+    """The client's first words."""
+
+    protocol: int
+    token: str
+
+
+class Request(Frame, frozen=True, kw_only=True, tag="request"):
+    """A command. A request repeated with the same ``id`` gets the first reply again and changes nothing.
+
+    ``revision``: the one its sender expects the component to be at; None for what changes nothing.
+    """
+
+    id: str
+    command: msgspec.Raw
+    revision: int | None = None
+
+
+class Reply(Frame, frozen=True, kw_only=True, tag="reply"):
+    """What came of a request. ``refused`` is None where it was carried out; ``revision`` is the component's now."""
+
+    id: str
+    revision: int
+    result: msgspec.Raw = msgspec.Raw(b"null")
+    refused: str | None = None
+
+    @property
+    def ok(self) -> bool:
+        return self.refused is None
+
+
+class Registration(Frame, frozen=True, kw_only=True, tag="registration"):
+    """The component is set up: what it declares, and the endpoints of its node that are not ports."""
+
+    declaration: NamedComponentForm
+    endpoints: list[Endpoint]
+
+
+class StateChanged(Frame, frozen=True, kw_only=True, tag="state"):
+    """The component's state, after every change and now and then."""
+
+    state: ComponentState
+
+
+FromComponent: TypeAlias = Greeting | Reply | Registration | StateChanged
+FromClient: TypeAlias = Hello | Request
+
+
+class _Named(msgspec.Struct):
+    command: str
+
+
+class _Versioned(msgspec.Struct):
+    protocol: int
+    instance: str = "the component"
+
+
+_named: Final[msgspec.json.Decoder[_Named]] = msgspec.json.Decoder(_Named)
+_versioned: Final[msgspec.json.Decoder[_Versioned]] = msgspec.json.Decoder(_Versioned)
+_encoder: Final = msgspec.json.Encoder()
+_from_component: Final[msgspec.json.Decoder[FromComponent]] = msgspec.json.Decoder(FromComponent)
+_from_client: Final[msgspec.json.Decoder[FromClient]] = msgspec.json.Decoder(FromClient)
+_command: Final[msgspec.json.Decoder[AnyCommand]] = msgspec.json.Decoder(AnyCommand)
+# What decoding raises for input that is not valid; msgspec does not translate the last two.
+INVALID: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
+
+
+def encode(frame: Frame) -> bytes:
+    """One line, without its end."""
+    return _encoder.encode(frame)
+
+
+def encode_value(value: Value) -> msgspec.Raw:
+    return msgspec.Raw(_encoder.encode(value))
+
+
+def decode_greeting(line: bytes) -> Greeting:
+    """Raises ProtocolError, which says so where the component speaks another version of the protocol."""
+    try:
+        versioned = _versioned.decode(line)
+        if versioned.protocol != PROTOCOL:
+            raise ProtocolError(
+                f"{versioned.instance} speaks version {versioned.protocol} of the control protocol, and this is "
+                f"version {PROTOCOL}: it was started with another version of Midstride; restart it"
+            )
+        frame = _from_component.decode(line)
+    except INVALID as error:
+        raise ProtocolError(f"not a greeting: {error}") from None
+    if not isinstance(frame, Greeting):
+        raise ProtocolError("the component did not greet first")
+    return frame
+
+
+def decode_from_component(line: bytes) -> FromComponent:
+    """Raises ProtocolError."""
+    try:
+        return _from_component.decode(line)
+    except INVALID as error:
+        raise ProtocolError(f"not a frame of a component: {error}") from None
+
+
+def decode_from_client(line: bytes) -> FromClient:
+    """Raises ProtocolError."""
+    try:
+        return _from_client.decode(line)
+    except INVALID as error:
+        raise ProtocolError(f"not a frame of a client: {error}") from None
+
+
+def decode_command(request: Request) -> Command[Any]:
+    """Raises CommandRefused, naming the field that is unknown, missing or of another type."""
+    try:
+        return _command.decode(request.command)
+    except INVALID as error:
+        name = command_name(request)
+        if name in COMMANDS:
+            raise CommandRefused(f"`{name}`: {error}") from None
+        raise CommandRefused(f"{name!r} is not a command; the commands are {', '.join(COMMANDS)}") from None
+
+
+def command_name(request: Request) -> str:
+    """The name that a request gives its command, whether that is one or not."""
+    try:
+        return _named.decode(request.command).command
+    except INVALID:
+        return ""

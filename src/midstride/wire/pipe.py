@@ -1,0 +1,107 @@
+"""The in-memory transport: connections within one event loop, for the simulator and for tests."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+
+from midstride.errors import NodeError, Unreachable
+from midstride.wire.transport import Connection, Serve
+
+_SCHEME = "memory:"
+
+
+class PipeEnd:
+    """One end of a pipe; implements :class:`midstride.wire.transport.Connection`.
+
+    What was sent before an end was closed still arrives, as on a socket.
+    """
+
+    def __init__(self) -> None:
+        self.other: PipeEnd | None = None
+        self.closed = False
+        self._frames: deque[bytes | None] = deque()  # None: the other end has closed
+        self._arrived = asyncio.Event()
+
+    async def send(self, frame: bytes) -> None:
+        if self.closed or self.other is None or self.other.closed:
+            raise Unreachable("the control connection is closed")
+        self._transmit(frame)
+
+    async def receive(self) -> bytes | None:
+        while not self._frames and not self.closed:
+            self._arrived.clear()
+            await self._arrived.wait()
+        if self.closed or self._frames[0] is None:
+            return None
+        return self._frames.popleft()
+
+    def arrive(self, frame: bytes | None) -> None:
+        """A frame from the other end, or its end."""
+        if not self.closed:
+            self._frames.append(frame)
+            self._arrived.set()
+
+    def close(self) -> None:
+        if not self.closed:
+            self.closed = True
+            self._arrived.set()
+            self._transmit(None)
+
+    def _transmit(self, frame: bytes | None) -> None:
+        if self.other is not None:
+            self.other.arrive(frame)
+
+
+def pipe() -> tuple[PipeEnd, PipeEnd]:
+    """The two ends of a new pipe."""
+    left, right = PipeEnd(), PipeEnd()
+    left.other, right.other = right, left
+    return left, right
+
+
+class PipeListener:
+    """Implements :class:`midstride.wire.transport.Listener`."""
+
+    def __init__(self, network: PipeNetwork, instance: str, serve: Serve) -> None:
+        self.serve = serve
+        self._network = network
+        self._instance = instance
+
+    def close(self) -> None:
+        if self._network.listeners.get(self._instance) is self:
+            del self._network.listeners[self._instance]
+
+
+class PipeNetwork:
+    """Implements :class:`midstride.wire.transport.Transport` within one event loop."""
+
+    def __init__(self) -> None:
+        self.listeners: dict[str, PipeListener] = {}
+        self._serving: set[asyncio.Future[None]] = set()
+
+    def address(self, instance: str) -> str:
+        return f"{_SCHEME}{instance}"
+
+    def present(self) -> dict[str, str]:
+        return {instance: self.address(instance) for instance in sorted(self.listeners)}
+
+    async def listen(self, instance: str, serve: Serve) -> PipeListener:
+        if instance in self.listeners:
+            raise NodeError(f"a component {instance} is running already; end it, or give this one another name")
+        self.listeners[instance] = PipeListener(self, instance, serve)
+        return self.listeners[instance]
+
+    async def connect(self, address: str) -> PipeEnd:
+        listener = self.listeners.get(address.removeprefix(_SCHEME))
+        if listener is None:
+            raise Unreachable(f"nothing listens at {address}")
+        ours, theirs = pipe()
+        self.serve(listener.serve, theirs)
+        return ours
+
+    def serve(self, serve: Serve, end: Connection) -> None:
+        """Run the listener's side of a new connection."""
+        task = asyncio.ensure_future(serve(end))
+        self._serving.add(task)
+        task.add_done_callback(self._serving.discard)

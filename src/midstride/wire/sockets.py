@@ -1,0 +1,263 @@
+"""Unix sockets, one for each component, in the folder ``components`` of the system's workspace.
+
+The folder is the access control: mode 0700 unless its owner opens it to others. A component accepts connections of
+its own user, of root, and of the user who owns the folder. A socket's path may have 107 bytes on Linux; here sockets
+are reached through file descriptors, so neither the folder's path nor a component's name is limited by that.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import errno
+import fcntl
+import os
+import re
+import socket
+import stat
+import struct
+import tempfile
+import time
+import uuid
+from collections.abc import AsyncIterator, Iterator
+from pathlib import Path
+from typing import Final
+from urllib.parse import quote, unquote
+
+from midstride.errors import ManagerError, NodeError, ProtocolError, Unreachable
+from midstride.wire.frames import LONGEST_FRAME
+from midstride.wire.transport import Serve
+
+# The folder of the control sockets in a workspace.
+COMPONENTS: Final = "components"
+_SCHEME: Final = "unix:"
+_SUFFIX: Final = ".sock"
+_BACKLOG: Final = 16
+# How long the lock of the folder may be held by a process that takes a name (s).
+LOCK_TIMEOUT: Final = 2.0
+_SYSTEM: Final = re.compile(r"[A-Za-z][A-Za-z0-9_\-]*\Z")
+
+
+def workspace_root() -> Path:
+    """The folder of all workspaces of this user: ``$XDG_RUNTIME_DIR/midstride``, else one in the temporary folder."""
+    runtime = os.environ.get("XDG_RUNTIME_DIR")
+    if runtime:
+        return Path(runtime) / "midstride"
+    return Path(tempfile.gettempdir()) / f"midstride-{os.getuid()}"
+
+
+def workspace_folder(system: str) -> Path:
+    """The workspace of ``system``, created if need be.
+
+    Raises ManagerError where ``system`` is not a name, or where the folder cannot be created or is another user's.
+    """
+    if not _SYSTEM.match(system):
+        raise ManagerError(f"{system!r} cannot name a running system: use letters, digits, _ and -")
+    root = workspace_root()
+    for folder in (root, root / system):
+        try:
+            created = not folder.exists()
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            info = folder.stat()
+            if created or (info.st_uid == os.getuid() and stat.S_IMODE(info.st_mode) & 0o007):
+                folder.chmod(0o700)
+        except OSError as error:
+            raise ManagerError(
+                f"cannot create the folder {folder}, for sockets, state and logs: {error.strerror or error}; "
+                "set XDG_RUNTIME_DIR to a folder of yours"
+            ) from None
+        if info.st_uid != os.getuid() and not _is_shared(info):
+            raise ManagerError(f"{folder} belongs to another user; remove it or set XDG_RUNTIME_DIR")
+    return root / system
+
+
+def _is_shared(info: os.stat_result) -> bool:
+    """Whether another user's folder is meant to be used by this one, which has then named it, and not by everyone."""
+    return bool(os.environ.get("XDG_RUNTIME_DIR")) and stat.S_IMODE(info.st_mode) & 0o022 == 0o020
+
+
+class SocketConnection:
+    """Implements :class:`midstride.wire.transport.Connection`: a frame is a line."""
+
+    def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        self._reader = reader
+        self._writer = writer
+        self._turn = asyncio.Lock()
+        # Nothing is buffered here: what the other end does not read is kept, and given up, by the sender.
+        writer.transport.set_write_buffer_limits(0)
+
+    async def send(self, frame: bytes) -> None:
+        try:
+            async with self._turn:
+                await self._writer.drain()  # of a send that was cancelled before the kernel had taken all of it
+                self._writer.write(frame + b"\n")
+                await self._writer.drain()
+        except (OSError, RuntimeError) as error:  # RuntimeError: it was closed here
+            raise Unreachable(f"the control connection is closed: {error}") from None
+
+    async def receive(self) -> bytes | None:
+        try:
+            line = await self._reader.readline()
+        except ValueError:
+            raise ProtocolError(f"it sent a frame of more than {LONGEST_FRAME} bytes") from None
+        except OSError:
+            return None
+        return line[:-1] if line.endswith(b"\n") else None  # half a line: the other end died while it wrote
+
+    def close(self) -> None:
+        self._writer.close()
+
+
+class SocketListener:
+    """Implements :class:`midstride.wire.transport.Listener`."""
+
+    def __init__(self, server: asyncio.AbstractServer, path: Path, inode: int) -> None:
+        self._server = server
+        self._path = path
+        self._inode = inode
+
+    def close(self) -> None:
+        with contextlib.suppress(OSError):
+            if self._path.stat().st_ino == self._inode:  # as long as this one listens, no other takes the name
+                self._path.unlink()
+        self._server.close()
+
+
+class SocketFolder:
+    """Implements :class:`midstride.wire.transport.Transport` in ``folder``, which :meth:`listen` creates."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def address(self, instance: str) -> str:
+        return f"{_SCHEME}{self._path(instance)}"
+
+    def present(self) -> dict[str, str]:
+        try:
+            names = sorted(os.listdir(self.folder))
+        except FileNotFoundError:
+            return {}
+        instances = [unquote(name.removesuffix(_SUFFIX)) for name in names if name.endswith(_SUFFIX)]
+        return {instance: self.address(instance) for instance in instances}
+
+    async def listen(self, instance: str, serve: Serve) -> SocketListener:
+        path = self._path(instance)
+        try:
+            self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+            allowed = {0, os.getuid(), self.folder.stat().st_uid}
+            async with locked(self.folder):
+                if _answers(path):
+                    raise NodeError(
+                        f"a component {instance} is running already in {self.folder.parent.name}; end it, or give "
+                        "this one another name"
+                    )
+                listening = self._bind(path)
+                inode = path.stat().st_ino
+        except OSError as error:
+            raise NodeError(f"cannot open the control socket {path}: {error.strerror or error}") from None
+
+        async def accepted(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            try:
+                if _peer_uid(writer.get_extra_info("socket")) in allowed:
+                    await serve(SocketConnection(reader, writer))
+            except asyncio.CancelledError:
+                pass  # the component ends
+            finally:
+                writer.close()
+
+        server = await asyncio.start_unix_server(accepted, sock=listening, limit=LONGEST_FRAME)
+        return SocketListener(server, path, inode)
+
+    def _bind(self, path: Path) -> socket.socket:
+        """A socket that listens at ``path``, in place of what a killed component has left there."""
+        listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        new = self.folder / f".{uuid.uuid4().hex}"
+        try:
+            with _descriptor(self.folder) as folder:
+                listening.bind(f"{folder}/{new.name}")
+            new.chmod(0o600 if stat.S_IMODE(self.folder.stat().st_mode) == 0o700 else 0o660)
+            listening.listen(_BACKLOG)
+            new.rename(path)  # so whatever is found there under its name listens, or is dead
+        except OSError:
+            listening.close()
+            new.unlink(missing_ok=True)
+            raise
+        return listening
+
+    async def connect(self, address: str) -> SocketConnection:
+        path = Path(address.removeprefix(_SCHEME))
+        connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        try:
+            _connect(connecting, path)
+            reader, writer = await asyncio.open_unix_connection(sock=connecting, limit=LONGEST_FRAME)
+        except BlockingIOError:
+            connecting.close()
+            raise Unreachable(f"{address} accepts no connection: its process is stopped or overloaded") from None
+        except OSError as error:
+            connecting.close()
+            raise Unreachable(f"nothing listens at {address}: {error.strerror or error}") from None
+        except BaseException:
+            connecting.close()
+            raise
+        return SocketConnection(reader, writer)
+
+    def _path(self, instance: str) -> Path:
+        return self.folder / f"{quote(instance.strip('/'), safe='')}{_SUFFIX}"
+
+
+def _answers(path: Path) -> bool:
+    """Whether something listens at ``path``: a socket file alone may be what a killed process left."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        try:
+            _connect(probe, path)
+        except OSError as error:
+            return error.errno in (errno.EAGAIN, errno.EACCES)
+        return True
+
+
+def _connect(connecting: socket.socket, path: Path) -> None:
+    """Connect at once or not at all: BlockingIOError where too many wait to be accepted. Raises OSError."""
+    connecting.setblocking(False)
+    with _descriptor(path) as short:
+        connecting.connect(short)
+
+
+@contextlib.contextmanager
+def _descriptor(path: Path) -> Iterator[str]:
+    """A short name of ``path``. Raises OSError."""
+    descriptor = os.open(path, os.O_PATH | os.O_CLOEXEC)
+    try:
+        yield f"/proc/self/fd/{descriptor}"
+    finally:
+        os.close(descriptor)
+
+
+@contextlib.asynccontextmanager
+async def locked(folder: Path) -> AsyncIterator[None]:
+    """Take names in ``folder`` one process at a time: of two that start at once under one name, one is refused.
+
+    Raises NodeError where another process keeps the lock.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        deadline = time.monotonic() + LOCK_TIMEOUT
+        while True:
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    raise NodeError(
+                        f"another process holds the lock of {folder}: a component that was stopped while it started?"
+                    ) from None
+            await asyncio.sleep(0.01)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _peer_uid(connection: socket.socket) -> int:
+    """The user at the other end, as the kernel knows it."""
+    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    _, uid, _ = struct.unpack("3i", credentials)
+    return int(uid)

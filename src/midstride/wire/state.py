@@ -1,0 +1,54 @@
+"""What a component says of itself: its registration, once, and its state, after every change."""
+
+from __future__ import annotations
+
+from typing import Any, Literal, TypeAlias
+
+import msgspec
+
+GateState: TypeAlias = Literal["open", "closed"]
+
+
+class Value(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The base of everything on the wire: unknown and missing fields are refused by name."""
+
+
+class Endpoint(Value, frozen=True, kw_only=True):
+    """An endpoint of a component's node that is neither a port nor one of ROS's own."""
+
+    kind: Literal["topic", "service", "ROS action"]
+    name: str
+
+
+class FunctionalityState(Value, frozen=True, kw_only=True):
+    """``since``: seconds in this mode. ``busy``: for how many seconds a call of user code has been running."""
+
+    mode: str
+    since: float
+    because: str
+    busy: float | None = None
+
+
+class LinkState(Value, frozen=True, kw_only=True):
+    """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate."""
+
+    gate: GateState | None
+    count: int
+    gated: int = 0
+
+
+class ComponentState(Value, frozen=True, kw_only=True):
+    """``revision`` counts the component's changes. ``waiting`` says what it waits for, if anything.
+
+    ``stopping`` is how long it may take to end in order (s). ``ports`` maps port -> topic -> attachment.
+    """
+
+    instance: str
+    uuid: str
+    pid: int
+    revision: int
+    functionalities: dict[str, FunctionalityState]
+    ports: dict[str, dict[str, LinkState]]
+    parameters: dict[str, Any]
+    stopping: float
+    waiting: str | None = None

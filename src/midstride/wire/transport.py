@@ -1,0 +1,51 @@
+"""What a transport of the control plane is: addresses, connections, and a way to listen and to find who listens."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Protocol
+
+
+class Connection(Protocol):
+    """An ordered, reliable stream of frames. Used on one event loop."""
+
+    async def send(self, frame: bytes) -> None:
+        """Raises Unreachable where the other end is gone."""
+        ...
+
+    async def receive(self) -> bytes | None:
+        """The next frame; None once the other end is gone. Raises ProtocolError for a frame that is too long."""
+        ...
+
+    def close(self) -> None: ...
+
+
+Serve = Callable[[Connection], Awaitable[None]]
+
+
+class Listener(Protocol):
+    """Somewhere a component listens."""
+
+    def close(self) -> None:
+        """No further connections; those that are open stay."""
+        ...
+
+
+class Transport(Protocol):
+    """Where the components of one system listen. An address is a word: it can be sent and stored."""
+
+    async def listen(self, instance: str, serve: Serve) -> Listener:
+        """Have ``serve`` called with each connection to ``instance``. Raises NodeError where the name is taken."""
+        ...
+
+    async def connect(self, address: str) -> Connection:
+        """Raises Unreachable where nothing listens at ``address``."""
+        ...
+
+    def address(self, instance: str) -> str:
+        """The address of a component of this system, whether it listens or not."""
+        ...
+
+    def present(self) -> dict[str, str]:
+        """The components that have an address now, dead ones perhaps included: instance -> address."""
+        ...

@@ -1,0 +1,149 @@
+"""What Midstride sets for the middleware, and that it knows whether it took effect."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import pytest
+
+from midstride.backends.ros2 import dds_profiles
+from midstride.backends.ros2.dds_profiles import PROFILE_VARIABLES, PROFILES, RANGE, TRANSPORTS, choose
+
+FAST_DDS = "rmw_fastrtps_cpp"
+LOCAL = {RANGE: "LOCALHOST"}
+
+
+@pytest.mark.parametrize(
+    ("major", "variable"), [(3, "FASTDDS_DEFAULT_PROFILES_FILE"), (2, "FASTRTPS_DEFAULT_PROFILES_FILE")]
+)
+def test_each_fast_dds_has_a_variable_of_its_own(major: int, variable: str) -> None:
+    assert choose({}, FAST_DDS, major).variables == {
+        variable: str(PROFILES / f"fastdds{major}_subnet.xml"),
+        TRANSPORTS: "UDPv4?sockets_size=4MB",
+    }
+    assert choose(LOCAL, FAST_DDS, major).variables == {
+        variable: str(PROFILES / f"fastdds{major}_localhost.xml"),
+        RANGE: "SYSTEM_DEFAULT",
+    }
+
+
+@pytest.mark.parametrize(
+    ("environment", "left", "words"),
+    [
+        ({"FASTDDS_DEFAULT_PROFILES_FILE": "/my.xml"}, set(), "your own profile"),
+        ({"FASTRTPS_DEFAULT_PROFILES_FILE": "/my.xml", **LOCAL}, set(), "your own profile"),
+        ({TRANSPORTS: "LARGE_DATA"}, {"FASTDDS_DEFAULT_PROFILES_FILE"}, "LARGE_DATA"),
+        ({TRANSPORTS: "LARGE_DATA", **LOCAL}, {"FASTDDS_DEFAULT_PROFILES_FILE"}, "LARGE_DATA"),
+    ],
+)
+def test_what_the_user_has_set_is_kept(environment: dict[str, str], left: set[str], words: str) -> None:
+    chosen = choose(environment, FAST_DDS, 3)
+    assert set(chosen.variables) == left
+    assert words in " ".join(chosen.warnings)
+
+
+@pytest.mark.parametrize("own", [{"ROS_STATIC_PEERS": "10.0.0.2"}, {"ROS_LOCALHOST_ONLY": "1"}])
+def test_what_rmw_alone_understands_is_left_to_it(own: dict[str, str]) -> None:
+    assert RANGE not in choose({**LOCAL, **own}, FAST_DDS, 3).variables
+
+
+def test_other_middlewares_keep_their_defaults_with_a_warning() -> None:
+    chosen = choose({}, "rmw_cyclonedds_cpp", None)
+    assert chosen.variables == {}
+    assert "rmw_cyclonedds_cpp" in chosen.warnings[0]
+    assert choose({}, FAST_DDS, None).warnings
+
+
+@pytest.mark.parametrize("environment", [{}, LOCAL])
+def test_what_is_set_already_stays_as_it_is(environment: dict[str, str]) -> None:
+    first = choose(environment, FAST_DDS, 3)
+    again = choose({**environment, **first.variables}, FAST_DDS, 3)
+    assert (again.variables, again.warnings) == ({}, ())
+
+
+@pytest.mark.parametrize("kind", ["subnet", "localhost"])
+def test_the_profiles_of_both_versions_say_the_same(kind: str) -> None:
+    """Fast DDS 3 has renamed some elements; an unknown one makes it drop the whole file."""
+
+    def said(major: int) -> list[tuple[str, str]]:
+        root = ElementTree.parse(PROFILES / f"fastdds{major}_{kind}.xml").getroot()
+        plain = {"heartbeatPeriod": "heartbeat_period"}
+        found = []
+        for element in root.iter():
+            name = element.tag.partition("}")[2]
+            assert major == 2 or name not in plain
+            assert major == 3 or name not in plain.values()
+            found.append((plain.get(name, name), (element.text or "").strip()))
+        return found
+
+    assert said(2) == said(3)
+    assert ("sec", "2") in said(3)
+    assert ("nanosec", "50000000") in said(3)
+
+
+def test_the_environment_is_as_it_was_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(RANGE, "LOCALHOST")
+    monkeypatch.delenv(TRANSPORTS, raising=False)
+    chosen = dds_profiles.DdsSettings(FAST_DDS, {RANGE: "SYSTEM_DEFAULT", TRANSPORTS: "UDPv4"})
+    with dds_profiles.applied_profile(chosen):
+        assert (os.environ[RANGE], os.environ[TRANSPORTS]) == ("SYSTEM_DEFAULT", "UDPv4")
+    assert os.environ[RANGE] == "LOCALHOST"
+    assert TRANSPORTS not in os.environ
+
+
+def test_which_fast_dds_another_interpreter_has(tmp_path: Path) -> None:
+    (tmp_path / "lib").mkdir()
+    assert dds_profiles.installed_major(tmp_path) is None
+    (tmp_path / "lib" / "libfastrtps.so.2.14").touch()
+    assert dds_profiles.installed_major(tmp_path) == 2
+
+
+CHECKING = """
+import sys
+import rclpy
+from midstride.backends.ros2 import dds_profiles
+
+if "before" in sys.argv:
+    rclpy.init()
+    rclpy.create_node("before").destroy_node()
+    rclpy.shutdown()
+chosen = dds_profiles.of_this_process()
+with dds_profiles.applied_profile(chosen) as warnings:
+    rclpy.init()
+    node = rclpy.create_node("checked")
+print(sorted(chosen.variables), "|", *warnings)
+node.destroy_node()
+rclpy.shutdown()
+"""
+
+
+def checked(*arguments: str, **environment: str) -> str:
+    kept = {name: value for name, value in os.environ.items() if name not in (*PROFILE_VARIABLES.values(), TRANSPORTS)}
+    return subprocess.run(
+        [sys.executable, "-c", CHECKING, *arguments],
+        env={**kept, **environment},
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=60,
+    ).stdout
+
+
+@pytest.mark.ros2
+def test_that_it_took_effect_is_seen() -> None:
+    assert checked(**LOCAL).rstrip().endswith("|")
+    assert RANGE in checked(**LOCAL)
+
+
+@pytest.mark.ros2
+def test_that_it_came_too_late_is_seen() -> None:
+    assert "this process has used ROS 2 before" in checked("before", **LOCAL)
+
+
+@pytest.mark.ros2
+def test_that_shared_memory_is_in_use_is_seen() -> None:
+    assert "shared memory is in use" in checked(**LOCAL, ROS_STATIC_PEERS="127.0.0.1")

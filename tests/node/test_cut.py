@@ -1,0 +1,207 @@
+"""The cut on the data thread: which write passes which gate, decided from times alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, cast
+
+import pytest
+
+from midstride.model.contract import QoS
+from midstride.node.cut import GRACE, IncomingCut, OutgoingCut, belongs_after, source_of
+from midstride.node.host import Host, MessageInfo
+from midstride.node.ports import Output, OutputLink
+from midstride.node.trigger import InfoSet
+
+from .author import String
+
+# The agreed moment (ns on the ROS clock), and a period of 20 ms.
+T = 1_000_000_000_000
+PERIOD = 0.02
+
+
+class Clocks:
+    """A host that has clocks and reads a message's info as its time of publication."""
+
+    def __init__(self, now: int = T) -> None:
+        self.time = now
+
+    def now(self) -> int:
+        return self.time
+
+    def steady(self) -> int:
+        return self.time - T
+
+    def read_info(self, info: Any) -> MessageInfo:
+        return info if isinstance(info, MessageInfo) else MessageInfo(info, None, None)
+
+    @property
+    def host(self) -> Host:
+        return cast(Host, self)
+
+
+@dataclass(eq=False)
+class Grid:
+    period: float = PERIOD
+    slot: int | None = None
+    epoch: int | None = None
+
+    def regrid(self, epoch: int) -> None:
+        self.epoch = epoch
+
+
+@dataclass(eq=False)
+class Owner:
+    """A functionality as a cut sees it."""
+
+    driven: Any = "rate"
+    rate: Grid | None = field(default_factory=Grid)
+    slots: tuple[int, int] | None = None
+    info: Any = None
+    busy: int | None = None
+    watch: Any = None
+    failed: bool = False
+
+
+class Wire:
+    """The publisher of a link: what has gone out."""
+
+    def __init__(self) -> None:
+        self.published: list[str] = []
+
+    def publish(self, message: Any) -> None:
+        self.published.append(message.data)
+
+
+def link_of(owner: Owner | None, topic: str = "/chatter") -> tuple[OutputLink, list[str]]:
+    output, wire = Output("out", String, QoS()), Wire()
+    output.owner = owner
+    link = OutputLink(output, topic, cast(Any, wire))
+    output.links = (link,)
+    return link, wire.published
+
+
+def write(link: OutputLink, words: str) -> None:
+    link.output.write(String(data=words))
+
+
+# -- what belongs where ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("slot", "after"),
+    [(T, True), (T - 1, True), (T + 1, True), (T - 4_000_000, True), (T - 6_000_000, False), (T - 20_000_000, False)],
+)
+def test_the_slot_nearest_to_the_moment_is_the_moment(slot: int, after: bool) -> None:
+    """Both sides round their grid to whole nanoseconds."""
+    assert belongs_after(Owner(slots=(slot, slot)), T, Clocks(0).host) is after
+
+
+def test_a_late_call_belongs_to_its_first_slot_on_the_old_side_and_to_its_last_on_the_new() -> None:
+    owner = Owner(slots=(T - 20_000_000, T))
+    assert not belongs_after(owner, T, Clocks().host, slot=0)
+    assert belongs_after(owner, T, Clocks().host, slot=1)
+
+
+@pytest.mark.parametrize(("source", "after"), [(T - 1, False), (T, False), (T + 1, True)])
+def test_the_answer_to_a_message_of_the_moment_itself_is_the_old_sides(source: int, after: bool) -> None:
+    owner = Owner(driven="message", rate=None, info=source)
+    assert belongs_after(owner, T, Clocks(T + 10**9).host) is after
+
+
+@pytest.mark.parametrize(("now", "after"), [(T - 1, False), (T, True)])
+def test_what_answers_nothing_belongs_to_the_moment_it_is_written(now: int, after: bool) -> None:
+    assert belongs_after(Owner(driven="none", rate=None), T, Clocks(now).host) is after
+    assert belongs_after(None, T, Clocks(now).host) is after
+
+
+def test_a_set_of_messages_is_as_new_as_its_newest() -> None:
+    clocks = Clocks(T + 5)
+    assert source_of(InfoSet((T - 1, T + 1, T)), clocks.host) == T + 1
+    assert source_of(MessageInfo(None, None, None, stamp=T - 3), clocks.host) == T - 3
+    assert source_of(MessageInfo(None, None, None), clocks.host) == T + 5
+
+
+# -- the new side ----------------------------------------------------------------------------------
+
+
+def incoming(*links: OutputLink, latches: tuple[OutputLink, ...] = ()) -> IncomingCut:
+    side = IncomingCut(links, T, Clocks().host, latches)
+    side.arm(T)
+    return side
+
+
+def test_only_what_has_not_written_since_the_moment_is_latched() -> None:
+    owner = Owner(slots=(T - 20_000_000, T - 20_000_000))
+    (written, first), (silent, second) = link_of(owner, "/a"), link_of(owner, "/b")
+    side = incoming(written, silent, latches=(written, silent))
+    for link in (written, silent):
+        write(link, "before")
+    owner.slots = (T, T)
+    write(written, "at the moment")
+    side.latch()
+    side.latch()
+    assert first == ["at the moment"], "a late joiner would get an older message after a newer one"
+    assert second == ["before"] and side.first().keys() == {"out /a", "out /b"}
+
+
+def test_the_end_of_a_cut_leaves_the_gates_of_links_that_were_taken_out_of_it() -> None:
+    (kept, _), (taken_out, published) = link_of(Owner(), "/a"), link_of(Owner(), "/b")
+    side = incoming(kept, taken_out)
+    taken_out.set_gate(False)  # as a detach does
+    side.conclude()
+    assert kept.gate == "open" and taken_out.gate == "closed"
+    write(taken_out, "nothing")
+    assert published == [] and taken_out.gated == 1
+
+
+def test_the_new_side_continues_the_grid_it_is_given() -> None:
+    owner = Owner()
+    link, _ = link_of(owner)
+    incoming(link)
+    assert owner.rate is not None and owner.rate.epoch == T
+
+
+# -- the old side ----------------------------------------------------------------------------------
+
+
+def outgoing(owner: Owner, clocks: Clocks) -> tuple[OutgoingCut, OutputLink]:
+    link, _ = link_of(owner)
+    side = OutgoingCut([link], T, clocks.host)
+    side.arm()
+    return side, link
+
+
+def test_a_grid_whose_slot_before_the_moment_is_over_has_passed_it() -> None:
+    owner, clocks = Owner(rate=Grid(slot=T - 20_000_000)), Clocks(T + 1)
+    side, link = outgoing(owner, clocks)
+    assert not side.passed(), "the call of the moment's own slot has not come yet, so an earlier one may be late"
+    assert owner.rate is not None
+    owner.rate.slot = T - 1
+    assert side.passed() and link.gate == "closed"
+
+
+def test_a_grid_that_has_stopped_is_not_waited_for() -> None:
+    clocks = Clocks(T + round(GRACE * 1e9))
+    side, link = outgoing(Owner(rate=Grid(slot=None)), clocks)
+    assert not side.passed()
+    clocks.time += 1
+    assert side.passed() and link.gate == "closed"
+    slow = Clocks(T + 2_000_000_000)
+    side, _ = outgoing(Owner(rate=Grid(period=1.0, slot=T - 1_000_000_000)), slow)
+    assert not side.passed(), "two periods have not gone by"
+    slow.time += 1
+    assert side.passed()
+
+
+def test_messages_that_reach_the_old_side_are_watched_until_it_is_relieved() -> None:
+    owner, clocks = Owner(driven="message", rate=None), Clocks(T - 10)
+    side, _ = outgoing(owner, clocks)
+    seen = []
+    for steady, source in ((10, T), (20, T + 1), (30, T + 2)):
+        clocks.time = T + steady
+        owner.watch(source)
+        seen.append(side.newer_at)
+    assert seen == [None, 20, 20]
+    side.relieved()
+    assert owner.watch is None

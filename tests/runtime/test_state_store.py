@@ -1,0 +1,159 @@
+"""What the next manager finds: what was written, row by row, whatever became of the one that wrote it."""
+
+from __future__ import annotations
+
+import sqlite3
+import stat
+from dataclasses import replace as changed
+from pathlib import Path
+
+import pytest
+from immutables import Map
+
+from midstride.errors import ManagerError
+from midstride.model.configuration import Instance
+from midstride.runtime.backend import Handle
+from midstride.runtime.state_store import SavedInstance, StateStore
+from tests.runtime.systems import example
+
+SPECIFICATION = example("talker")
+TALKER = SPECIFICATION.instance("talker")
+HANDLE = Handle("talker", 4711, 12.5, "/tmp/talker.log")
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    folder = tmp_path / "patrol"
+    folder.mkdir()
+    return folder / "state.db"
+
+
+def begun(path: Path) -> StateStore:
+    store = StateStore(path)
+    store.begin("sim", "a token", SPECIFICATION)
+    return store
+
+
+def test_what_was_written_is_found(path: Path) -> None:
+    assert StateStore(path).load() is None
+    store = begun(path)
+    store.write_instance(TALKER, HANDLE)
+    elsewhere = Instance("by_hand", "by_hand", TALKER.component, Map())
+    store.write_instance(elsewhere, None)
+    found = StateStore(path).load()
+    assert found is not None
+    assert (found.backend, found.token, found.specification) == ("sim", "a token", SPECIFICATION)
+    assert found.instances == (SavedInstance(elsewhere, None), SavedInstance(TALKER, HANDLE))
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600, "it holds the token of the system"
+
+
+def test_an_instance_is_replaced_and_removed(path: Path) -> None:
+    store = begun(path)
+    store.write_instance(TALKER, HANDLE)
+    other = changed(TALKER, parameters=TALKER.parameters.set("words", "other"))
+    store.write_instance(other, HANDLE)
+    found = StateStore(path).load()
+    assert found is not None
+    assert [entry.instance for entry in found.instances] == [other]
+    store.remove_instance("talker")
+    store.remove_instance("never there")
+    found = StateStore(path).load()
+    assert found is not None
+    assert found.instances == ()
+
+
+def test_the_specification_is_replaced(path: Path) -> None:
+    store = begun(path)
+    target = SPECIFICATION.without_node("listener")
+    store.write_specification(target)
+    found = StateStore(path).load()
+    assert found is not None
+    assert found.specification == target
+
+
+def test_forgotten_means_gone(path: Path) -> None:
+    store = begun(path)
+    store.forget()
+    assert list(path.parent.iterdir()) == []
+    assert StateStore(path).load() is None
+    store.forget()
+
+
+class FullDisk(sqlite3.Connection):
+    """A connection whose commits fail while ``full``."""
+
+    full = False
+
+    def execute(self, *arguments: object) -> sqlite3.Cursor:
+        if FullDisk.full and str(arguments[0]).startswith(("INSERT", "DELETE")):
+            raise sqlite3.OperationalError("database or disk is full")
+        return super().execute(*arguments)  # type: ignore[arg-type]
+
+
+def test_a_disk_that_refuses_is_reported_once_and_caught_up_with(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    connect = sqlite3.connect
+
+    def connected(*arguments: object, **options: object) -> sqlite3.Connection:
+        return connect(*arguments, **options, factory=FullDisk)  # type: ignore[call-overload, no-any-return]
+
+    monkeypatch.setattr(sqlite3, "connect", connected)
+    monkeypatch.setattr(FullDisk, "full", False)
+    warnings: list[str] = []
+    store = StateStore(path, warnings.append)
+    store.begin("sim", "a token", SPECIFICATION)
+    monkeypatch.setattr(FullDisk, "full", True)
+    store.write_instance(TALKER, HANDLE)
+    store.remove_instance("listener")
+    assert len(warnings) == 1
+    assert "disk is full" in warnings[0]
+    assert "disk is full" in str(store.unwritten)
+    with pytest.raises(ManagerError, match="disk is full"):
+        store.require()
+    found = StateStore(path).load()
+    assert found is not None
+    assert found.instances == (), "nothing is half written"
+    monkeypatch.setattr(FullDisk, "full", False)
+    store.require()  # or it raises
+    found = StateStore(path).load()
+    assert found is not None
+    assert [entry.handle for entry in found.instances] == [HANDLE], "what the disk refused was lost"
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"SQLite format 3\0 and then nothing", b"\0" * 5000])
+def test_a_state_that_cannot_be_read_says_what_to_do(path: Path, content: bytes) -> None:
+    path.write_bytes(content)
+    with pytest.raises(ManagerError, match="not known what still runs of patrol: end that yourself"):
+        StateStore(path).load()
+
+
+@pytest.mark.parametrize(
+    ("statement", "why"),
+    [
+        ("UPDATE system SET value = '1' WHERE key = 'version'", "another version of Midstride"),
+        ("DELETE FROM system WHERE key = 'token'", "token"),
+        ("UPDATE system SET value = '[]' WHERE key = 'specification'", "specification"),
+        ("UPDATE instances SET form = '{}'", "name"),
+        ("UPDATE instances SET handle = '{\"pid\": 5}'", "instance"),
+    ],
+)
+def test_a_state_that_makes_no_sense_says_so(path: Path, statement: str, why: str) -> None:
+    store = begun(path)
+    store.write_instance(TALKER, HANDLE)
+    store.close()
+    with sqlite3.connect(path) as database:
+        database.execute(statement)
+    database.close()
+    with pytest.raises(ManagerError, match=why):
+        StateStore(path).load()
+
+
+def test_a_write_costs_a_row_whatever_the_size_of_the_system(path: Path) -> None:
+    """Not timed: what is written is counted."""
+    store = begun(path)
+    statements: list[str] = []
+    for index in range(50):
+        store.write_instance(changed(TALKER, name=f"talker_{index}"), HANDLE)
+    assert store._database is not None
+    store._database.set_trace_callback(statements.append)
+    store.write_instance(changed(TALKER, name="talker_7"), HANDLE)
+    assert [statement.split()[0] for statement in statements] == ["BEGIN", "INSERT", "COMMIT"]
