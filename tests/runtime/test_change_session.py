@@ -17,7 +17,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import initial
 from midstride.plan.plan import Plan
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.backend import Exited
 from midstride.runtime.change_session import ChangeSession, counted
 from midstride.runtime.measure import WINDOW_PERIODS
@@ -90,7 +90,7 @@ def session(path: Path, body: Callable[[SessionBench], Coroutine[Any, Any, None]
 # -- changes that are not begun ------------------------------------------------------------------------
 
 
-async def refused(s: SessionBench, words: str, request: Request = REPLACEMENT, **options: Any) -> Outcome:
+async def refused(s: SessionBench, words: str, request: PlanRequest = REPLACEMENT, **options: Any) -> Outcome:
     outcome = await s.session.change(request, **options)
     assert outcome.outcome == "refused" and words in str(outcome.because)
     assert outcome.plan is None and outcome.swaps == []
@@ -224,7 +224,7 @@ def test_a_change_that_is_rolled_back_leaves_what_was(tmp_path: Path) -> None:
 
 
 # The caps of the target hold as soon as the change begins.
-CAPPED = Request(
+CAPPED = PlanRequest(
     to=changed(
         TALKER, connectors=TALKER.connectors.set("/chatter", changed(TALKER.connectors["/chatter"], max_publishers=1))
     ).with_node(changed(TALKER.nodes["talker"], component="NewTalker"))
@@ -270,7 +270,7 @@ def _unless(s: SessionBench) -> object:
 
 
 @pytest.mark.parametrize("request_", [REPLACEMENT, CAPPED], ids=["replacement", "capped"])
-def test_a_change_that_is_cancelled_leaves_what_was_and_no_recording(request_: Request, tmp_path: Path) -> None:
+def test_a_change_that_is_cancelled_leaves_what_was_and_no_recording(request_: PlanRequest, tmp_path: Path) -> None:
     async def body(s: SessionBench) -> None:
         async def waits() -> object:
             await asyncio.sleep(3)
@@ -339,7 +339,7 @@ def test_a_role_that_is_filled_again_is_missing_no_longer(tmp_path: Path) -> Non
         s.busy = True
         for instance in (TALKER.instance("talker"), TALKER.instance("talker", "talker_2")):
             s.startable(instance)
-        outcome = await s.session.change(Request(to=TALKER))
+        outcome = await s.session.change(PlanRequest(to=TALKER))
         assert outcome.outcome == "done", outcome.because
         assert outcome.ended == [], "that was before"
         assert s.reconciler.crashes.missing == {}

@@ -10,7 +10,7 @@ import pytest
 from immutables import Map
 
 from midstride.errors import BackendError, StepFailed
-from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters, Upgrade
+from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters
 from midstride.model.component import ParameterSpec
 from midstride.model.configuration import Configuration
 from midstride.wire.commands import AttachCommand, DetachCommand, Detached, ModesCommand, SetParametersCommand
@@ -273,13 +273,5 @@ def test_where_nothing_can_be_lowered_the_model_stays(tmp_path: Path) -> None:
         assert await b.executor.lower({work("listener"): 1}, "") == {work("listener")}
         assert await b.executor.lower({}, "") == set()
         assert (b.system.configuration, b.system.revision) == (talking(), 0)
-
-    bench(talking(), tmp_path, body)
-
-
-def test_an_upgrade_is_described_by_the_names_of_modes(tmp_path: Path) -> None:
-    async def body(b: Bench) -> None:
-        assert b.executor.describe(Upgrade(Map({work("listener"): 0}))) == "upgrade listener.work to normal"
-        assert b.executor.describe(Remove("talker")) == "remove talker"
 
     bench(talking(), tmp_path, body)

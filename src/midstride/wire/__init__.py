@@ -3,6 +3,6 @@
 Each component listens on its own address; the manager connects to it, and so does its peer of a hand-over.
 :mod:`.commands` has the typed commands, each with its reply; :mod:`.state` what a component reports; :mod:`.frames` the
 envelope and its codec. :mod:`.transport` defines what a transport is: :mod:`.sockets` is that of real systems (Unix
-sockets), :mod:`.pipe` an in-memory one. :mod:`.folders` has the folders of running systems. :mod:`.channel` and :mod:`.command_server` are the two ends of a connection.
-Nothing here uses ROS.
+sockets, in the folders of :mod:`.folders`), :mod:`.pipe` an in-memory one. :mod:`.channel` and :mod:`.command_server`
+are the two ends of a connection. Nothing here uses ROS.
 """

@@ -23,8 +23,6 @@ from typing import Final
 from urllib.parse import quote, unquote
 
 from midstride.errors import NodeError, ProtocolError, Unreachable
-from midstride.wire.folders import COMPONENTS as COMPONENTS
-from midstride.wire.folders import workspace_folder as workspace_folder
 from midstride.wire.frames import LONGEST_FRAME
 from midstride.wire.transport import Serve
 
