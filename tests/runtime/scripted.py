@@ -110,6 +110,7 @@ class ScriptedClient(ComponentClient):
         self.present: dict[str, tuple[Greeting, Registration]] = {}
         self.disconnected: list[str] = []
         self.accepted: list[str] = []
+        self.lost: set[str] = set()  # the connections that their components have ended
         self.on_event: Callable[[ComponentEvent], None] = lambda _: None
         self._replies: dict[tuple[str, type[Command[Any]]], list[Any]] = {}
         self._registered: dict[str, asyncio.Event] = {}
@@ -189,6 +190,9 @@ class ScriptedClient(ComponentClient):
 
     def responsive(self, instance: str) -> ComponentState | None:
         return self.states.get(instance)
+
+    def is_lost(self, instance: str) -> bool:
+        return instance in self.lost
 
     def disconnect(self, instance: str) -> None:
         self.disconnected.append(instance)

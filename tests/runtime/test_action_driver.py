@@ -164,6 +164,17 @@ def test_nothing_is_taken_from_a_process_that_has_ended(action: Action, tmp_path
     bench(talking(), tmp_path, body)
 
 
+@pytest.mark.parametrize("action", [Detach(OUT, "/chatter"), Degrade(Map({work("talker"): 1}))])
+def test_the_end_of_its_connection_is_known_before_the_end_of_a_process(action: Action, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.lost.add("talker")
+        await perform(b, action)
+        await b.driver.lower("talker", {work("talker"): 1}, b.system.configuration, "")
+        assert b.client.sent == []
+
+    bench(talking(), tmp_path, body)
+
+
 def test_of_several_only_those_that_run_are_degraded(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.gone.add("listener")

@@ -334,7 +334,9 @@ def test_the_end_of_a_component_is_reported_once() -> None:
         await c.client.observe("talker")
         c.component.move()
         await settled()
+        assert not c.client.is_lost("talker")
         await c.stop()
+        assert c.client.is_lost("talker")
         assert c.events == [Reported(c.component.state()), Disconnected("talker")]
         assert c.client.latest("talker") is None and c.client.responsive("talker") is None
         assert c.client.greeting("talker") is None
@@ -348,7 +350,7 @@ def test_what_the_manager_disconnects_is_no_news() -> None:
         c.client.disconnect("talker")
         c.client.disconnect("talker")
         await c.stop()
-        assert c.events == []
+        assert c.events == [] and not c.client.is_lost("talker")
 
     play(body)
 
@@ -400,6 +402,7 @@ def test_a_component_that_comes_back_under_its_name_is_another_one() -> None:
         assert c.client.latest("talker") is None
         await c.client.change("talker", GATE)
         assert again.names() == ["observe", "gate"], "its revisions are its own"
+        assert not c.client.is_lost("talker")
         greeting = c.client.greeting("talker")
         assert greeting is not None and greeting.uuid == "second"
 
