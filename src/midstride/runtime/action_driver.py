@@ -1,7 +1,7 @@
 """What each action of the model does on live components.
 
-An action is done when every component concerned has acknowledged it. One that fails leaves nothing half done, as far
-as the components can be reached.
+An action is done when every component concerned has acknowledged it. If it fails, its partial effects are undone on
+each component that can be reached.
 """
 
 from __future__ import annotations
@@ -43,10 +43,11 @@ Tell = Callable[[str, str, dict[str, Any]], object]
 
 @dataclass(slots=True)
 class ActionDriver:
-    """Performs actions on the components of one change. ``tell`` is told what is worth knowing.
+    """Performs actions on the components of one change. ``report`` is called with notes for the user.
 
-    While ``taking_back``, what was removed has its own state again, and a state that cannot be had stops nothing.
-    ``last_numbers`` holds the number of the last message of each output that was taken off its topic.
+    ``has_exited`` says whether an instance's process has exited. While ``rolling_back``, a removed instance gets back
+    its own state, and a failure to transfer state does not fail the action. ``last_numbers`` holds the number of the
+    last message of each output that was detached.
     """
 
     client: ComponentClient
@@ -58,12 +59,12 @@ class ActionDriver:
     drain_timeout: float = DRAIN_TIMEOUT
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
-    _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes of each at most one instance
+    _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
     async def perform(self, action: Action, configuration: Configuration, because: str) -> None:
         """Carry out ``action``, whose precondition holds in ``configuration``. Raises MidstrideError.
 
-        ``because`` is the reason that components give for the modes they are in.
+        ``because`` is the reason that components report for their new modes.
         """
         if self._is_void(action, configuration):
             return
@@ -84,15 +85,15 @@ class ActionDriver:
                 await self.client.change(action.instance, SetParametersCommand(parameters=dict(action.parameters)))
 
     def _is_void(self, action: Action, configuration: Configuration) -> bool:
-        """Whether nothing is to be done on the components: the action only takes something from a process that has
-        ended, or the port has its endpoint on that topic, and keeps it, by another contract of the topic."""
+        """Whether no command is needed: the action only removes something from a process that has exited, or the port
+        keeps its endpoint because it is also attached to another connector of the same topic."""
         match action:
             case Attach(port, connector):
                 return _has_endpoint(configuration, port, connector)
             case Detach(port, connector):
                 return self._is_gone(port.instance) or _has_endpoint(configuration, port, connector)
-            case Remove(component):
-                return self.has_exited(component)
+            case Remove(instance):
+                return self.has_exited(instance)
             case _:
                 return False
 
@@ -104,16 +105,16 @@ class ActionDriver:
         await self.launcher.registered(action.instance)
         state = self._exported.get(action.instance.role)
         if state is not None:
-            await self._give(action.instance.name, state)
+            await self._import_state(action.instance.name, state)
 
     async def _remove(self, action: Remove, configuration: Configuration) -> None:
         instance = configuration.instances[action.instance]
-        if not self.rolling_back:  # else it is what this very change has created, and what comes back has its own
+        if not self.rolling_back:  # else this change created it, and the instance that returns has its own state
             try:
                 exported = await self.client.read(action.instance, ExportStateCommand())
                 if exported.state is not None:
                     self._exported[instance.role] = exported.state
-            except (CallTimeout, Unreachable) as error:  # what no longer answers must still be removable
+            except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
                 self.tell("note", f"the state of {action.instance} is lost: {error}", {})
         if instance.component.run is None:
             await self.launcher.release(action.instance)
@@ -121,7 +122,7 @@ class ActionDriver:
         else:
             await self.launcher.end(action.instance)
 
-    async def _give(self, instance: str, state: bytes) -> None:
+    async def _import_state(self, instance: str, state: bytes) -> None:
         try:
             await self.client.change(instance, ImportStateCommand(state=state))
         except MidstrideError as error:
@@ -135,13 +136,13 @@ class ActionDriver:
         topic = configuration.context.connectors[action.connector].topic
         attach = AttachCommand(port=port.port, topic=topic, peers=len(others(action.connector)), timeout=ATTACH_TIMEOUT)
         detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        await self._or_undone(self.client.change(port.instance, attach), port.instance, detach)
+        await self._or_undo(self.client.change(port.instance, attach), port.instance, detach)
 
     async def _detach(self, action: Detach, configuration: Configuration) -> None:
         port, topic = action.port, configuration.context.connectors[action.connector].topic
         detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
         attach = AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        reply = await self._or_undone(self.client.change(port.instance, detach), port.instance, attach)
+        reply = await self._or_undo(self.client.change(port.instance, detach), port.instance, attach)
         if reply.last:
             self.last_numbers[port] = reply.last
         if reply.acknowledged is None and configuration.is_output(port):
@@ -165,9 +166,9 @@ class ActionDriver:
     async def lower(
         self, instance: str, modes: Mapping[FunctionalityRef, int], configuration: Configuration, because: str
     ) -> None:
-        """Degrade functionalities of ``instance`` that have lost what they assume. Raises MidstrideError.
+        """Degrade functionalities of ``instance`` whose assumptions no longer hold. Raises MidstrideError.
 
-        Nothing is undone then: if only the reply was lost, undoing would raise them without their inputs.
+        A failure is not undone: if only the reply was lost, undoing would upgrade them without their inputs.
         """
         if not self._is_gone(instance):
             await self.client.change(instance, self._modes_command(configuration, modes, because))
@@ -182,15 +183,15 @@ class ActionDriver:
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in action.swaps}):
             same_role = configuration.instances[old].role == configuration.instances[new].role
             if old != new and same_role:  # else nothing is replaced
-                await self._carry_state(old, new)
+                await self._transfer_state(old, new)
         if self.before_handover is not None:
             await self.before_handover(configuration, action)
-        handed = await hand_over(self.client, self.lingering_readers, configuration, action)
-        self.last_numbers.update(handed.last)
-        for warning in handed.warnings:
+        result = await hand_over(self.client, self.lingering_readers, configuration, action)
+        self.last_numbers.update(result.last)
+        for warning in result.warnings:
             self.tell("note", warning, {})
 
-    async def _carry_state(self, old: str, new: str) -> None:
+    async def _transfer_state(self, old: str, new: str) -> None:
         try:
             exported = await self.client.read(old, ExportStateCommand())
         except MidstrideError as error:
@@ -199,10 +200,10 @@ class ActionDriver:
             self.tell("note", f"{new} keeps its own state: {error}", {})
             return
         if exported.state is not None:
-            await self._give(new, exported.state)
+            await self._import_state(new, exported.state)
 
-    async def _or_undone(self, attempt: Awaitable[R], instance: str, undo: Command[Any]) -> R:
-        """``attempt``; where it fails, ``undo`` takes back what it may have left."""
+    async def _or_undo(self, attempt: Awaitable[R], instance: str, undo: Command[Any]) -> R:
+        """The result of ``attempt``; if it fails, send ``undo`` in case it was partly carried out."""
         try:
             return await attempt
         except Exception:
@@ -219,8 +220,10 @@ def by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[Functio
 
 
 def _has_endpoint(configuration: Configuration, port: PortRef, connector: str) -> bool:
-    """Whether ``port`` is attached to another connector of the same topic: to its contract before or after a
-    change. The components know the topic alone."""
+    """Whether ``port`` is attached to another connector of the same topic, as while the contract of a topic changes.
+
+    Components know topics, not connectors.
+    """
     connectors = configuration.context.connectors
     return any(
         other != connector and connectors[other].topic == connectors[connector].topic

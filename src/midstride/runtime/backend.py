@@ -1,4 +1,4 @@
-"""The back-end protocol: what the manager asks of a platform, and nothing else.
+"""The back-end protocol: all that the manager needs from a platform.
 
 A back end starts and ends the processes of components, says where their control sockets are, and shows the graph as
 the middleware sees it. Commands travel over :mod:`midstride.wire`, the same way on every platform. Foreign exceptions
@@ -18,7 +18,7 @@ from midstride.wire.transport import Transport
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """How to start one component: its command (split as a shell would), and which instance it is to be."""
+    """How to start one component: its command (split as a shell would) and the name of its instance."""
 
     instance: str
     namespace: str
@@ -30,7 +30,7 @@ class Launch:
 
 @dataclass(frozen=True, slots=True)
 class Handle:
-    """What is kept of a started component so that a later manager finds it again."""
+    """Identifies the process of a started component, so that a later manager finds it again."""
 
     instance: str
     pid: int | None = None
@@ -40,7 +40,7 @@ class Handle:
 
 @dataclass(frozen=True, slots=True)
 class Exited:
-    """A component's process ended. ``status`` is negative for a signal, None where it cannot be known."""
+    """A component's process exited. ``status`` is negative for a signal, None if unknown."""
 
     instance: str
     status: int | None
@@ -49,9 +49,9 @@ class Exited:
 
 @dataclass(frozen=True, slots=True)
 class Endpoints:
-    """The middleware's own view: the publishers and the subscribers, as (node, topic) pairs.
+    """The graph as the middleware reports it: nodes, and publishers and subscribers as (node, topic) pairs.
 
-    What the back end knows to be dead is left out, however long the middleware remembers it.
+    Nodes whose process has exited are excluded, even while the middleware still lists them.
     """
 
     nodes: frozenset[str] = frozenset()
@@ -65,11 +65,11 @@ class Backend(Protocol):
     transport: Transport
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
-        """Join the platform. ``on_exit`` is called on the manager's loop for each component that ends by itself."""
+        """Join the platform. ``on_exit`` is called on the manager's loop for each component that exits unexpectedly."""
         ...
 
     async def close(self) -> None:
-        """Leave the platform; components go on."""
+        """Leave the platform; components keep running."""
         ...
 
     async def start(self, launch: Launch) -> Handle:
@@ -81,7 +81,7 @@ class Backend(Protocol):
         ...
 
     async def end(self, instance: str, grace: float) -> None:
-        """End a started component: in order, then by force after ``grace`` seconds. Returns when it is gone."""
+        """Terminate a started component, and kill it after ``grace`` seconds. Returns once it has exited."""
         ...
 
     async def endpoints(self) -> Endpoints:

@@ -1,7 +1,7 @@
 """The change session: one change from its request to its report.
 
-Plan, have it verified where that is asked for, carry it out step by step, measure at the subscribers, report
-(docs/semantics.md sections 6 and 7). Planning and verification run beside the event loop.
+Plan, verify if requested, carry out step by step, measure at the subscribers, report (docs/semantics.md sections 6
+and 7). Planning and verification do not block the event loop.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ from midstride.verify.verdict import Verdict, VerdictForm
 
 
 class ChangeSession:
-    """Carries out changes, one after the other; the caller holds the turn. ``executor`` makes what carries out steps.
+    """Carries out one change at a time; the caller holds the manager's lock. ``executor`` makes an executor.
 
-    ``measuring``: all steps are done, and the session only watches.
+    ``measuring`` is true once all steps are done and only the measurement is left.
     """
 
     def __init__(
@@ -119,7 +119,7 @@ class ChangeSession:
         actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
         timer = DegradationTimer(plan.change, self._clock.steady)
-        begun, before, missing = self._clock.steady(), system.configuration, dict(crashes.missing)
+        started, before, missing = self._clock.steady(), system.configuration, dict(crashes.missing)
         self._reconciler.degraded.clear()
         system.configuration = plan.change.start
         executor = self._executor()
@@ -143,8 +143,8 @@ class ChangeSession:
             if system.configuration == plan.change.start:  # everything has been rolled back
                 system.configuration = before
             raise
-        seconds, fallen = self._clock.steady() - begun, timer.stop()
-        await self._reconciler.reconcile_crashes()  # before measuring: what relied on it is to be lowered now
+        seconds, degraded_seconds = self._clock.steady() - started, timer.stop()
+        await self._reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         if recording.subjects:
             self._events.add("measuring", "watching the subscribers for 20 periods more")
         self.measuring = True
@@ -152,7 +152,7 @@ class ChangeSession:
             swaps = await recording.finish(executor.driver.last_numbers)
         finally:
             self.measuring = False
-        await self._reconciler.reconcile()  # the report includes what has degraded by itself meanwhile
+        await self._reconciler.reconcile()  # the report includes unexpected degradations
         if swaps:
             self._events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
         self._events.add("outcome", f"{outcome}: {because}" if because else outcome, outcome=outcome)
@@ -160,7 +160,7 @@ class ChangeSession:
             outcome=outcome,
             plan=PlanForm.of(plan),
             seconds=round(seconds, 6),
-            fallen=fallen,
+            fallen=degraded_seconds,
             swaps=swaps,
             because=because,
             ended=sorted(name for name, event in crashes.missing.items() if missing.get(name) is not event),

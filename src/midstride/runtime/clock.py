@@ -1,4 +1,4 @@
-"""Code that reads the time or sleeps receives a clock: the system clock in production, a virtual one in tests."""
+"""The manager's clock: that of the operating system in production, a virtual one in tests."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The manager's control connections: every command with token, id and expected revision, and every state reported.
 
-One connection to each component, opened when it is first needed and kept. Its end is the news that the component is
-gone. The component pushes its state after every change and twice a second, so the latest one is here without asking.
+There is one connection to each component, opened when it is first needed and kept open. The component has exited when
+it closes. Components push their state after every change and twice a second, so the latest one is known without
+polling.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ R = TypeVar("R")
 
 # How long a component may take to answer what needs no user code (s), on top of a command's own time-out.
 ANSWER_TIMEOUT: Final = 3.0
-# How often a change is undone again where an earlier command ended only meanwhile.
+# How often an undo is tried if the component's revision changes meanwhile.
 UNDO_ATTEMPTS: Final = 2
-# A component that has reported nothing for so long (s) is silent: it reports twice a second.
+# A component that has reported nothing for this long (s) is silent; components report twice a second.
 SILENCE: Final = 2.0
-# How often a control address is tried while its component is coming up (s).
+# The interval between attempts to connect to a component that is starting (s).
 CONNECT_INTERVAL: Final = 0.005
 CONNECT_INTERVAL_LONGEST: Final = 0.1
 
@@ -42,7 +43,7 @@ class Reported:
 
 @dataclass(frozen=True, slots=True)
 class Disconnected:
-    """A component's control connection has ended: its process has, or is about to."""
+    """A component's control connection has closed: its process has exited or is about to."""
 
     instance: str
 
@@ -52,16 +53,17 @@ ComponentEvent = Reported | Disconnected
 
 @dataclass(frozen=True, slots=True)
 class LatestState:
-    """The last state a component reported, and when it came (steady s)."""
+    """The last state a component reported, and when it arrived (steady s)."""
 
     state: ComponentState
     at: float
 
 
 class ComponentClient:
-    """Knows the revision each component is at, so that a change is refused where the component has moved on.
+    """Sends commands to components, each change with the revision that the component is expected to be at.
 
-    ``on_event`` is called for each state and each disconnection. To be used on one event loop.
+    A component refuses a change at any other revision. ``on_event`` is called for each reported state and each
+    disconnection. Not thread-safe: use it on one event loop.
     """
 
     def __init__(
@@ -87,11 +89,11 @@ class ComponentClient:
     # -- connections -------------------------------------------------------------------------------
 
     def address(self, instance: str) -> str:
-        """Where the component listens: what its peer of a hand-over is given."""
+        """Where the component listens, for its peer of a hand-over."""
         return self._transport.address(instance)
 
     async def connect(self, instance: str) -> Greeting:
-        """Connect as soon as the component listens; what it greets with. To be cancelled when time is up.
+        """Connect as soon as the component listens; returns its greeting. It waits without limit: cancel it.
 
         Raises ProtocolError for a component of another version of Midstride.
         """
@@ -104,13 +106,13 @@ class ComponentClient:
                 pause = min(1.2 * pause, CONNECT_INTERVAL_LONGEST)
 
     async def registered(self, instance: str) -> tuple[Greeting, Registration]:
-        """What the component is, as soon as it is set up and has said so. As ``connect``."""
+        """The component's greeting and registration, as soon as it has registered. Waits and raises as ``connect``."""
         while True:
             greeting = await self.connect(instance)
             try:
                 return greeting, await asyncio.shield(self._registrations[instance])
             except Unreachable:
-                continue  # it ended before it was set up; another one may come
+                continue  # it exited before it registered; another process may start under the same name
 
     async def _channel(self, instance: str) -> Channel:
         """Raises Unreachable, CallTimeout or ProtocolError."""
@@ -118,13 +120,13 @@ class ComponentClient:
             channel = self._channels.get(instance)
             if channel is not None and not channel.closed.is_set():
                 return channel
-            made: list[Channel] = []
+            opened: list[Channel] = []  # for the callbacks, which are called once it is open
 
             def report(frame: Report) -> None:
-                self._reported(instance, made[0], frame)
+                self._on_report(instance, frame)
 
             def ended() -> None:
-                self._ended(instance, made[0])
+                self._on_closed(instance, opened[0])
 
             self._registrations[instance] = asyncio.get_running_loop().create_future()
             channel = await Channel.open(
@@ -135,12 +137,12 @@ class ComponentClient:
                 report=report,
                 ended=ended,
             )
-            made.append(channel)
+            opened.append(channel)
             self._lost.discard(instance)
             self._channels[instance] = channel
             return channel
 
-    def _reported(self, instance: str, channel: Channel, frame: Report) -> None:
+    def _on_report(self, instance: str, frame: Report) -> None:
         if isinstance(frame, Registration):
             registration = self._registrations[instance]
             if not registration.done():
@@ -149,14 +151,14 @@ class ComponentClient:
         self._latest[instance] = LatestState(frame.state, self._clock.steady())
         self._on_event(Reported(frame.state))
 
-    def _ended(self, instance: str, channel: Channel) -> None:
+    def _on_closed(self, instance: str, channel: Channel) -> None:
         if self._channels.get(instance) is channel:
             self._drop(instance)
             self._lost.add(instance)
             self._on_event(Disconnected(instance))
 
     def greeting(self, instance: str) -> Greeting | None:
-        """What the component greeted with, while it is connected."""
+        """The greeting of the component, while it is connected."""
         channel = self._channels.get(instance)
         return None if channel is None else channel.greeting
 
@@ -165,18 +167,18 @@ class ComponentClient:
         return self._latest.get(instance)
 
     def is_lost(self, instance: str) -> bool:
-        """Whether the component has ended its last connection, and has not come back."""
+        """Whether the component has closed its last connection and has not returned."""
         return instance in self._lost
 
     def responsive(self, instance: str) -> ComponentState | None:
-        """The state that the component last reported; None where it is gone or has been silent for ``SILENCE``."""
+        """The state that the component last reported; None if it is not connected or silent for over ``SILENCE``."""
         latest = self._latest.get(instance)
         if latest is None or self._clock.steady() - latest.at > SILENCE:
             return None
         return latest.state
 
     def disconnect(self, instance: str) -> None:
-        """The component is not this manager's any more, or its process is gone."""
+        """Close the connection: the component was released or has exited. ``on_event`` is not called."""
         channel = self._channels.get(instance)
         self._drop(instance)
         if channel is not None:
@@ -189,10 +191,10 @@ class ComponentClient:
         registration = self._registrations.pop(instance, None)
         if registration is not None and not registration.done():
             registration.set_exception(Unreachable(f"{instance} ended before it was set up"))
-            registration.exception()  # seen, so that the loop does not complain where it is not awaited
+            registration.exception()  # retrieved, so that the loop does not log it if nothing awaits it
 
     def close(self) -> None:
-        """Close every connection; the components go on."""
+        """Close every connection; the components keep running."""
         for instance in list(self._channels):
             self.disconnect(instance)
 
@@ -212,24 +214,24 @@ class ComponentClient:
         return await self._send(instance, command, self._revisions.get(instance))
 
     async def observe(self, instance: str) -> ComponentState:
-        """The component's state; its revision is the one expected from now on."""
+        """The component's state. Later changes expect its revision."""
         state = await self.read(instance, ObserveCommand(timeout=0.0))
         self._revisions[instance] = state.revision
         return state
 
     async def peek(self, instance: str) -> ComponentState:
-        """The component's state, for showing: the revision expected of it stays as it is."""
+        """The component's state, for display: the expected revision does not change."""
         return await self.read(instance, ObserveCommand(timeout=0.0))
 
     def accept(self, instance: str) -> None:
-        """The state that it last reported is in the model now: its revision is the one expected from now on."""
+        """The last reported state has been taken into the model. Later changes expect its revision."""
         self._revisions[instance] = self._latest[instance].state.revision
 
     async def undo(self, instance: str, command: Command[Any]) -> None:
-        """Have a component put something back, whatever revision it is at; a refusal is final, a failure ignored.
+        """Send a change that undoes another one, at whatever revision the component is; failures are ignored.
 
-        A command that was given up may still be under way there. It is carried out first, and the component has moved
-        on: then it is asked again.
+        A command that timed out may still be in progress at the component. It completes first and changes the revision,
+        so a refused undo is sent again.
         """
         for _ in range(UNDO_ATTEMPTS):
             self.forget(instance)
@@ -242,7 +244,7 @@ class ComponentClient:
             return
 
     def forget(self, instance: str) -> None:
-        """The component's revision is not known any more: the next change observes it first."""
+        """The component's revision is unknown: the next change observes it first."""
         self._revisions.pop(instance, None)
 
     async def _send(self, instance: str, command: Command[R], revision: int | None) -> R:
@@ -250,7 +252,7 @@ class ComponentClient:
         try:
             reply = await self._request(instance, command, f"{self._prefix}-{self._count}", revision)
         except CallTimeout:
-            self.forget(instance)  # it may or may not have carried the command out
+            self.forget(instance)  # the command may or may not have been carried out
             waited = command.timeout + 2 * ANSWER_TIMEOUT
             raise CallTimeout(f"{instance} did not answer `{command.name}` within {waited:g} s, asked twice") from None
         except Unreachable as error:
@@ -261,11 +263,11 @@ class ComponentClient:
         try:
             return result_of(reply, command)
         except CommandRefused as error:
-            self.forget(instance)  # it is not what was expected: the next change observes it first
+            self.forget(instance)  # its state is not the expected one
             raise CommandRefused(f"{instance} refused `{command.name}`: {error}") from None
 
     async def _request(self, instance: str, command: Command[R], id: str, revision: int | None) -> Reply:
-        """A lost request or reply costs one repetition: the component knows the request by its id."""
+        """Send a request, and once more under the same id if no reply comes: it is carried out only once."""
         timeout = command.timeout + ANSWER_TIMEOUT
         try:
             channel = await self._channel(instance)
