@@ -17,13 +17,13 @@ from midstride.runtime.handover import (
     ATTACH_TIMEOUT,
     DETACH_TIMEOUT,
     LEADS,
-    MEET_TURN,
-    MEET_TURNS,
-    OTHERS_PATIENCE,
+    MEET_ATTEMPTS,
+    MEET_TIMEOUT,
+    OUTSIDE_READERS_TIMEOUT,
     PROBATION,
-    RESUME_AT_LEAST,
     RESUME_PERIODS,
     RESUME_WITHOUT_RATE,
+    SHORTEST_RESUME,
     HandoverResult,
     hand_over,
 )
@@ -132,8 +132,8 @@ def test_the_new_publisher_waits_behind_its_gate_for_every_living_reader_of_the_
             gate="closed",
             peers=1,
             everyone=expected,
-            patience=OTHERS_PATIENCE,
-            timeout=ATTACH_TIMEOUT + OTHERS_PATIENCE,
+            patience=OUTSIDE_READERS_TIMEOUT,
+            timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
         )
 
     bench(CONFIGURATION, tmp_path, body)
@@ -189,7 +189,7 @@ def test_the_two_sides_have_some_turns_to_find_each_other(tmp_path: Path) -> Non
         b.client.reply("talker_2", MeetCommand, REFUSED, REFUSED, REFUSED, None)
         await swapped(b)
         meetings = b.client.of(MeetCommand, "talker_2")
-        assert meetings == [MeetCommand(peer="talker", address="memory:talker", timeout=MEET_TURN)] * 4
+        assert meetings == [MeetCommand(peer="talker", address="memory:talker", timeout=MEET_TIMEOUT)] * 4
 
     bench(CONFIGURATION, tmp_path, body)
 
@@ -198,7 +198,7 @@ def test_two_sides_that_do_not_find_each_other_stay_as_they_are(tmp_path: Path) 
     async def body(b: Bench) -> None:
         b.client.reply("talker_2", MeetCommand, REFUSED)
         await fails(b, str(REFUSED))
-        assert len(b.client.of(MeetCommand, "talker_2")) == MEET_TURNS
+        assert len(b.client.of(MeetCommand, "talker_2")) == MEET_ATTEMPTS
 
     bench(CONFIGURATION, tmp_path, body)
 
@@ -273,7 +273,7 @@ def test_the_cut_is_at_a_slot_of_the_old_sides_grid(grid: Grid, at: int, epoch: 
         # In its next slot the old side writes again: the silence is RESUME_PERIODS periods, one of them is that.
         (0.2, 5.0, 1.8),
         (0.02, 5.0, 0.18),
-        (0.001, 5.0, RESUME_AT_LEAST),
+        (0.001, 5.0, SHORTEST_RESUME),
         (None, 5.0, 1.8),  # by the contract of the topic
         (None, None, 0.9),  # by what the old side guarantees: 10 Hz
     ],
@@ -294,7 +294,7 @@ def test_the_old_side_resumes_after_a_silence_of_so_many_periods(
         await swapped(b)
         [cut_out] = b.client.of(CutOutCommand, "talker")
         assert cut_out.resume_after == pytest.approx(seconds)
-        if period is not None and seconds > RESUME_AT_LEAST:
+        if period is not None and seconds > SHORTEST_RESUME:
             assert cut_out.resume_after + period == pytest.approx(RESUME_PERIODS * period)
 
     bench(configuration, tmp_path, body)

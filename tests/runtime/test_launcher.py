@@ -252,15 +252,15 @@ def test_a_component_that_still_runs_is_adopted(tmp_path: Path) -> None:
     bench(NOTHING, tmp_path, body)
 
 
-@pytest.mark.parametrize("own", [True, False])
-def test_a_component_that_runs_and_does_not_answer(own: bool, tmp_path: Path) -> None:
+@pytest.mark.parametrize("owned", [True, False])
+def test_a_component_that_runs_and_does_not_answer(owned: bool, tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.backend.running.add("front/camera")
-        if own:
+        if owned:
             with pytest.raises(Unreachable, match=r"front/camera runs \(process 4711\), but does not answer"):
-                await b.launcher.adopt(HANDLE, own=True)
+                await b.launcher.adopt(HANDLE, owned=True)
         else:
-            assert await b.launcher.adopt(HANDLE, own=False) is None
+            assert await b.launcher.adopt(HANDLE, owned=False) is None
         assert b.clock.steady() == ADOPT_TIMEOUT
 
     bench(NOTHING, tmp_path, body)
@@ -271,7 +271,7 @@ def test_a_component_of_another_system_is_not_adopted(tmp_path: Path) -> None:
         b.backend.running.add("listener")
         b.client.register(instance("listener", LISTENER), token="another system's")
         b.client.reply("listener", ObserveCommand, REFUSED)
-        assert await b.launcher.adopt(Handle("listener"), own=False) is None
+        assert await b.launcher.adopt(Handle("listener"), owned=False) is None
         assert b.launcher.handles == {}
 
     bench(NOTHING, tmp_path, body)

@@ -259,7 +259,7 @@ def test_waiting_for_crashes_includes_those_that_are_being_reconciled(tmp_path: 
         await r.reconciler.reconcile_crashes()
         r.exits(TALKER_EXITED)
         await moment()
-        assert r.reconciler.crashes.unsettled == {}
+        assert r.reconciler.crashes.unreconciled == {}
         waiting = asyncio.ensure_future(r.reconciler.reconcile_crashes())
         await moment()
         assert not waiting.done()

@@ -80,7 +80,7 @@ def test_each_subscriber_that_stays_is_recorded_from_before_the_first_step(tmp_p
             ("change", "listener", START_RECORDING),
             ("change", "second", START_RECORDING),
         ]
-        assert [subject.input for subject in under_test.subjects] == [IN, build.port("second.in")]
+        assert [each.input for each in under_test.recorded] == [IN, build.port("second.in")]
 
     bench(configuration, tmp_path, body)
 
@@ -93,7 +93,7 @@ def test_an_input_that_sees_two_exchanges_is_recorded_once(tmp_path: Path) -> No
         b.client.reply("listener", RecordCommand, commands.Recording(now=7))
         await under_test.begin(talking(), pair)
         assert b.client.of(RecordCommand) == [START_RECORDING]
-        assert [subject.begun for subject in under_test.subjects] == [7, 7]
+        assert [each.begun for each in under_test.recorded] == [7, 7]
 
     bench(talking(), tmp_path, body)
 
@@ -243,7 +243,7 @@ def test_what_the_new_side_has_to_answer_is_recorded_there(tmp_path: Path) -> No
         b.client.reply("filter_2", RecordsCommand, Records(rows=asked, publisher_identity=True, now=SECOND))
         b.client.reply("sink", RecordCommand, commands.Recording(now=round(0.05 * SECOND)))
         await under_test.begin(ANSWERING, [ANSWERS])
-        await under_test.witness(ANSWERING, ANSWERS)
+        await under_test.record_driving_inputs(ANSWERING, ANSWERS)
         [found] = await under_test.finish({})
         await under_test.stop(ANSWERING.instances)
         return found
@@ -263,9 +263,9 @@ def test_a_new_side_that_cannot_be_recorded_does_not_stop_the_hand_over(tmp_path
         under_test = recording(b)
         b.client.reply("filter", GridCommand, Grid(trigger="message", now=0))
         b.client.reply("filter_2", RecordCommand, TIMEOUT)
-        await under_test.witness(ANSWERING, ANSWERS)
+        await under_test.record_driving_inputs(ANSWERING, ANSWERS)
         b.client.reply("filter", GridCommand, UNREACHABLE)
-        await under_test.witness(ANSWERING, ANSWERS)
+        await under_test.record_driving_inputs(ANSWERING, ANSWERS)
         await under_test.stop(ANSWERING.instances)
         assert b.client.of(RecordCommand, "filter_2") == [START_RECORDING, STOP_RECORDING]
 

@@ -38,7 +38,7 @@ R = TypeVar("R")
 # How long a call of user code may take to return before a mode change is given up (s).
 DRAIN_TIMEOUT: Final = 5.0
 
-Tell = Callable[[str, str, dict[str, Any]], object]
+AddEvent = Callable[[str, str, dict[str, Any]], object]
 
 
 @dataclass(slots=True)
@@ -52,7 +52,7 @@ class ActionDriver:
 
     client: ComponentClient
     launcher: Launcher
-    tell: Tell
+    add_event: AddEvent
     has_exited: Callable[[str], bool] = lambda _: False
     lingering_readers: LingeringReaders = no_lingering_readers
     before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
@@ -115,10 +115,10 @@ class ActionDriver:
                 if exported.state is not None:
                     self._exported[instance.role] = exported.state
             except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
-                self.tell("note", f"the state of {action.instance} is lost: {error}", {})
+                self.add_event("note", f"the state of {action.instance} is lost: {error}", {})
         if instance.component.run is None:
             await self.launcher.release(action.instance)
-            self.tell("note", f"{action.instance} was started elsewhere: it is released, and left running", {})
+            self.add_event("note", f"{action.instance} was started elsewhere: it is released, and left running", {})
         else:
             await self.launcher.end(action.instance)
 
@@ -128,7 +128,7 @@ class ActionDriver:
         except MidstrideError as error:
             if not self.rolling_back:
                 raise
-            self.tell("note", f"{instance} did not restore its state: {error}", {})
+            self.add_event("note", f"{instance} did not restore its state: {error}", {})
 
     async def _attach(self, action: Attach, configuration: Configuration) -> None:
         port, output = action.port, configuration.is_output(action.port)
@@ -146,7 +146,7 @@ class ActionDriver:
         if reply.last:
             self.last_numbers[port] = reply.last
         if reply.acknowledged is None and configuration.is_output(port):
-            self.tell("note", f"{port}: unknown whether its last messages on {topic} arrived", {})
+            self.add_event("note", f"{port}: unknown whether its last messages on {topic} arrived", {})
 
     async def _set_modes(self, action: Degrade | Upgrade, configuration: Configuration, because: str) -> None:
         """The functionalities of each instance at once, the instances one after the other."""
@@ -189,7 +189,7 @@ class ActionDriver:
         result = await hand_over(self.client, self.lingering_readers, configuration, action)
         self.last_numbers.update(result.last)
         for warning in result.warnings:
-            self.tell("note", warning, {})
+            self.add_event("note", warning, {})
 
     async def _transfer_state(self, old: str, new: str) -> None:
         try:
@@ -197,7 +197,7 @@ class ActionDriver:
         except MidstrideError as error:
             if not self.rolling_back:
                 raise
-            self.tell("note", f"{new} keeps its own state: {error}", {})
+            self.add_event("note", f"{new} keeps its own state: {error}", {})
             return
         if exported.state is not None:
             await self._import_state(new, exported.state)

@@ -91,7 +91,7 @@ class ChangeSession:
         return structs.replace(outcome, verdict=VerdictForm.of(verdict))
 
     def _observe(self, configuration: Configuration) -> ObservedConfiguration:
-        return observe(configuration, self._client, self._reconciler.crashes.unsettled)
+        return observe(configuration, self._client, self._reconciler.crashes.unreconciled)
 
     def _verified(self, verdict: Verdict) -> None:
         self._events.add("verified", str(verdict), verdict=VerdictForm.of(verdict))
@@ -124,7 +124,7 @@ class ChangeSession:
         system.configuration = plan.change.start
         executor = self._executor()
         executor.on_moved = timer.moved
-        executor.driver.before_handover = recording.witness
+        executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
         outcome: OutcomeKind = "done"
         because = None
@@ -134,7 +134,7 @@ class ChangeSession:
                 self._store.write_specification(target)
             system.specification = target
             system.configuration = plan.change.settled(system.configuration)
-            crashes.forget(system.configuration, system.specification.nodes)
+            crashes.forget_filled(system.configuration, system.specification.nodes)
         except StepFailed as error:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
             if outcome == "rolled_back":
@@ -145,7 +145,7 @@ class ChangeSession:
             raise
         seconds, degraded_seconds = self._clock.steady() - started, timer.stop()
         await self._reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
-        if recording.subjects:
+        if recording.recorded:
             self._events.add("measuring", "watching the subscribers for 20 periods more")
         self.measuring = True
         try:

@@ -1,7 +1,7 @@
-"""What becomes true by itself, and what has to follow from it.
+"""How the model follows crashes and unexpected degradations, and which functionalities to degrade because of them.
 
-A crash is an unplanned removal, and a component that could not go on has lowered itself: the model is brought to what
-is true, and exactly those that `best` of what is left asks for are lowered. Raising again is a plan's affair.
+A crash is an unplanned removal. The model is updated to the actual state; then exactly the functionalities that are
+lower in `best` of the remaining system are degraded. Upgrades are left to plans (docs/semantics.md section 7).
 """
 
 from __future__ import annotations
@@ -13,25 +13,25 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 
 
-def settled(
+def respond(
     configuration: Configuration,
-    gone: Iterable[str],
-    worse: Mapping[FunctionalityRef, int],
-    owing: Iterable[FunctionalityRef] = (),
+    crashed: Iterable[str],
+    degraded: Mapping[FunctionalityRef, int],
+    pending: Iterable[FunctionalityRef] = (),
 ) -> tuple[Configuration, dict[FunctionalityRef, int]]:
-    """The configuration without the instances in ``gone`` and with the modes in ``worse``, and what else to lower.
+    """The configuration without ``crashed`` and with the modes in ``degraded``, and the modes to degrade others to.
 
-    ``owing`` are those that were to be lowered before, and could not be.
+    ``pending`` are functionalities that an earlier response could not degrade.
     """
-    touched: set[FunctionalityRef] = set(owing)
-    for name in gone:
+    touched: set[FunctionalityRef] = set(pending)
+    for name in crashed:
         for port, connector in configuration.attached_ports(name):
             if configuration.is_output(port):
                 touched.update(configuration.consumers(connector))
         configuration = configuration.without_instance(name)
-    for ref in worse:
+    for ref in degraded:
         for output in configuration.functionality(ref).outputs:
             for connector in configuration.attached_to(PortRef(ref.instance, output)):
                 touched.update(configuration.consumers(connector))
-    configuration = configuration.with_modes(worse)
+    configuration = configuration.with_modes(degraded)
     return configuration, lowered(configuration, [ref for ref in touched if ref.instance in configuration.instances])

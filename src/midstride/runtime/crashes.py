@@ -1,4 +1,4 @@
-"""Who has ended by itself: still in the model, or out of it and not come back."""
+"""The instances that exited unexpectedly and have not been replaced."""
 
 from __future__ import annotations
 
@@ -9,37 +9,38 @@ from midstride.runtime.backend import Exited
 
 
 class Crashes:
-    """What is known of components that have ended by themselves, by their names.
+    """Unexpected exits by instance name.
 
-    ``unsettled`` are still in the model; ``missing`` are not, and nobody plays their roles since.
+    ``unreconciled`` instances are still in the model. ``missing`` ones have been removed from it, and no other instance
+    has their role.
     """
 
     def __init__(self) -> None:
-        self.unsettled: dict[str, Exited] = {}
+        self.unreconciled: dict[str, Exited] = {}
         self.missing: dict[str, Exited] = {}
         self._roles: dict[str, str] = {}  # of those that are missing
 
     def all(self) -> dict[str, Exited]:
-        return {**self.missing, **self.unsettled}
+        return {**self.missing, **self.unreconciled}
 
-    def ended(self, event: Exited) -> None:
-        self.unsettled[event.instance] = event
+    def record(self, event: Exited) -> None:
+        self.unreconciled[event.instance] = event
 
-    def returned(self, name: str) -> None:
-        """An instance of that name is started again."""
-        self.unsettled.pop(name, None)
+    def restarted(self, name: str) -> None:
+        """An instance of that name has been started again."""
+        self.unreconciled.pop(name, None)
         self.missing.pop(name, None)
 
-    def settle(self, configuration: Configuration) -> dict[str, Exited]:
-        """Those of the model ``configuration`` that are to be taken out of it; they are missing from now on."""
-        gone = {name: event for name, event in self.unsettled.items() if name in configuration.instances}
-        self.unsettled = {}
-        self.missing |= gone
-        self._roles |= {name: configuration.instances[name].role for name in gone}
-        return gone
+    def take_unreconciled(self, configuration: Configuration) -> dict[str, Exited]:
+        """The unreconciled exits of instances in ``configuration``, which the caller removes; they become missing."""
+        crashed = {name: event for name, event in self.unreconciled.items() if name in configuration.instances}
+        self.unreconciled = {}
+        self.missing |= crashed
+        self._roles |= {name: configuration.instances[name].role for name in crashed}
+        return crashed
 
-    def forget(self, configuration: Configuration, roles: Collection[str]) -> None:
-        """Whose role is played again, by whatever instance, or is none of ``roles`` any more, is not missing."""
+    def forget_filled(self, configuration: Configuration, roles: Collection[str]) -> None:
+        """Forget missing instances whose role has an instance again, or is no longer one of ``roles``."""
         self.missing = {
             name: event
             for name, event in self.missing.items()

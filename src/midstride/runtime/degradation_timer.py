@@ -1,7 +1,7 @@
-"""What a running plan really costs: how long each functionality stands below its baseline.
+"""The measured cost of a plan: how long each functionality is below its baseline while the plan is carried out.
 
-The same levels as in semantics.md section 6, by role, but measured on the clock while the plan is
-carried out. Only what lies between the first step and the last is counted.
+The levels are those of docs/semantics.md section 6, by role. Only the time from the start of the first step to the end
+of the last one counts.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from midstride.plan.disruption import Levels
 
 
 class DegradationTimer:
-    """Told of every configuration as it comes about, keeps the seconds below the baseline."""
+    """Sums the seconds below the baseline; :meth:`moved` must be called with each configuration as it is reached."""
 
     def __init__(self, change: Change, steady: Callable[[], float]) -> None:
         self._levels = Levels(change)
@@ -36,7 +36,7 @@ class DegradationTimer:
             self._seconds.setdefault(ref, 0.0)
 
     def stop(self) -> dict[str, float]:
-        """The seconds below the baseline of each functionality that ever stood there, by role."""
+        """The seconds below the baseline of each functionality that has been below it, by role."""
         now = self._steady()
         for ref in self._below:
             self._seconds[ref] += now - self._since

@@ -1,4 +1,4 @@
-"""What happens, told as it happens: a bounded log that clients can read from any point and follow."""
+"""A bounded log of the manager's events, which clients can read from any point and follow."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ class EventLog:
         return event
 
     def since(self, n: int = 0) -> list[Event]:
-        """The events after number ``n`` that are still kept; all, where ``n`` is an earlier manager's count."""
+        """The events after number ``n`` that are still kept; all of them if ``n`` is from an earlier manager."""
         n = self._known(n)
         return [event for event in self._events if event.n > n]
 
     def _known(self, n: int) -> int:
-        """``n``, or 0 where it is an earlier manager's count."""
+        """``n``, or 0 if it is from an earlier manager."""
         return n if n <= self._count else 0
 
     async def follow(self, n: int = 0) -> AsyncIterator[Event]:
-        """The events after number ``n`` as in ``since``, then each new one; a slow reader loses only the oldest."""
+        """The events after number ``n`` as in ``since``, then each new one. A slow reader loses the oldest."""
         waker = asyncio.Event()
         self._wakers.add(waker)
         n = self._known(n)

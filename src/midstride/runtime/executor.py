@@ -1,8 +1,7 @@
-"""Carrying a plan out on live components, step by step, and taking it back if a step does not hold.
+"""Carries out a plan on live components, step by step, and rolls it back if a step fails.
 
-A step is done when every component concerned has acknowledged it; then, and only then, the model's
-configuration moves on. A step that fails leaves nothing half done, and the steps before it are
-undone in reverse order (semantics.md F6).
+The model's configuration changes only once every component concerned has acknowledged a step. If a step fails, its
+partial effects are undone, then the steps before it in reverse order (docs/semantics.md F6).
 """
 
 from __future__ import annotations
@@ -32,9 +31,10 @@ Done = list[tuple[Action, Configuration]]
 
 @dataclass(slots=True)
 class Executor:
-    """Carries out actions on the running system. ``on_moved`` is called with each configuration that a step leads to.
+    """Carries out actions on the running system.
 
-    ``after_step`` looks at each step of a plan once it is done: the step has failed where it raises.
+    ``on_started`` is called with each instance whose process is started, ``on_moved`` with the configuration after each
+    step. ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed.
     """
 
     driver: ActionDriver
@@ -47,15 +47,15 @@ class Executor:
     async def run(self, actions: Sequence[Action], forms: Sequence[AnyStep] = ()) -> None:
         """Carry out ``actions`` in order.
 
-        Raises StepFailed once everything has been taken back, or could not be: its ``outcome`` says which. Where it
-        is cancelled, everything is taken back as well.
+        Raises StepFailed after the roll-back; its ``outcome`` says whether that succeeded. If cancelled, it rolls back
+        as well.
         """
         done: Done = []
         for index, action in enumerate(actions):
             step = forms[index] if index < len(forms) else UNSET
             position = {"index": index, "of": len(actions), "step": step}
             what = action.describe(self.system.configuration)
-            self._tell("step", f"{index + 1}/{len(actions)} {what}", position)
+            self._add_event("step", f"{index + 1}/{len(actions)} {what}", position)
             try:
                 if isinstance(action, Create):
                     await self._start_ahead(actions[index:])
@@ -64,7 +64,7 @@ class Executor:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as error:
                 why = _words(error)
-                self._tell("step_failed", f"{what} failed: {why}", position)
+                self._add_event("step_failed", f"{what} failed: {why}", position)
                 await self._abandon_started(actions[index:])
                 problem = await self._roll_back(done)
                 if isinstance(error, asyncio.CancelledError):
@@ -72,13 +72,13 @@ class Executor:
                 outcome = "rolled_back" if problem is None else "failed"
                 because = f"{what}: {why}" + ("" if problem is None else f"; and the roll-back failed: {problem}")
                 raise StepFailed(because, outcome) from error
-            self._tell("step_done", f"{index + 1}/{len(actions)} done", position)
+            self._add_event("step_done", f"{index + 1}/{len(actions)} done", position)
 
     async def _step(self, action: Action, done: Done) -> None:
-        """Perform ``action`` and note that it is done.
+        """Perform ``action`` and append it to ``done``.
 
-        No step is left half way: whoever is cancelled meanwhile waits for its end, which comes in bounded time. Only
-        a creation is broken off, since that leaves nothing.
+        If cancelled, it first waits for the action to end, in bounded time, so that no step is left incomplete. Only a
+        creation is interrupted: it cleans up after itself.
         """
         before = self.system.configuration
         performing = asyncio.ensure_future(self.perform(action))
@@ -94,7 +94,7 @@ class Executor:
         done.append((action, before))
 
     async def perform(self, action: Action) -> None:
-        """Check one action against the model, carry it out, and move the model on. Raises MidstrideError."""
+        """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError."""
         before = self.system.configuration
         after = action.apply(before)
         await self.driver.perform(action, before, f"the plan asked for it: {action.describe(before)}")
@@ -110,9 +110,10 @@ class Executor:
         self.on_moved(configuration)
 
     async def lower(self, modes: Mapping[FunctionalityRef, int], because: str) -> set[FunctionalityRef]:
-        """Lower functionalities that have lost what they assume, whoever else does not answer; those that were not.
+        """Degrade functionalities whose assumptions no longer hold; returns those that could not be degraded.
 
-        There is no order to keep and no precondition to check: what they assume is gone already.
+        Instances are independent of each other here. No order and no precondition applies: the assumptions are already
+        violated.
         """
         groups = by_instance(modes)
         results = await asyncio.gather(*(self._lower(name, group, because) for name, group in groups.items()))
@@ -127,16 +128,16 @@ class Executor:
         try:
             await self.driver.lower(instance, modes, self.system.configuration, because)
         except MidstrideError as error:
-            self._tell("note", f"{words} failed: {error}", {})
+            self._add_event("note", f"{words} failed: {error}", {})
             return False
-        self._tell("degraded", words, {})
+        self._add_event("degraded", words, {})
         return True
 
     async def _roll_back(self, done: Done) -> str | None:
-        """Undo what was done, last first. None, or why it could not be undone."""
+        """Undo the actions in ``done``, last first. Returns None, or why it failed."""
         if not done:
             return None
-        self._tell("rollback", f"rolling back {len(done)} step{'s' if len(done) > 1 else ''}", {"of": len(done)})
+        self._add_event("rollback", f"rolling back {len(done)} step{'s' if len(done) > 1 else ''}", {"of": len(done)})
         self.driver.rolling_back = True
         for action, before in reversed(done):
             for undoing in action.undo(before):
@@ -145,13 +146,13 @@ class Executor:
                     await self.perform(undoing)
                 except Exception as error:
                     problem = f"{what}: {_words(error)}"
-                    self._tell("rollback_failed", f"the roll-back is incomplete: {problem}", {})
+                    self._add_event("rollback_failed", f"the roll-back is incomplete: {problem}", {})
                     return problem
-        self._tell("rolled_back", "everything is as it was before", {})
+        self._add_event("rolled_back", "everything is as it was before", {})
         return None
 
     async def _start_ahead(self, actions: Iterable[Action]) -> None:
-        """Start the processes of all creations in a row at once: they load while the first is waited for."""
+        """Start the processes of consecutive creations at once, so that they load in parallel."""
         for action in actions:
             if not isinstance(action, Create):
                 break
@@ -167,12 +168,12 @@ class Executor:
                 if action.instance.name not in self.driver.launcher.handles:
                     self.store.remove_instance(action.instance.name)
 
-    def _tell(self, kind: str, words: str, details: dict[str, Any]) -> None:
-        self.driver.tell(kind, words, details)
+    def _add_event(self, kind: str, words: str, details: dict[str, Any]) -> None:
+        self.driver.add_event(kind, words, details)
 
 
 def _words(error: BaseException) -> str:
-    """An exception in words; one that nobody foresaw goes to the log with its traceback."""
+    """The message of an exception; an unexpected one is logged with its traceback."""
     if isinstance(error, MidstrideError):
         return str(error)
     if isinstance(error, asyncio.CancelledError):

@@ -1,9 +1,8 @@
-"""The hand-over on live components: both publishers live, one agreed cut, nothing chased.
+"""The hand-over on live components: both publishers exist at once, and switch at an agreed moment, the *cut*.
 
-Semantics.md section 7, *the cut is agreed*. The new component's publisher stands behind a closed
-gate until both sides have been told one future slot of the old one's time grid. The old side is
-told first, and takes up again by itself unless it learns from the new one that it has written: if
-the manager dies at any point, the topic falls silent for no longer than ``RESUME_PERIODS``.
+The new publisher is behind a closed gate until both sides know the cut, a future slot of the old publisher's time grid
+(docs/semantics.md section 7). The old side is sent the cut first, and resumes publishing unless the new side reports
+its first message: if the manager exits at any point, the topic is silent for at most ``RESUME_PERIODS`` periods.
 """
 
 from __future__ import annotations
@@ -35,33 +34,33 @@ from midstride.wire.commands import (
     Trigger,
 )
 
-# How many readers on a topic the middleware still counts although their processes are known to be dead.
+# The number of readers on a topic that the middleware still counts although their processes have exited.
 LingeringReaders: TypeAlias = Callable[[str], Awaitable[int]]
 
-# The old side takes up again when it has not heard of the new one's first write for this many periods,
+# The old side resumes if the new side has not reported its first write for this many periods,
 RESUME_PERIODS: Final = 10
-# and for at least this long (s): below it a busy machine's own jitter would look like a death.
-RESUME_AT_LEAST: Final = 0.1
-# Where no rate says how long silence may last (s).
+# but at least for this long (s), which is more than the jitter of a busy machine.
+SHORTEST_RESUME: Final = 0.1
+# The same if no rate defines a period (s).
 RESUME_WITHOUT_RATE: Final = 2.0
-# How far ahead the cut is agreed (s): many round trips, so that both sides know it before it comes. On a machine too
-# busy for the first, the next is tried.
+# How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
+# of these, the next one is tried.
 LEADS: Final = (0.1, 0.3, 1.0)
 # How long the new component may take to write once behind its gate (s), on top of 10 of its periods.
 PROBATION: Final = 5.0
 ATTACH_TIMEOUT: Final = 5.0
-# How long readers that the model does not know of (`ros2 topic echo`, a recording) are waited for (s): the defaults of
-# the middleware look around every 3 s. What was killed without a word is in nobody's way for longer.
-OTHERS_PATIENCE: Final = 4.0
+# How long to wait for readers outside the model, such as `ros2 topic echo` (s). By default the middleware's discovery
+# announces every 3 s. The limit is for readers that were killed and that the middleware still counts.
+OUTSIDE_READERS_TIMEOUT: Final = 4.0
 DETACH_TIMEOUT: Final = 2.0
-# How long the two sides may take to find each other: so many turns of so many seconds.
-MEET_TURNS: Final = 10
-MEET_TURN: Final = 0.5
+# How often, and how long each time (s), the two sides try to connect to each other.
+MEET_ATTEMPTS: Final = 10
+MEET_TIMEOUT: Final = 0.5
 
 
 @dataclass(slots=True)
 class Cut:
-    """One agreed cut between two components, for the outputs whose calls share one time grid."""
+    """One cut between two components, for the outputs of one functionality, which share a time grid."""
 
     old: str
     new: str
@@ -77,13 +76,13 @@ class Cut:
         period = self.period if self.period is not None else declared
         if period is None:
             return RESUME_WITHOUT_RATE
-        # It then writes in its next slot: one period less, and the silence is what is stated.
-        return max((RESUME_PERIODS - 1) * period, RESUME_AT_LEAST)
+        # The old side then writes in its next slot, which may be a period later.
+        return max((RESUME_PERIODS - 1) * period, SHORTEST_RESUME)
 
 
 @dataclass(frozen=True, slots=True)
 class HandoverResult:
-    """What came of a hand-over: the number of each old output's last message, and what went wrong after it."""
+    """The number of each old output's last message, and warnings about what failed after the cut."""
 
     last: dict[PortRef, int | None]
     warnings: tuple[str, ...] = ()
@@ -94,8 +93,8 @@ async def hand_over(
 ) -> HandoverResult:
     """Carry out ``action`` on the components of ``configuration``.
 
-    Raises StepFailed with the reason; then the old publishers have their topics as before and the
-    new ones no endpoint there.
+    Raises StepFailed with the reason. Then the old publishers publish as before, and the new ones have no endpoint on
+    the topics.
     """
     swaps = list(action.swaps)
     warnings: list[str | None] = []
@@ -104,28 +103,32 @@ async def hand_over(
     try:
         for swap in swaps:
             begun.append(swap)
-            warnings.append(await _stand_by(client, lingering, configuration, swap))
+            warnings.append(await _attach_gated(client, lingering, configuration, swap))
         for swap in swaps:
             await _await_probation(client, configuration, swap)
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in swaps}):
             await _meet(client, new, old)
         for lead in LEADS:
             cuts = await _agree(client, configuration, swaps, lead)
-            if await _told(client, configuration, cuts, last_try=lead == LEADS[-1]):
+            if await _announce(client, configuration, cuts, last_try=lead == LEADS[-1]):
                 break
         last = await _await_cuts(client, configuration, cuts)
     except (Exception, asyncio.CancelledError) as error:
-        fallen = await _fallen(client, configuration, swaps) if isinstance(error, MidstrideError) else None
-        await _take_back(client, configuration, cuts, begun)
+        degradation = (
+            await _degradation_of_new(client, configuration, swaps) if isinstance(error, MidstrideError) else None
+        )
+        await _undo(client, configuration, cuts, begun)
         if isinstance(error, MidstrideError):
-            raise StepFailed(fallen or str(error)) from error
+            raise StepFailed(degradation or str(error)) from error
         raise
-    warnings += [await _retire(client, configuration, swap) for swap in swaps]
+    warnings += [await _detach_old(client, configuration, swap) for swap in swaps]
     return HandoverResult(last, tuple(warning for warning in warnings if warning))
 
 
-async def _fallen(client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap]) -> str | None:
-    """Why a new side cannot take over that has degraded by itself: that is the reason, whatever it then refused."""
+async def _degradation_of_new(
+    client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap]
+) -> str | None:
+    """If the new side degraded unexpectedly, that is the root cause of any refusal: a message saying so, else None."""
     for swap in swaps:
         owner = configuration.component(swap.new.instance).owner(swap.new.port)
         try:
@@ -138,10 +141,10 @@ async def _fallen(client: ComponentClient, configuration: Configuration, swaps: 
     return None
 
 
-async def _told(client: ComponentClient, configuration: Configuration, cuts: list[Cut], last_try: bool) -> bool:
-    """Tell both sides of each cut. False where one was told too late, and nothing is agreed any more."""
+async def _announce(client: ComponentClient, configuration: Configuration, cuts: list[Cut], last_try: bool) -> bool:
+    """Send each cut to both sides. False if one side received it too late; then all cuts have been cancelled."""
     try:
-        for cut in cuts:  # the old side first: it alone can go on by itself
+        for cut in cuts:  # the old side first: it resumes if the new side never learns of the cut
             await client.change(cut.old, _cut_out(configuration, cut))
         for cut in cuts:
             await client.change(cut.new, _cut_in(configuration, cut, client.address(cut.old)))
@@ -163,11 +166,13 @@ def _topic(configuration: Configuration, connector: str) -> str:
     return configuration.context.connectors[connector].topic
 
 
-async def _stand_by(
+async def _attach_gated(
     client: ComponentClient, lingering: LingeringReaders, configuration: Configuration, swap: Swap
 ) -> str | None:
-    """The new publisher on the topic, its gate closed, matched with every subscriber the model knows of, and with as
-    many as the old one is matched with; else a warning."""
+    """Attach the new publisher with a closed gate, and wait until it is matched with the subscribers of the model.
+
+    It should also match as many readers as the old publisher does; returns a warning if it does not.
+    """
     topic = _topic(configuration, swap.connector)
     grid = await client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
     readers = (grid.readers or 0) - await lingering(topic)
@@ -177,8 +182,8 @@ async def _stand_by(
         gate="closed",
         peers=len(configuration.subscribers_on(swap.connector)),
         everyone=readers,
-        patience=OTHERS_PATIENCE,
-        timeout=ATTACH_TIMEOUT + OTHERS_PATIENCE,
+        patience=OUTSIDE_READERS_TIMEOUT,
+        timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
     )
     matched = (await client.change(swap.new.instance, attach)).matched
     if matched >= readers:
@@ -190,17 +195,19 @@ async def _stand_by(
 
 
 async def no_lingering_readers(topic: str) -> int:
-    """Every reader that the middleware counts is alive."""
+    """For a middleware that never counts readers of processes that have exited."""
     return 0
 
 
 async def _meet(client: ComponentClient, new: str, old: str) -> None:
-    """Have the new side find the old one, in short turns: that the old one has ended is known between them, at once,
-    and its topic is silent meanwhile."""
-    for _ in range(MEET_TURNS):
+    """Have the new side connect to the old one.
+
+    Several short attempts, because the topic is silent if the old side has exited: each attempt checks that first.
+    """
+    for _ in range(MEET_ATTEMPTS):
         await client.peek(old)
         try:
-            await client.change(new, MeetCommand(peer=old, address=client.address(old), timeout=MEET_TURN))
+            await client.change(new, MeetCommand(peer=old, address=client.address(old), timeout=MEET_TIMEOUT))
             return
         except CommandRefused as error:
             refused = error
@@ -222,7 +229,7 @@ async def _await_probation(client: ComponentClient, configuration: Configuration
 async def _agree(
     client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap], lead: float
 ) -> list[Cut]:
-    """One cut for the outputs of each functionality pair; all at the slot nearest to one common moment."""
+    """One cut for the outputs of each old functionality, all at the first slot after one common moment."""
     groups: dict[tuple[str, str, str], Cut] = {}
     moment: int | None = None
     for swap in swaps:
@@ -266,7 +273,7 @@ def _cut_out(configuration: Configuration, cut: Cut) -> CutOutCommand:
 
 
 def _cut_in(configuration: Configuration, cut: Cut, address: str) -> CutInCommand:
-    # What is written neither at a rate nor for a message is written once: at the cut, again.
+    # An output without a rate or a driving message is written once, so its last message is written again at the cut.
     latch = cut.trigger == "none"
     return CutInCommand(
         cut=cut.id,
@@ -285,9 +292,9 @@ async def _await_cuts(
 ) -> dict[PortRef, int | None]:
     last: dict[PortRef, int | None] = {}
     for cut in cuts:
-        patience = LEADS[-1] + cut.resume_after(_declared_period(configuration, cut)) + 2.0
-        over = AwaitCutCommand(cut=cut.id, timeout=patience)
-        incoming, outgoing = await asyncio.gather(client.read(cut.new, over), client.read(cut.old, over))
+        timeout = LEADS[-1] + cut.resume_after(_declared_period(configuration, cut)) + 2.0
+        await_cut = AwaitCutCommand(cut=cut.id, timeout=timeout)
+        incoming, outgoing = await asyncio.gather(client.read(cut.new, await_cut), client.read(cut.old, await_cut))
         if incoming.outcome != "done":
             raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues")
         if outgoing.outcome != "done":
@@ -298,8 +305,8 @@ async def _await_cuts(
     return last
 
 
-async def _take_back(client: ComponentClient, configuration: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
-    """Old publishers as before, new ones off the topic. What cannot be reached is left to the roll-back."""
+async def _undo(client: ComponentClient, configuration: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
+    """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
     await _cancel(client, cuts)
     for swap in begun:
         topic = _topic(configuration, swap.connector)
@@ -307,8 +314,8 @@ async def _take_back(client: ComponentClient, configuration: Configuration, cuts
         await client.undo(swap.new.instance, detach)
 
 
-async def _retire(client: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
-    """Take the old endpoint off the topic. The swap has happened: an old side that will not let go is only told."""
+async def _detach_old(client: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
+    """Detach the old publisher. The swap is done, so a failure is only a warning, which is returned."""
     topic = _topic(configuration, swap.connector)
     try:
         await client.change(swap.old.instance, DetachCommand(port=swap.old.port, topic=topic, timeout=DETACH_TIMEOUT))

@@ -1,4 +1,4 @@
-"""Starting and ending components: a process, its announcement, its registration, its end."""
+"""Starts and terminates components: the process, its registration, its termination."""
 
 from __future__ import annotations
 
@@ -28,18 +28,21 @@ from midstride.wire.commands import ReleaseCommand, WelcomeCommand
 from midstride.wire.frames import Greeting, Registration
 from midstride.wire.state import ComponentState
 
-# How long a process may take from its start to its registration (s): imports of large libraries and models included.
+# How long a process may take from its start to its registration (s), including imports of large libraries.
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
-# How long a component may take to end in order before it is ended by force (s), where it does not ask for longer.
+# How long a component may take to terminate before it is killed (s), unless it asks for longer.
 STOP_GRACE: Final = 3.0
-# How long a running component may take to be found on its control socket again (s).
+# How long a running component may take to accept a connection of a new manager (s).
 ADOPT_TIMEOUT: Final = 5.0
-# How long one that was started by hand may take to leave its modes and topics (s).
+# How long a component started by hand may take to leave its modes and topics (s).
 RELEASE_TIMEOUT: Final = 5.0
 
 
 class Launcher:
-    """Knows which process is which component. Exits that the back end reports are fed to :meth:`exited`."""
+    """Starts, adopts and terminates the processes of components; ``handles`` has those that a manager started.
+
+    The back end's exit events are passed to :meth:`exited`.
+    """
 
     def __init__(self, backend: Backend, client: ComponentClient, token: str, directory: Path) -> None:
         self._backend = backend
@@ -52,7 +55,7 @@ class Launcher:
         self.handles: dict[str, Handle] = {}
 
     def exited(self, event: Exited) -> None:
-        """Take note of an exit, which fails the start that waits for its registration."""
+        """A process has exited: if its registration is awaited, the start fails."""
         waiting = self._exits.get(event.instance)
         if waiting is not None and not waiting.done():
             waiting.set_result(event)
@@ -60,7 +63,7 @@ class Launcher:
     async def start(self, instance: Instance) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 
-        False where that has been done before. A component without ``run`` is started elsewhere. Raises StartFailed.
+        Returns False if it is already starting. A component without ``run`` is started by hand. Raises StartFailed.
         """
         name = instance.name
         if name in self._starting:
@@ -85,18 +88,18 @@ class Launcher:
                 )
             )
         except ValueError as error:
-            self._drop(name)
+            self._forget_start(name)
             raise StartFailed(f"{name}: the `run` command {command!r} cannot be split: {error}") from None
         except BackendError:
-            self._drop(name)
+            self._forget_start(name)
             raise
         self.handles[name] = handle
         return True
 
     async def registered(self, instance: Instance) -> None:
-        """Wait until ``instance`` has announced itself, check that it is what was declared, and welcome it.
+        """Wait until ``instance`` registers, check it against its declaration, and accept it.
 
-        Raises StartFailed, and then has ended what it started.
+        Raises StartFailed, after terminating the process that was started.
         """
         name = instance.name
         await self.start(instance)
@@ -104,24 +107,24 @@ class Launcher:
             greeting, registration = await self._registration(instance)
             self._verify(instance, greeting, registration)
             await self._client.observe(name)
-            self._learn(await self._client.change(name, WelcomeCommand(manager=str(os.getpid()))))
+            self._remember_grace(await self._client.change(name, WelcomeCommand(manager=str(os.getpid()))))
         except (Exception, asyncio.CancelledError) as error:
             await self.abandon(name)
             if isinstance(error, MidstrideError) and not isinstance(error, StartFailed):
                 raise StartFailed(f"{name} registered but could not be accepted: {error}") from error
             raise
         finally:
-            self._drop(name)
+            self._forget_start(name)
 
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
         name = instance.name
         registering, exiting = self._starting[name], self._exits[name]
-        patience = asyncio.ensure_future(self._backend.clock.sleep(REGISTRATION_TIMEOUT))
-        first: set[asyncio.Future[Any]] = {registering, exiting, patience}
+        timeout = asyncio.ensure_future(self._backend.clock.sleep(REGISTRATION_TIMEOUT))
+        first: set[asyncio.Future[Any]] = {registering, exiting, timeout}
         try:
             await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
         finally:
-            patience.cancel()
+            timeout.cancel()
         if registering.done():
             return registering.result()
         if exiting.done():
@@ -147,20 +150,20 @@ class Launcher:
         if faults:
             raise StartFailed(f"{name} is not the {component.name} that was declared: " + "; ".join(faults))
 
-    def _drop(self, name: str) -> None:
+    def _forget_start(self, name: str) -> None:
         for waiting in (self._starting.pop(name, None), self._exits.pop(name, None)):
             if waiting is not None:
                 waiting.cancel()
 
     async def abandon(self, name: str) -> None:
-        """End what was started for ``name``, if anything was; whatever happens on the way, go on."""
-        self._drop(name)
+        """Stop waiting for ``name``, and terminate its process if there is one. Back-end errors are ignored."""
+        self._forget_start(name)
         if name in self.handles:
             with contextlib.suppress(BackendError):
                 await self.end(name)
 
     async def end(self, name: str) -> None:
-        """End a component that was started here, or by an earlier manager. Raises BackendError: then it is kept."""
+        """Terminate a component that a manager started. Raises BackendError; then its handle is kept."""
         self._client.forget(name)
         await self._backend.end(name, self._graces.get(name, STOP_GRACE))
         self._client.disconnect(name)
@@ -168,30 +171,30 @@ class Launcher:
             known.pop(name, None)
 
     async def release(self, name: str) -> None:
-        """Let go of a component that was started by hand: degraded and unattached, it waits for the next manager.
+        """Release a component that was started by hand: degraded and unattached, it waits for the next manager.
 
-        One that is not there any more needs no letting go. Raises MidstrideError where it does not answer, or its code
-        does not return in time.
+        Does nothing if it has exited. Raises MidstrideError if it does not answer, or a call of user code does not
+        return in time.
         """
         with contextlib.suppress(Unreachable):
             await self._client.change(name, ReleaseCommand(timeout=RELEASE_TIMEOUT))
         self._client.disconnect(name)
 
-    async def adopt(self, handle: Handle, *, own: bool = True) -> ComponentState | None:
-        """Find a component of an earlier manager again: its state, or None where it is gone or not ours.
+    async def adopt(self, handle: Handle, *, owned: bool = True) -> ComponentState | None:
+        """Connect to a component of an earlier manager. None if it has exited or belongs to another system.
 
-        ``own``: that manager started it, so that this one may end it. Raises Unreachable where it runs and does not
+        ``owned``: that manager started it, so this one may terminate it. Raises Unreachable if it runs but does not
         answer.
         """
         if not await self._backend.adopt(handle):
             return None
-        if own:
+        if owned:
             self.handles[handle.instance] = handle
         try:
             async with within(ADOPT_TIMEOUT):
                 await self._client.connect(handle.instance)
         except asyncio.TimeoutError:
-            if not own:
+            if not owned:
                 return None
             raise Unreachable(
                 f"{handle.instance} runs (process {handle.pid}), but does not answer on its control socket"
@@ -200,15 +203,15 @@ class Launcher:
             state = await self._client.observe(handle.instance)
         except CommandRefused:
             return None
-        self._learn(state)
+        self._remember_grace(state)
         return state
 
     async def end_orphans(self, known: Container[str]) -> list[str]:
-        """End what an earlier manager started and could not record: all but the ``known``. Raises BackendError."""
+        """Terminate the system's processes whose instance is not ``known``. Raises BackendError."""
         return await end_orphans(self._token, known, STOP_GRACE)
 
-    def _learn(self, state: ComponentState) -> None:
-        """How long its author wants it to have for its end (``on_stop``)."""
+    def _remember_grace(self, state: ComponentState) -> None:
+        """Remember how long the component may take to terminate (``on_stop``)."""
         self._graces[state.instance] = max(STOP_GRACE, state.stopping)
 
 

@@ -1,10 +1,10 @@
 """The manager: the paper's configuration management node.
 
-It joins the platform, finds or brings up the system, and runs one command at a time; others wait their turn. What it
-knows of the system (:mod:`.running_system`) is shared by its three parts: the change session carries changes out
-(:mod:`.change_session`), the reconciler takes in what happens by itself (:mod:`.reconciler`), and the state store keeps
-what the next manager needs (:mod:`.state_store`). The robot does not depend on the manager: components go on when it
-ends, and the next one finds them again (docs/semantics.md section 7).
+It joins the platform, brings the system up or recovers a running one, and runs one command at a time; others wait.
+Its three parts share its knowledge of the system (:mod:`.running_system`): the change session carries out changes
+(:mod:`.change_session`), the reconciler handles unexpected events (:mod:`.reconciler`), and the state store keeps what
+the next manager needs (:mod:`.state_store`). The robot does not depend on the manager: components keep running without
+it, and the next manager finds them again (docs/semantics.md section 7).
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from midstride.wire.state import ComponentState
 
 @dataclass(frozen=True, slots=True)
 class CurrentCommand:
-    """The command that is being carried out, and since when (steady s)."""
+    """The command in progress, and since when (steady s)."""
 
     words: str
     since: float
@@ -70,16 +70,16 @@ class Manager:
         self._workspace = workspace
         self._directory = directory
         self._verifier = verifier or Verifier()
-        self._turn = asyncio.Lock()
+        self._lock = asyncio.Lock()
         self._current: CurrentCommand | None = None
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
         self._reconciler = Reconciler(
-            self.system, self.events, self._store, self._executor, self._reconciler_turn, self._is_busy
+            self.system, self.events, self._store, self._executor, self._reconciler_lock, self._is_busy
         )
         self._connect(secrets.token_hex(16))
 
     def _connect(self, token: str) -> None:
-        """Use ``token`` from now on: it is what the components of the system know their manager by."""
+        """Use ``token``, by which the components of the system recognize their manager, from now on."""
         backend = self._backend
         self._token = token
         self._client = ComponentClient(backend.transport, backend.clock, token, self._reconciler.on_component_event)
@@ -101,11 +101,11 @@ class Manager:
         driver = ActionDriver(
             client=self._client,
             launcher=self._launcher,
-            tell=lambda kind, words, details: self.events.add(kind, words, **details),
-            has_exited=lambda name: name in crashes.unsettled,
+            add_event=lambda kind, words, details: self.events.add(kind, words, **details),
+            has_exited=lambda name: name in crashes.unreconciled,
             lingering_readers=self._backend.lingering_readers,
         )
-        return Executor(driver, self.system, self._store, lambda instance: crashes.returned(instance.name))
+        return Executor(driver, self.system, self._store, lambda instance: crashes.restarted(instance.name))
 
     @property
     def specification(self) -> Specification:
@@ -117,16 +117,16 @@ class Manager:
 
     @property
     def revision(self) -> int:
-        """Counts the changes of the configuration."""
+        """Incremented with each change of the configuration."""
         return self.system.revision
 
-    # -- coming and going ---------------------------------------------------------------------------
+    # -- starting and stopping ---------------------------------------------------------------------------
 
     async def up(self) -> UpReport:
-        """Find again what still runs, and bring the rest of the specification up.
+        """Recover the components that still run, and bring up the rest of the specification.
 
-        Raises ManagerError where the system that still runs is another one, StepFailed where a
-        component could not be brought up (what this call started is then ended again).
+        Raises ManagerError if the running system has another specification or back end, StepFailed if a component could
+        not be brought up (the components that this call started are then terminated).
         """
         saved = self._store.load()
         if saved is not None:
@@ -146,10 +146,10 @@ class Manager:
             return UpReport(outcome="done", components=sorted(self.configuration.instances))
 
     async def _complete(self) -> None:
-        """Bring up what the specification has and does not run. Raises StepFailed once that has been taken back."""
+        """Bring up the part of the specification that does not run. Raises StepFailed after a roll-back."""
         change = Change.between(self.configuration, self.specification, self.specification)
         plan = await asyncio.to_thread(planner("minimal"), change)
-        # Before anything bears the token.
+        # Before any component has the token.
         self._store.begin(self._backend.name, self._token, self.specification)
         if plan.steps:
             outcome = await self._session.carry_out(plan, self.specification)
@@ -174,14 +174,14 @@ class Manager:
                 self._store.remove_instance(entry.instance.name)
 
     async def close(self) -> None:
-        """Leave; the components go on."""
+        """Disconnect; the components keep running."""
         await self._reconciler.close()
         self._client.close()
         self._store.close()
         await self._backend.close()
 
     async def down(self) -> None:
-        """End every component and forget the system. Raises ManagerError naming what could not be ended."""
+        """Terminate every component and delete the saved state. Raises ManagerError naming those that still run."""
         async with self._command("down"):
             names = sorted({*self._launcher.handles, *self.configuration.instances})
             ended = await asyncio.gather(*(self._end(name) for name in names))
@@ -196,7 +196,7 @@ class Manager:
             try:
                 await self._launcher.release(name)
                 result = "it is released, and left running"
-            except MidstrideError as error:  # not ours to end by force
+            except MidstrideError as error:  # not started here, so it is not killed
                 result = f"it is left as it is, and could not be released: {error}"
             self.events.add("note", f"{name} was started elsewhere: {result}")
             return None
@@ -207,10 +207,10 @@ class Manager:
         self.events.add("ended", f"{name} has exited")
         return None
 
-    # -- asking -------------------------------------------------------------------------------------
+    # -- queries -------------------------------------------------------------------------------------
 
     async def status(self) -> Status:
-        """What is live, in which modes, and why, as the components report it; one that is silent is shown so."""
+        """The live components and their modes, with reasons, as they report them; silent ones are marked."""
         running = None
         if self._current is not None:
             seconds = self._backend.clock.steady() - self._current.since
@@ -227,12 +227,12 @@ class Manager:
 
     async def live(self) -> LiveConfiguration:
         """The configuration as its components report it; ``silent`` are those that have reported nothing lately."""
-        found = observe(self.configuration, self._client, self._reconciler.crashes.unsettled)
+        found = observe(self.configuration, self._client, self._reconciler.crashes.unreconciled)
         form = ConfigurationForm.of(found.configuration)
         return LiveConfiguration(revision=self.revision, silent=list(found.silent), configuration=form)
 
     async def peek(self, instance: str) -> ComponentState:
-        """The state of one component, asked for now. Raises CallTimeout or Unreachable."""
+        """The current state of one component, requested from it. Raises CallTimeout or Unreachable."""
         return await self._client.peek(instance)
 
     async def why(self, functionality: str) -> Why:
@@ -259,21 +259,20 @@ class Manager:
     ) -> Outcome:
         """Carry out ``request``.
 
-        ``expected`` is the revision a preview was made at; where the configuration has moved on since, the change is
-        refused, since its user has seen another plan. With ``verify``, Alloy judges the plan first, and nothing is
-        begun unless it holds; after each step, what is live is judged as well, and a step after which it does not hold
-        has failed. The events by which it waits and begins bear ``id``, so that a client can tell its own events from
-        those of others.
+        ``expected`` is the revision that the previewed plan was made for: at any other one the change is refused, since
+        its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
+        holds; the live configuration is verified after each step, and the step fails unless it is valid. The events
+        `waiting` and `command` contain ``id``, so that a client can distinguish its own from others.
         """
         async with self._command(request.describe(), id):
             return await self._session.change(request, expected=expected, verify=verify)
 
     @contextlib.asynccontextmanager
     async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
-        """One command at a time, first come first served; one that must wait says for which."""
+        """Run one command at a time, in order of arrival; an event says which command another one waits for."""
         if self._current is not None:
             self.events.add("waiting", f"`{words}` waits for `{self._current.words}`", command=words, id=id)
-        async with self._turn:
+        async with self._lock:
             self._current = CurrentCommand(words, self._backend.clock.steady())
             self.events.add("command", words, id=id)
             try:
@@ -283,8 +282,8 @@ class Manager:
                 self._current = None
 
     def _is_busy(self) -> bool:
-        """Whether a command is changing the system; one that only measures leaves room to reconcile."""
+        """Whether a command is changing the system. One that only measures does not prevent reconciling."""
         return self._current is not None and not self._session.measuring
 
-    def _reconciler_turn(self) -> AbstractAsyncContextManager[Any]:
-        return contextlib.nullcontext() if self._session.measuring else self._turn
+    def _reconciler_lock(self) -> AbstractAsyncContextManager[Any]:
+        return contextlib.nullcontext() if self._session.measuring else self._lock

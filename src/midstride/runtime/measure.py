@@ -1,9 +1,8 @@
-"""What a subscriber saw while a publisher was exchanged: gap, missed, lost, duplicates.
+"""What a subscriber received while a publisher was replaced: gap, missed, lost, duplicates.
 
-Semantics.md section 7, last paragraph. Pure: rows in, figures out. A row is a received message:
-time of receipt (steady clock of the subscriber, ns), source time (ns), the publisher's number and
-the publisher's identity; what the middleware cannot tell is None, and then so is every figure
-that would need it.
+The figures are defined in docs/semantics.md section 7. The functions are pure. A row is a received message: time of
+receipt (steady clock of the subscriber, ns), source time (ns), sequence number and identity of the publisher. Where the
+middleware does not provide one of these it is None, and so is every figure that needs it.
 """
 
 from __future__ import annotations
@@ -21,16 +20,16 @@ from midstride.wire.commands import Receipt
 
 # The window reaches this many periods before the first step and after the last.
 WINDOW_PERIODS: Final = 20
-# A message may come this part of a period before its slot by the publisher's own jitter.
+# A message may precede its slot by this fraction of a period because of the publisher's jitter.
 _EARLY: Final = 0.25
-# A publisher that answers less than this part of its inputs is no publisher of one answer to each.
+# A publisher that answers less than this fraction of its inputs does not write one answer to each.
 _ANSWERED: Final = 0.8
-# So many inputs may have come before an answer to an earlier one is out.
+# An answer may be written after this many later inputs.
 _LATE: Final = 5
 
 
 class SwapReport(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
-    """The figures of one subscriber of one swapped topic. ``period`` and ``gap`` in seconds; None: not known."""
+    """The figures of one subscriber of one swapped topic. ``period`` and ``gap`` in seconds; None if unknown."""
 
     topic: str
     subscriber: str
@@ -44,11 +43,10 @@ class SwapReport(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=F
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What was recorded at one input, and between which moments of its own steady clock (ns).
+    """What was recorded at one input between two times of its steady clock (ns).
 
-    ``last_number`` is the number of the old publisher's last message by its own word. ``inputs`` are
-    the source times of the messages that a message-driven publisher had to answer, as far as they
-    are known: then they are its time grid, since it has no other.
+    ``last_number`` is the number of the old publisher's last message, as it reports it. ``inputs`` are the source times
+    of the messages that a message-driven publisher had to answer, if known: they serve as its time grid.
     """
 
     topic: str
@@ -95,40 +93,40 @@ def _window(rows: Sequence[Receipt], begun: int, ended: int, period: float | Non
 
 
 def _gap(rows: Sequence[Receipt], begun: int, ended: int) -> float:
-    """The longest silence, the one before the end of the window included: a topic gone silent has no second message."""
+    """The longest silence, including the one before the end of the window, in case the topic stays silent."""
     times = [row.received for row in rows] or [begun]
     times.append(ended)
     return max(later - earlier for earlier, later in itertools.pairwise(times)) / 1e9
 
 
 def _sides(rows: Sequence[Receipt], begun: int, last_number: int | None) -> dict[int, str] | None:
-    """The publisher of each row (by its place in ``rows``), told apart by identity or else by numbering."""
+    """The publisher of each row (by index in ``rows``), distinguished by identity or else by sequence numbers."""
     if all(row.publisher is not None for row in rows):
         return {index: str(row.publisher) for index, row in enumerate(rows)}
     if any(row.number is None for row in rows):
         return None
-    # Without identities: numbers of one publisher count up; a row that goes on no numbering begins another.
+    # Without identities: the numbers of a publisher increase; a row that continues no sequence starts another.
     tails: dict[str, int] = {}
     sides: dict[int, str] = {}
     for index, row in enumerate(rows):
         number = row.number
         assert number is not None
-        # The numbering that was there first is the old one's; it is over with the last number the old one tells.
-        over = next(iter(tails), None) if last_number is not None and number > last_number else None
-        nearest = [name for name, tail in tails.items() if 0 < number - tail <= 1000 and name != over]
+        # The first sequence is the old publisher's; it ends with the last number that the old publisher reported.
+        ended = next(iter(tails), None) if last_number is not None and number > last_number else None
+        nearest = [name for name, tail in tails.items() if 0 < number - tail <= 1000 and name != ended]
         exact = [name for name in nearest if tails[name] == number - 1]
         if len(exact) > 1 or (not exact and len(nearest) > 1):
-            return None  # two numberings meet: nobody can tell whose this is
+            return None  # ambiguous: it may continue two sequences
         name = (exact or nearest or [f"#{len(tails)}"])[0]
         if not exact and nearest and row.received > begun and number <= 2:
-            name = f"#{len(tails)}"  # a fresh numbering, not a jump of the old one
+            name = f"#{len(tails)}"  # a new sequence, not a jump in the old one
         tails[name] = number
         sides[index] = name
     return sides
 
 
 def _swapped(rows: Sequence[Receipt], sides: dict[int, str], begun: int, tail: float) -> dict[str, list[Receipt]]:
-    """The rows of the publishers that came or went; of all, where none did. A bystander would blur the slots."""
+    """The rows of the publishers that appeared or disappeared (others would hide empty slots); if none did, all rows."""
     by_side: dict[str, list[Receipt]] = {}
     for index, row in enumerate(rows):
         by_side.setdefault(sides[index], []).append(row)
@@ -150,7 +148,7 @@ def _slots(
     for name in names:
         for slot in _assign([_source(row) for row in by_side[name]], origin, step):
             taken.setdefault(slot, set()).add(name)
-    # What the end of the window is on the source's clock, from the quickest passage seen.
+    # The end of the window on the source's clock, estimated from the fastest transmission.
     offset = min(row.received - _source(row) for row in rows)
     first, last = min(taken), max(taken)
     last_due = math.floor((ended - offset - origin) / step) - 1
@@ -165,7 +163,7 @@ def _source(row: Receipt) -> int:
 
 
 def _phase(sources: Sequence[int], step: float) -> float:
-    """A source time that is *on time* on the grid of ``sources``: the low end of their spread around it."""
+    """A source time that is exactly on the grid of ``sources``, at the early end of their jitter."""
     best_spread, best_origin = math.inf, float(sources[0])
     for reference in sources[:: max(1, len(sources) // 16)]:
         deviations = sorted(_wrapped(source - reference, step) for source in sources)
@@ -183,8 +181,8 @@ def _wrapped(difference: float, step: float) -> float:
 def _assign(sources: Sequence[int], origin: float, step: float) -> Iterable[int]:
     """The slot of each message of one publisher, on the old grid.
 
-    A publisher keeps one phase, so its place within a slot is decided once, for all its messages;
-    one that is late by more than it, and followed by the next in time, belongs to the slot before.
+    A publisher keeps its phase, so its offset within a slot is determined once for all its messages. A message that is
+    late by more than that, and followed by one on time, belongs to the slot before.
     """
     own = _phase(sources, step)
     shift = math.floor((own - origin) / step + _EARLY)
@@ -193,17 +191,17 @@ def _assign(sources: Sequence[int], origin: float, step: float) -> Iterable[int]
     for index in range(len(slots) - 2, -1, -1):
         if slots[index] >= slots[index + 1]:
             slots[index] = max(slots[index] - 1, slots[index + 1] - 1)
-    for index in range(1, len(slots)):  # not early by a hair, after a hole, but late for the slot before
+    for index in range(1, len(slots)):  # after a hole: not slightly early, but late for the slot before
         if slots[index] - slots[index - 1] == 2 and places[index] < slots[index]:
             slots[index] -= 1
     return [slot + shift for slot in slots]
 
 
 def _answers(by_side: dict[str, list[Receipt]], inputs: Sequence[int]) -> tuple[int, int] | None:
-    """Inputs that nobody answered, and inputs that two publishers answered.
+    """The number of inputs without an answer, and of inputs that two publishers answered.
 
-    None where the publishers do not answer each input with one message, so that this grid is not
-    theirs. The last inputs may still be under way, and are not counted.
+    None if the publishers do not answer each input with one message, so that the inputs are not their grid. The last
+    inputs may not have been answered yet, and are not counted.
     """
     slots = sorted(set(inputs))
     answers: dict[str, list[int]] = {}
@@ -213,10 +211,10 @@ def _answers(by_side: dict[str, list[Receipt]], inputs: Sequence[int]) -> tuple[
         for source in sorted((row.source for row in rows if row.source is not None), reverse=True):
             following = min(bisect.bisect_right(slots, source), following) - 1
             if following < 0:
-                break  # answers to what came before the first input that is known
+                break  # answers to inputs before the first known one
             own.append(following)
         own.reverse()
-    _relieve(answers)
+    _shift_late_answers(answers)
     answered = Counter(slot for own in answers.values() for slot in own)
     if not answered or len(answered) < _ANSWERED * len(slots):
         return None
@@ -224,11 +222,11 @@ def _answers(by_side: dict[str, list[Receipt]], inputs: Sequence[int]) -> tuple[
     return missed, sum(1 for count in answered.values() if count > 1)
 
 
-def _relieve(answers: dict[str, list[int]]) -> None:
-    """The last answers of the old publisher, where they came after the next input, go to the inputs before.
+def _shift_late_answers(answers: dict[str, list[int]]) -> None:
+    """Assign late last answers of the old publisher to the inputs before.
 
-    By time alone such an answer is taken for one to what the new publisher answers as well, and an input
-    shortly before, which it was meant for, for missed.
+    By time alone, an answer written after the next input counts as a duplicate of the new publisher's answer to that
+    one, and the input that it belongs to as missed.
     """
     sides = sorted((own for own in answers.values() if own), key=lambda own: own[0])
     if len(sides) < 2:
@@ -244,7 +242,7 @@ def _relieve(answers: dict[str, list[int]]) -> None:
 def _lost(
     rows: Sequence[Receipt], sides: dict[int, str] | None, begun: int, tail: float, last_number: int | None
 ) -> int | None:
-    """Holes in each publisher's numbering, and what the old one wrote last and nobody received."""
+    """The holes in each publisher's sequence, and the old publisher's last messages that were not received."""
     if sides is None or not rows or any(row.number is None for row in rows):
         return None
     numbers: dict[str, set[int]] = {}
@@ -256,6 +254,6 @@ def _lost(
         moved = _swapped(rows, sides, begun, tail)
         old = min(moved, key=lambda name: moved[name][0].received)
         if moved[old][0].received > begun and min(numbers[old]) == 1:
-            return None  # nothing of the old one is in the window: what it wrote last was before, received or not
+            return None  # no message of the old publisher is in the window
         lost += max(0, last_number - max(numbers[old]))
     return lost

@@ -1,4 +1,4 @@
-"""The configuration as the components themselves tell it, beside the one that the manager believes in."""
+"""The configuration as the components report it, in contrast to the manager's model."""
 
 from __future__ import annotations
 
@@ -13,15 +13,17 @@ from midstride.wire.state import ComponentState
 
 @dataclass(frozen=True, slots=True)
 class ObservedConfiguration:
-    """What the components report. Those in ``silent`` have reported nothing for too long: they are as in the model."""
+    """The configuration as reported; instances in ``silent`` have reported nothing lately and are as in the model."""
 
     configuration: Configuration
     silent: tuple[str, ...]
 
 
-def observe(configuration: Configuration, client: ComponentClient, gone: Container[str] = ()) -> ObservedConfiguration:
-    """The modes and attachments that the components report; without those in ``gone``, which have ended."""
-    for name in [name for name in configuration.instances if name in gone]:
+def observe(
+    configuration: Configuration, client: ComponentClient, exited: Container[str] = ()
+) -> ObservedConfiguration:
+    """``configuration`` with the modes and attachments that its components report, without those in ``exited``."""
+    for name in [name for name in configuration.instances if name in exited]:
         configuration = configuration.without_instance(name)
     silent = []
     for name in sorted(configuration.instances):
@@ -34,28 +36,28 @@ def observe(configuration: Configuration, client: ComponentClient, gone: Contain
 
 
 def own_degradations(
-    configuration: Configuration, client: ComponentClient, gone: Container[str]
+    configuration: Configuration, client: ComponentClient, exited: Container[str]
 ) -> dict[FunctionalityRef, int]:
-    """The functionalities that report a worse mode than the model has; ``gone`` are left out."""
-    worse: dict[FunctionalityRef, int] = {}
+    """The functionalities that report a worse mode than the model has, except those of ``exited``."""
+    degraded: dict[FunctionalityRef, int] = {}
     for name in sorted(configuration.instances):
         latest = client.latest(name)
-        if latest is not None and name not in gone:
-            worse.update(own_degradations_in(configuration, latest.state))
-    return worse
+        if latest is not None and name not in exited:
+            degraded.update(own_degradations_in(configuration, latest.state))
+    return degraded
 
 
 def own_degradations_in(configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
     """The functionalities of one component that report a worse mode than the model has."""
     if state.instance not in configuration.instances:
         return {}
-    worse: dict[FunctionalityRef, int] = {}
+    degraded: dict[FunctionalityRef, int] = {}
     for functionality, view in state.functionalities.items():
         ref = FunctionalityRef(state.instance, functionality)
         index = configuration.functionality(ref).mode_index(view.mode)
         if index > configuration.modes[ref]:
-            worse[ref] = index
-    return worse
+            degraded[ref] = index
+    return degraded
 
 
 def _as_reported(configuration: Configuration, name: str, state: ComponentState) -> Configuration:
@@ -64,7 +66,7 @@ def _as_reported(configuration: Configuration, name: str, state: ComponentState)
         ref = FunctionalityRef(name, functionality)
         modes[ref] = configuration.functionality(ref).mode_index(view.mode)
     configuration = configuration.with_modes(modes)
-    # A component knows topics alone; what is behind a closed gate is not attached yet, or no longer.
+    # Components know topics, not connectors. An output behind a closed gate is not attached.
     reported = {
         (PortRef(name, port), topic)
         for port, topics in state.ports.items()

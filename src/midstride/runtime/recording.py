@@ -1,4 +1,4 @@
-"""Recording what every subscriber of a swapped topic sees, from before the first step to after the last."""
+"""Records what each subscriber of a swapped topic receives, from before the first step of a plan to after its last."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, report
 from midstride.wire.commands import GridCommand, RecordCommand, Records, RecordsCommand
 
-# The tail after the last step is 20 periods, but a slow topic does not keep the user waiting longer than this (s).
+# Recording continues for 20 periods after the last step, but at most for this long (s).
 LONGEST_TAIL: Final = 10.0
-# The tail where no rate says how long a period is (s).
+# How long it continues if no rate defines a period (s).
 TAIL_WITHOUT_RATE: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Exchange:
-    """A publisher of a topic that a plan exchanges for another one of the same role."""
+    """A publisher of a topic that a plan replaces with another one of the same role."""
 
     connector: str
     old: PortRef
@@ -33,10 +33,10 @@ class Exchange:
 
 
 def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[Exchange]:
-    """The publishers that ``actions`` exchange, whether by hand-over or by taking away and putting back."""
+    """The publishers that ``actions`` exchange, by hand-over or by detaching one and attaching the other."""
     found: list[Exchange] = []
     roles = {name: instance.role for name, instance in configuration.instances.items()}
-    gone: list[tuple[str, PortRef]] = []
+    detached: list[tuple[str, PortRef]] = []
     for action in actions:
         match action:
             case Create(instance):
@@ -44,11 +44,11 @@ def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[E
             case Handover(swaps):
                 found.extend(Exchange(swap.connector, swap.old, swap.new) for swap in swaps)
             case Detach(port, connector) if configuration.has_port(port) and configuration.is_output(port):
-                gone.append((connector, port))
+                detached.append((connector, port))
             case Attach(port, connector):
                 found.extend(
                     Exchange(connector, old, port)
-                    for name, old in gone
+                    for name, old in detached
                     if name == connector and old.port == port.port and roles[old.instance] == roles[port.instance]
                 )
             case _:
@@ -57,7 +57,7 @@ def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[E
 
 
 @dataclass(slots=True)
-class _Subject:
+class _RecordedInput:
     exchange: Exchange
     topic: str
     input: PortRef
@@ -68,44 +68,44 @@ class _Subject:
 
 @dataclass(slots=True)
 class Recording:
-    """One recording. It never stands in the way of the plan: what cannot be recorded is reported as unknown."""
+    """The recording of one plan. Failures do not affect the plan: their figures are reported as unknown."""
 
     client: ComponentClient
     clock: Clock
-    subjects: list[_Subject] = field(default_factory=list)
+    recorded: list[_RecordedInput] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)
-    _witnesses: dict[PortRef, PortRef] = field(default_factory=dict)
-    # Where recording is on, and since when (ns); None where the answer was lost.
+    _driving_inputs: dict[PortRef, PortRef] = field(default_factory=dict)
+    # The recording inputs, and since when (ns); None if the reply was lost.
     _begun: dict[PortRef, int | None] = field(default_factory=dict)
 
     async def begin(self, configuration: Configuration, actions: Sequence[Action]) -> None:
-        """Turn recording on at each subscriber that is there before and after."""
-        leaving = {action.instance for action in actions if isinstance(action, Remove)}
+        """Start recording at each subscriber that the plan does not remove."""
+        removed = {action.instance for action in actions if isinstance(action, Remove)}
         for exchange in exchanges(configuration, actions):
             topic = configuration.context.connectors[exchange.connector].topic
-            guarantee = _normal(configuration, exchange.old)
+            guarantee = _normal_guarantee(configuration, exchange.old)
             period = 1 / guarantee.rate if guarantee is not None and guarantee.rate else None
             grid_period = await self._grid_period(exchange.old)
             for port in sorted(configuration.subscribers_on(exchange.connector)):
-                if port.instance in leaving:
+                if port.instance in removed:
                     continue
                 try:
                     begun = await self._begin(port)
                 except MidstrideError:
-                    self.unknown.append(_unknown(topic, port, period))
+                    self.unknown.append(_unknown_report(topic, port, period))
                     continue
-                self.subjects.append(_Subject(exchange, topic, port, begun, period, grid_period))
+                self.recorded.append(_RecordedInput(exchange, topic, port, begun, period, grid_period))
 
     async def _begin(self, port: PortRef) -> int:
-        """Turn recording on at ``port``, once; since when it is on there (ns)."""
+        """Start recording at ``port`` unless it does; returns since when it records (ns)."""
         begun = self._begun.setdefault(port, None)
         if begun is None:
             recording = await self.client.change(port.instance, RecordCommand(inputs=[port.port], on=True))
             begun = self._begun[port] = recording.now
         return begun
 
-    async def witness(self, configuration: Configuration, action: Handover) -> None:
-        """Just before a hand-over: have the new side of a message-driven output note what there is to answer."""
+    async def record_driving_inputs(self, configuration: Configuration, action: Handover) -> None:
+        """Just before a hand-over: record the input that drives the new side of a message-driven output."""
         for swap in action.swaps:
             try:
                 if (await self.client.read(swap.old.instance, GridCommand(port=swap.old.port))).trigger != "message":
@@ -114,9 +114,9 @@ class Recording:
                 inputs = [PortRef(swap.new.instance, name) for name in owner.inputs]
                 if len(inputs) == 1:
                     await self._begin(inputs[0])
-                    self._witnesses[swap.old] = inputs[0]
+                    self._driving_inputs[swap.old] = inputs[0]
             except MidstrideError:
-                continue  # the hand-over itself will say what is wrong
+                continue  # the hand-over reports the cause
 
     async def _grid_period(self, old: PortRef) -> float | None:
         try:
@@ -125,27 +125,27 @@ class Recording:
             return None
 
     async def finish(self, last_numbers: dict[PortRef, int | None]) -> list[SwapReport]:
-        """Wait for the tail, and work out the figures. :meth:`stop` is still due.
+        """Keep recording for a while, then compute the figures. :meth:`stop` must be called afterwards.
 
-        Whoever is cancelled meanwhile gets what is known by then: nothing. The change is done, and that is to be told.
+        If cancelled, it reports unknown figures instead of raising: the plan is done, and its outcome must be reported.
         """
-        if not self.subjects:
+        if not self.recorded:
             return self.unknown
-        periods = [subject.guaranteed_period for subject in self.subjects]
+        periods = [each.guaranteed_period for each in self.recorded]
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
         try:
             await self.clock.sleep(min(max(tails), LONGEST_TAIL))
-            # The subscribers first: what they have received, the witnesses must have too.
-            ports = dict.fromkeys([*(subject.input for subject in self.subjects), *self._witnesses.values()])
+            # The subscribers first: then the driving inputs have received every message that was answered.
+            ports = dict.fromkeys([*(each.input for each in self.recorded), *self._driving_inputs.values()])
             records = {port: await self._records(port) for port in ports}
         except asyncio.CancelledError:
             records = {}
-        inputs = {old: records.get(port) for old, port in self._witnesses.items()}
-        reports = [_report(subject, records.get(subject.input), inputs, last_numbers) for subject in self.subjects]
+        inputs = {old: records.get(port) for old, port in self._driving_inputs.items()}
+        reports = [_report(each, records.get(each.input), inputs, last_numbers) for each in self.recorded]
         return reports + self.unknown
 
     async def stop(self, live: Container[str]) -> None:
-        """Turn recording off in whichever of ``live`` it is on: they would go on keeping what nobody asks for."""
+        """Stop recording at the instances in ``live``."""
         for port in self._begun:
             if port.instance in live:
                 await self.client.undo(port.instance, RecordCommand(inputs=[port.port], on=False))
@@ -159,34 +159,34 @@ class Recording:
 
 
 def _report(
-    subject: _Subject,
+    recorded_input: _RecordedInput,
     records: Records | None,
     inputs: dict[PortRef, Records | None],
     last_numbers: dict[PortRef, int | None],
 ) -> SwapReport:
     if records is None:
-        return _unknown(subject.topic, subject.input, subject.guaranteed_period)
-    to_answer = inputs.get(subject.exchange.old)
-    sources = None if to_answer is None else [row.source for row in to_answer.rows]
+        return _unknown_report(recorded_input.topic, recorded_input.input, recorded_input.guaranteed_period)
+    driving = inputs.get(recorded_input.exchange.old)
+    sources = None if driving is None else [row.source for row in driving.rows]
     return report(
         Observation(
-            topic=subject.topic,
-            subscriber=str(subject.input),
+            topic=recorded_input.topic,
+            subscriber=str(recorded_input.input),
             rows=records.rows,
-            begun=subject.begun,
+            begun=recorded_input.begun,
             ended=records.now,
-            guaranteed_period=subject.guaranteed_period,
-            grid_period=subject.grid_period,
-            last_number=last_numbers.get(subject.exchange.old),
+            guaranteed_period=recorded_input.guaranteed_period,
+            grid_period=recorded_input.grid_period,
+            last_number=last_numbers.get(recorded_input.exchange.old),
             inputs=None if sources is None else [source for source in sources if source is not None],
         )
     )
 
 
-def _normal(configuration: Configuration, output: PortRef) -> Predicate | None:
+def _normal_guarantee(configuration: Configuration, output: PortRef) -> Predicate | None:
     guarantee = configuration.component(output.instance).owner(output.port).modes[0].guarantee(output.port)
     return guarantee if isinstance(guarantee, Predicate) else None
 
 
-def _unknown(topic: str, port: PortRef, period: float | None) -> SwapReport:
+def _unknown_report(topic: str, port: PortRef, period: float | None) -> SwapReport:
     return SwapReport(topic, str(port), period, None, None, None, None, None)

@@ -1,8 +1,7 @@
-"""Finding a running system again: what an earlier manager left, and what is true of it now.
+"""Recovers a running system that an earlier manager left.
 
-The state store has what the earlier manager believed; each component reports what it is. Where they
-differ, the component is right. What a killed manager left half done (a second instance of a role
-behind its gate) is ended here, so that the configuration is one the model knows.
+The state store has the earlier manager's model; the components report the actual state, which takes precedence. A
+second instance of a role, left by a manager that was killed during a change, is terminated.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from midstride.runtime.state_store import SavedInstance
 from midstride.wire.commands import GateCommand, RecordCommand
 from midstride.wire.state import ComponentState
 
-Tell = Callable[[str, str], object]
+AddEvent = Callable[[str, str], object]
 
 
 async def recover(
@@ -28,43 +27,43 @@ async def recover(
     specification: Specification,
     launcher: Launcher,
     client: ComponentClient,
-    tell: Tell,
+    add_event: AddEvent,
 ) -> Configuration:
-    """The configuration of what still runs. Ends half-started components; never touches what works."""
+    """The configuration of the components that still run, after terminating those that were only partly started."""
     found: dict[str, tuple[Instance, ComponentState]] = {}
     for entry in saved:
         instance, handle = entry.instance, entry.handle
-        state = await launcher.adopt(handle or Handle(instance.name), own=handle is not None)
+        state = await launcher.adopt(handle or Handle(instance.name), owned=handle is not None)
         if state is None:
-            tell("gone", f"{instance.name} is no longer running")
+            add_event("gone", f"{instance.name} is no longer running")
             await launcher.abandon(instance.name)
             continue
         found[instance.name] = (instance, state)
-        tell("adopted", f"{instance.name} was reattached unchanged")
+        add_event("adopted", f"{instance.name} was reattached unchanged")
     for name in await launcher.end_orphans(found):
-        tell("ended", f"ended {name}, which an earlier manager had just started")
-    for name in _half_done(found):
-        tell("ended", f"ended {name}, which an earlier manager had left half done")
+        add_event("ended", f"ended {name}, which an earlier manager had just started")
+    for name in _redundant(found):
+        add_event("ended", f"ended {name}, which an earlier manager had left half done")
         await _end(found.pop(name)[0].name, launcher, client)
     for name, (instance, _) in found.items():
-        # A cut that was under way may have been settled since it was looked at.
+        # A cut that was in progress may have changed its gates and modes since it was adopted.
         found[name] = (instance, await client.observe(name))
-        # What was being recorded for the earlier manager is of no use to this one.
+        # This manager does not need the recordings of the earlier one.
         if inputs := list(instance.component.input_order):
             await client.undo(name, RecordCommand(inputs=inputs, on=False))
     return await _configuration(specification, found, client)
 
 
-def _half_done(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
-    """Instances beside another one of their role that serves its topics while they do not."""
+def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
+    """All instances of each role but the one with the most open gates, which is the one that publishes."""
     by_role: dict[str, list[str]] = {}
     for name, (instance, _) in found.items():
         by_role.setdefault(instance.role, []).append(name)
-    half: list[str] = []
+    redundant: list[str] = []
     for names in by_role.values():
         ranked = sorted(names, key=lambda name: (-_open_gates(found[name][1]), len(name), name))
-        half.extend(ranked[1:])
-    return half
+        redundant.extend(ranked[1:])
+    return redundant
 
 
 def _open_gates(observed: ComponentState) -> int:
@@ -89,7 +88,7 @@ async def _configuration(
             for topic, view in topics.items():
                 if topic not in by_topic:
                     continue
-                if view.gate == "closed":  # the last one of its role: its topic is silent, so it may speak again
+                if view.gate == "closed":  # the only instance of its role: otherwise its topic would stay silent
                     await client.change(name, GateCommand(port=port, topic=topic, gate="open"))
                 attachments.append((PortRef(name, port), by_topic[topic]))
         for functionality, current in observed.functionalities.items():

@@ -1,8 +1,7 @@
-"""Whether a component that registered is what the specification says it is.
+"""Checks that a component that registered matches its declaration in the specification.
 
-The paper's section 5.2: the user's API registers the model of each node with the management node.
-Here the specification comes first, and what registers must keep its promise: the same ports and
-functionalities, guarantees at least as strong, assumptions no stronger.
+In the paper (section 5.2) nodes register their model with the management node. Here a registration must match the
+specification: the same ports and functionalities, guarantees at least as strong, assumptions no stronger.
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ from midstride.wire.state import Endpoint
 
 
 def mismatches(declared: ComponentSpec, registered: ComponentSpec) -> list[str]:
-    """Every way in which ``registered`` breaks what the specification declares; empty iff it keeps it."""
+    """Every way in which ``registered`` violates the declaration; empty iff it matches."""
     return list(_mismatches(declared, registered))
 
 
 def unexpected_endpoints(declared: ComponentSpec, role: str, endpoints: Sequence[Endpoint]) -> list[str]:
-    """The endpoints of a node that are no ports and that its component does not ``allow``."""
+    """The endpoints of a node, other than ports, that its component does not ``allow``."""
     allowed = {(endpoint.kind, _resolved(endpoint.name, role)) for endpoint in declared.allows}
     return [
         f"{endpoint.kind} {endpoint.name}"
@@ -72,8 +71,8 @@ def _functionality(
         ("output", declared.outputs, registered.outputs),
     ):
         if set(ours) != set(theirs):
-            told = f"{', '.join(theirs) or 'none'} instead of {', '.join(ours) or 'none'}"
-            yield f"functionality {declared.name} is associated with other {kind}s: {told}"
+            lists = f"{', '.join(theirs) or 'none'} instead of {', '.join(ours) or 'none'}"
+            yield f"functionality {declared.name} is associated with other {kind}s: {lists}"
     names, own = [mode.name for mode in declared.modes], [mode.name for mode in registered.modes]
     if names != own:
         yield f"functionality {declared.name} has the modes {', '.join(own)} instead of {', '.join(names)}"
@@ -90,7 +89,7 @@ def _functionality(
 def _assumptions(
     component: ComponentSpec, declared: FunctionalitySpec, where: str, promised: Mode, kept: Mode
 ) -> Iterator[str]:
-    """The node may assume less than is declared, never more: each own assumption follows from a declared one."""
+    """The node may assume less than is declared, not more: a declared assumption must imply each of its own."""
     alternatives = [_alternatives(component, declared, assumption) for assumption in promised.assumptions]
     for assumption in kept.assumptions:
         own = _alternatives(component, declared, assumption)

@@ -1,4 +1,4 @@
-"""What the manager knows of the system that it runs: one value for its three parts to share."""
+"""The manager's knowledge of the running system, shared by its three parts."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from midstride.model.specification import Specification
 
 @dataclass(slots=True)
 class RunningSystem:
-    """``configuration`` is the model's: it moves on when components have acknowledged. ``revision`` counts that."""
+    """``configuration`` is the model: it changes once components have acknowledged. ``revision`` counts its changes."""
 
     specification: Specification
     configuration: Configuration
     revision: int = 0
 
     def moved(self, configuration: Configuration) -> None:
-        """A step, or an event, has led to ``configuration``."""
+        """A step or an event has changed the configuration."""
         self.configuration = configuration
         self.revision += 1

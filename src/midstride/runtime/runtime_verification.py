@@ -1,8 +1,8 @@
 """Changes that are verified: the plan before it begins, and the live configuration after each of its steps.
 
-Alloy takes half a second or more to start, during which a plan would leave somebody fallen. So the whole plan, with
-every configuration on its way, is judged beforehand. After a step, what the components tell is compared with the
-configuration that was judged there; only where they stand otherwise is Alloy asked again.
+Alloy takes half a second or more to start, during which functionalities would stay degraded. So the whole plan is
+verified beforehand, with all its intermediate configurations. After each step the reported configuration is compared
+with these, and Alloy runs again only if it is none of them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LIMIT: Final = 60.0
 
 
 class Verifier:
-    """Asks Alloy beside the manager's loop, which is not blocked. A cancelled question leaves no process behind."""
+    """Runs Alloy without blocking the manager's event loop. Cancelling it terminates the Alloy process."""
 
     async def plan(self, plan: Plan) -> Verdict:
         return await self._beside(lambda options: verify_plan(plan, options=options))
@@ -51,7 +51,7 @@ class StepVerifier:
     verifier: Verifier
     judged: tuple[Configuration, ...]
     observe: Callable[[Configuration], ObservedConfiguration]
-    tell: Callable[[Verdict], object]
+    report: Callable[[Verdict], object]
 
     async def look(self, configuration: Configuration) -> None:
         """Raises VerificationError where the live configuration is unknown, or is not known to be valid."""
@@ -64,6 +64,6 @@ class StepVerifier:
         if found.configuration in self.judged:
             return
         verdict = await self.verifier.configuration(found.configuration)
-        self.tell(verdict)
+        self.report(verdict)
         if not verdict.holds:
             raise VerificationError(verdict.words)

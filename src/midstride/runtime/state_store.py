@@ -1,8 +1,8 @@
-"""What the next manager needs to find a running system again, in a database beside its sockets.
+"""The database from which the next manager recovers a running system, in the system's workspace.
 
-A manager may be killed at any moment. What it has started by then is in here, processes that are still coming up
-included: one that is in no record would run for ever, under a name that is then taken. Each write is one row of what
-changed, durable when the call returns, so its cost does not depend on the size of the system.
+A manager may be killed at any moment, so each process is recorded as soon as it is started: one without a record would
+run forever and keep its name in use. Each write is one row and durable when the call returns; its cost does not depend
+on the size of the system.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class SavedInstance:
 
 @dataclass(frozen=True, slots=True)
 class SavedState:
-    """What an earlier manager left."""
+    """The state that an earlier manager saved."""
 
     backend: str
     token: str
@@ -53,7 +53,7 @@ class SavedState:
 class StateStore:
     """The state of one system in the file ``path``. ``warn`` is called once when the disk starts to refuse writes.
 
-    A disk that refuses does not stop a change half-way: ``unwritten`` says why, until a write succeeds again.
+    A failed write does not interrupt a change: ``unwritten`` says why it failed until a later write succeeds.
     """
 
     def __init__(self, path: Path, warn: Callable[[str], object] = lambda _: None) -> None:
@@ -61,12 +61,12 @@ class StateStore:
         self.unwritten: str | None = None
         self._warn = warn
         self._database: sqlite3.Connection | None = None
-        self._pending: dict[str, tuple[str, tuple[Any, ...]]] = {}  # what the disk has refused, by key
+        self._pending: dict[str, tuple[str, tuple[Any, ...]]] = {}  # writes that failed, by key
 
     # -- reading -----------------------------------------------------------------------------------
 
     def load(self) -> SavedState | None:
-        """What an earlier manager left, or None. Raises ManagerError where it cannot be read."""
+        """The state that an earlier manager saved, or None. Raises ManagerError if it cannot be read."""
         if not self.path.exists():
             return None
         try:
@@ -96,7 +96,7 @@ class StateStore:
     # -- writing -----------------------------------------------------------------------------------
 
     def begin(self, backend: str, token: str, specification: Specification) -> None:
-        """The system is being brought up, or found again."""
+        """The system is being brought up or recovered."""
         self._put("version", str(VERSION), "backend", backend, "token", token)
         self.write_specification(specification)
 
@@ -112,17 +112,17 @@ class StateStore:
         self._write({f"instance {instance.name}": row})
 
     def remove_instance(self, name: str) -> None:
-        """An instance has ended, or is no longer this system's."""
+        """An instance has exited or was released."""
         self._write({f"instance {name}": ("DELETE FROM instances WHERE name = ?", (name,))})
 
     def require(self) -> None:
-        """Raises ManagerError where the disk refuses writes, now or since an earlier one."""
+        """Raises ManagerError if the state cannot be written."""
         self._put("checked", "")
         if self.unwritten is not None:
             raise ManagerError(self.unwritten)
 
     def forget(self) -> None:
-        """The system is down, or never came up."""
+        """Delete the database: the system is down, or was never up."""
         self.close()
         for suffix in ("", "-wal", "-shm"):
             self.path.with_name(self.path.name + suffix).unlink(missing_ok=True)

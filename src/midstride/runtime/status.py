@@ -1,4 +1,4 @@
-"""What is live and in which mode, as the components report it, beside what the model says."""
+"""The status of the system: live components and modes as reported, compared with the model."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def status(
     running: RunningCommand | None,
     unwritten: str | None,
 ) -> Status:
-    """The answer to ``midstride status``. ``pids`` are known of those that report nothing."""
+    """The answer to ``midstride status``. ``pids`` has the processes of components that report nothing."""
     configuration = system.configuration
     found = violations(configuration)
     components = [
@@ -147,7 +147,7 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
 
 
 def _reasons(configuration: Configuration, ref: FunctionalityRef) -> list[str]:
-    """For each better mode than the current one: what it assumes that does not hold."""
+    """For each better mode than the current one: which of its assumptions are not satisfied."""
     evaluator, functionality = Evaluator(configuration), configuration.functionality(ref)
     reasons = []
     for mode in functionality.modes[: configuration.modes[ref]]:

@@ -1,7 +1,7 @@
-"""A deadline round what is awaited: ``async with within(seconds)``.
+"""Time-outs: ``async with within(seconds)``.
 
-Not ``asyncio.wait_for``: up to Python 3.11 it forgets that it was cancelled where that meets what it waits for at its
-end (CPython issue 81839), and a manager that was told to end would go on. ruff refuses it in the package.
+Use it instead of ``asyncio.wait_for``, which up to Python 3.11 loses a cancellation that arrives just as the awaited
+task completes (CPython issue 81839): a manager that is shutting down would not stop. ruff rejects ``wait_for`` here.
 """
 
 from __future__ import annotations
@@ -13,5 +13,5 @@ if sys.version_info >= (3, 11):
 else:
     from async_timeout import timeout as within
 
-# `within` raises asyncio.TimeoutError, which is another class than TimeoutError up to Python 3.10.
+# `within` raises asyncio.TimeoutError, which is not TimeoutError up to Python 3.10.
 __all__ = ["within"]

@@ -19,7 +19,7 @@ import psutil
 from midstride.errors import ManagerBusy, ManagerError
 from midstride.wire.folders import COMPONENTS, workspace_folder, workspace_root
 
-# What must fit on the disk before a manager is started (bytes): a small state, and the first lines of the logs.
+# The free disk space that a manager needs to start (bytes): a small state and the first lines of logs.
 _ROOM: Final = 16_384
 _LONGEST_SOCKET: Final = 107  # bytes, on Linux
 
@@ -32,7 +32,7 @@ class Workspace:
 
     @classmethod
     def of(cls, system: str) -> Workspace:
-        """The workspace of ``system``, made if need be. Raises ManagerError where it cannot be private."""
+        """The workspace of ``system``, created if necessary. Raises ManagerError if it cannot be private."""
         path = workspace_folder(system)
         if (over := len(os.fsencode(cls(path).socket)) - _LONGEST_SOCKET) > 0:
             raise ManagerError(
@@ -45,7 +45,7 @@ class Workspace:
     def all(cls) -> list[Workspace]:
         """The workspaces of every system of this user that has been brought up and not down.
 
-        One whose manager runs is among them even where somebody has cleaned up, and its state is gone.
+        A system whose manager runs is included even if its state has been deleted.
         """
         root = workspace_root()
         if not root.is_dir():
@@ -86,7 +86,7 @@ class Workspace:
             except BlockingIOError:
                 holder = os.read(handle, 64).decode(errors="replace").strip() or "unknown"
                 raise ManagerBusy(f"a manager of {self.name} is running already (process {holder})") from None
-            with suppress(OSError):  # on a full disk the lock holds as well; it only does not say whose it is
+            with suppress(OSError):  # on a full disk the lock works too, without the number of its holder
                 os.ftruncate(handle, 0)
                 os.write(handle, str(os.getpid()).encode())
             yield
@@ -94,13 +94,13 @@ class Workspace:
             os.close(handle)
 
     def manager(self) -> int | None:
-        """The process of the manager that runs, whether it answers or not; None where none does."""
+        """The process number of the running manager, whether it responds or not; None if none runs."""
         try:
             with (self.path / "lock").open() as lock:
                 pid = int(lock.read())
                 if "_manager" not in psutil.Process(pid).cmdline():
                     return None
-                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # one that is about to end has let go of it
+                fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)  # free if the manager is about to exit
                 return None
         except BlockingIOError:
             return pid
@@ -108,7 +108,7 @@ class Workspace:
             return None
 
     def require_room(self) -> None:
-        """Raises ManagerError where nothing can be written here: a manager could not even say why it ends."""
+        """Raises ManagerError if nothing can be written here: a manager could not even log why it exits."""
         trial = self.path / "trial"
         try:
             with trial.open("wb") as file:
