@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,6 +20,7 @@ from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Action, Create, Degrade, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
+from midstride.plan.disruption import instances_touched
 from midstride.plan.forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_component
 from midstride.runtime.running_system import RunningSystem
@@ -32,7 +33,8 @@ Done = list[tuple[Action, Configuration]]
 
 @dataclass(slots=True)
 class Executor:
-    """Carries out actions on the running system. ``on_moved`` is called with each configuration that a step leads to.
+    """Carries out actions on the running system. ``on_moved`` is called with each configuration that a step leads
+    to, and with the instances that the step has changed.
 
     ``after_step`` looks at each step of a plan once it is done: the step has failed where it raises.
     """
@@ -41,7 +43,7 @@ class Executor:
     system: RunningSystem
     store: StateStore
     on_started: Callable[[Instance], None] = lambda _: None
-    on_moved: Callable[[Configuration], None] = lambda _: None
+    on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
 
     async def run(self, actions: Sequence[Action], forms: Sequence[AnyStep] = ()) -> None:
@@ -97,16 +99,16 @@ class Executor:
         before = self.system.configuration
         after = action.apply(before)
         await self.driver.perform(action, before, f"the plan asked for it: {self.describe(action)}")
-        self._moved(after)
+        self._moved(after, instances_touched(action))
         match action:
             case Remove(instance):
                 self.store.remove_instance(instance)
             case SetParameters(instance):
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
 
-    def _moved(self, configuration: Configuration) -> None:
+    def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
         self.system.moved(configuration)
-        self.on_moved(configuration)
+        self.on_moved(configuration, instances)
 
     async def lower(self, modes: Mapping[FunctionalityRef, int], because: str) -> set[FunctionalityRef]:
         """Lower functionalities that have lost what they assume, whoever else does not answer; those that were not.
@@ -119,7 +121,7 @@ class Executor:
         left = {ref for own, lowered in zip(each, results, strict=True) if not lowered for ref in own}
         if len(left) < len(modes):
             reached = {ref: index for ref, index in modes.items() if ref not in left}
-            self._moved(configuration.with_modes(reached))
+            self._moved(configuration.with_modes(reached), {ref.instance for ref in reached})
         return left
 
     async def _lower(self, configuration: Configuration, modes: Mapping[FunctionalityRef, int], because: str) -> bool:
