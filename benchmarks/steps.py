@@ -32,7 +32,7 @@ from midstride.runtime.workspace import Workspace
 
 SIZES = (10, 100, 1000)
 BEFORE, AFTER = "before the first step", "after the last step"
-LIMIT_RATIO = 1.5
+LIMIT_RATIO = 2.0  # caches are colder among many; what is linear in the nodes is 100 times as long
 
 
 def among(nodes: int) -> Any:
@@ -64,6 +64,9 @@ class Meter:
     """Counts what the tasks of the manager do; they are known by the module of their coroutine."""
 
     spent: Spent = field(default_factory=Spent)
+    # What runs now, and since when (s).
+    running: str | None = None
+    since: float = 0.0
 
     def task(self, loop: asyncio.AbstractEventLoop, coroutine: Any, **options: Any) -> Any:
         code = getattr(coroutine, "cr_code", None)
@@ -89,7 +92,15 @@ class Meter:
         if words.split(" ", 1)[0] in ("INSERT", "DELETE", "UPDATE"):
             self.spent.statements += 1
 
+    def count(self) -> None:
+        """Add the time of what runs now, up to now."""
+        now = time.thread_time()
+        if self.running is not None:
+            setattr(self.spent, self.running, getattr(self.spent, self.running) + now - self.since)
+        self.since = now
+
     def snapshot(self) -> Spent:
+        self.count()
         self.spent.written = self._log.stat().st_size
         return Spent(**self.spent.__dict__)
 
@@ -104,15 +115,17 @@ class _Timed:
         value: Any = None
         error: BaseException | None = None
         while True:
-            begun = time.thread_time()
+            meter = self._meter
+            meter.count()
+            meter.running = self._kind
             try:
                 waiting = self._coroutine.send(value) if error is None else self._coroutine.throw(error)
             except StopIteration as stop:
                 return stop.value
             finally:
-                spent = self._meter.spent
-                setattr(spent, self._kind, getattr(spent, self._kind) + time.thread_time() - begun)
-                spent.read += self._kind == "reports"
+                meter.count()
+                meter.running = None
+                meter.spent.read += self._kind == "reports"
             value, error = None, None
             try:
                 value = yield waiting
@@ -123,6 +136,7 @@ class _Timed:
 async def replaced(manager: Manager, meter: Meter, component: str) -> tuple[dict[str, Spent], Spent]:
     """What each step of one replacement took, by its words; and the whole change."""
     found: dict[str, Spent] = {}
+    current: list[str] = []
     marks = [meter.snapshot()]
     add = manager.events.add
 
@@ -130,16 +144,15 @@ async def replaced(manager: Manager, meter: Meter, component: str) -> tuple[dict
         if kind in ("step", "step_done"):
             now = meter.snapshot()
             if kind == "step":
-                name = BEFORE if not found else None
-                current.append(words.split(" ", 1)[1].replace("source_2", "source"))
-                if name:
-                    found[name] = now.minus(marks[-1])
+                current.append(words.split(" ", 1)[1])
+                if len(current) == 1:
+                    found[BEFORE] = now.minus(marks[-1])
             else:
-                found[f"{len(current)}. {current[-1].split(' ')[0]}"] = now.minus(marks[-1])
+                kind = "hand over" if current[-1].startswith("hand") else current[-1].split(" ")[0]
+                found[f"{len(current)}. {kind}"] = now.minus(marks[-1])
             marks.append(now)
         return add(kind, words, **details)
 
-    current: list[str] = []
     manager.events.add = marking  # type: ignore[method-assign]
     first = marks[0]
     try:
