@@ -39,7 +39,7 @@ def test_each_step_is_carried_out_and_only_then_in_the_model(tmp_path: Path) -> 
     async def body(b: Bench) -> None:
         start = b.system.configuration
         seen: list[tuple[Configuration, int]] = []
-        b.executor.on_moved = lambda configuration: seen.append((configuration, len(b.client.changes)))
+        b.executor.on_moved = lambda configuration, _: seen.append((configuration, len(b.client.changes)))
         await b.executor.run([DEGRADE, DETACH])
         first = DEGRADE.effect(start)
         assert seen == [(first, 1), (DETACH.effect(first), 2)]
@@ -254,7 +254,7 @@ def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_pat
 
     async def body(b: Bench) -> None:
         moved: list[Configuration] = []
-        b.executor.on_moved = moved.append
+        b.executor.on_moved = lambda configuration, _: moved.append(configuration)
         b.client.reply("talker", ModesCommand, UNREACHABLE)
         left = await b.executor.lower({work("talker"): 1, work("listener"): 1}, "the camera exited unexpectedly")
         assert left == {work("talker")}
