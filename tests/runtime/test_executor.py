@@ -46,7 +46,7 @@ def test_each_step_is_carried_out_and_only_then_in_the_model(tmp_path: Path) -> 
         assert b.system.configuration == seen[-1][0] and b.system.revision == 2
         assert b.client.changes == [("listener", "modes"), ("talker", "detach")]
         assert b.words() == [
-            "1/2 degrade listener.work to degraded",
+            "1/2 degrade listener.work from normal to degraded",
             "1/2 done",
             "2/2 detach talker.out from /chatter",
             "2/2 done",
@@ -125,7 +125,8 @@ def test_a_step_that_is_rejected_once_it_is_done_is_undone_as_well(tmp_path: Pat
             raise BackendError("this is not what was asked for")
 
         b.executor.after_step = reject
-        with pytest.raises(StepFailed, match=r"degrade listener\.work to degraded: this is not what was asked for"):
+        what = r"degrade listener\.work from normal to degraded"
+        with pytest.raises(StepFailed, match=f"{what}: this is not what was asked for"):
             await b.executor.run([DEGRADE, DETACH])
         assert b.client.changes == [("listener", "modes"), ("listener", "modes")]
         assert b.system.configuration == talking()
@@ -260,8 +261,8 @@ def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_pat
         assert b.system.configuration == DEGRADE.effect(talking()) and moved == [b.system.configuration]
         [command] = b.client.of(ModesCommand, "listener")
         assert command.because == "the camera exited unexpectedly"
-        assert b.words("degraded") == ["degrade listener.work to degraded"]
-        assert b.words("note") == [f"degrade talker.work to degraded failed: {UNREACHABLE}"]
+        assert b.words("degraded") == ["degrade listener.work from normal to degraded"]
+        assert b.words("note") == [f"degrade talker.work from normal to degraded failed: {UNREACHABLE}"]
         assert b.client.changes == [("listener", "modes"), ("talker", "modes")], "it is not raised again"
 
     bench(talking(), tmp_path, body)
