@@ -20,7 +20,7 @@ test-all: ## all tests but the long ones, and the wheel
 	@tools/wheel
 
 test-long: ## the tests that take minutes each
-	@HYPOTHESIS_PROFILE=long tools/test long --timeout=1800 -o faulthandler_timeout=1830 $(ARGS)
+	@HYPOTHESIS_PROFILE=long tools/test long --timeout=1800 -o faulthandler_timeout=1830 -o faulthandler_exit_on_timeout=false $(ARGS)
 
 wheel: ## build the wheel, install it into an empty environment, and use it from there
 	@tools/wheel
