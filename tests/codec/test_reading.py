@@ -13,8 +13,9 @@ from msgspec import UNSET, UnsetType, inspect
 
 from midstride.codec.component import NamedComponentForm, decode_component, encode_component
 from midstride.codec.configuration import decode_configuration, encode_configuration
+from midstride.codec.fault_finder import FaultFinder
 from midstride.codec.form import Form, encode, field
-from midstride.codec.reading import FaultFinder, decode_form, decode_json, parse_json
+from midstride.codec.reading import decode_form, decode_json, parse_json
 from midstride.codec.specification import SpecificationForm, TimingForm, encode_specification
 from midstride.errors import SpecificationError
 from midstride.model.specification import DEFAULT_SECONDS, Specification, initial

@@ -15,7 +15,6 @@ do not sort keys.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, TypeAlias, cast
 
 from immutables import Map
@@ -34,21 +33,19 @@ from midstride.codec.contract import (
 from midstride.codec.form import (
     LARGEST,
     Document,
-    FiniteNumber,
     Form,
     Name,
-    Scalar,
     SecondsOrZero,
     Shape,
     ShapedForm,
     encode,
     field,
-    finite,
     given,
     named,
     plain,
     stated,
 )
+from midstride.codec.parameter import ParameterForm
 from midstride.codec.reading import decode
 from midstride.errors import SpecificationError
 from midstride.model.component import (
@@ -58,58 +55,12 @@ from midstride.model.component import (
     InputAlternatives,
     Mode,
     NodeEndpoint,
-    ParameterSpec,
-    ParameterValue,
 )
 from midstride.model.contract import Predicate
 from midstride.model.name_checks import component_names
 
-_KINDS = {bool: "booleans", int: "integers", float: "reals", str: "texts"}
-_LISTS = [{"type": "array", "items": {"type": kind}} for kind in ("string", "number", "boolean")]
-_ONE_TYPE = {"allOf": [{"anyOf": [{"not": {"type": "array"}}, *_LISTS]}]}
-
-
-def _mixed(value: object) -> str | None:
-    kinds = sorted({_KINDS[type(member)] for member in value}) if isinstance(value, list) else []
-    return f"the values of a list must be of one type, here are {' and '.join(kinds)}" if len(kinds) > 1 else None
-
-
-PlainValue: TypeAlias = bool | int | float | str | list[bool | int | float | str]
-Value: TypeAlias = Annotated[
-    bool | int | FiniteNumber | str | list[Scalar],
-    field(
-        "a text, a number or a boolean",
-        "the value of a parameter; a list is of one kind",
-        help="1.0 is a real",
-        check=_mixed,
-        extra_json_schema=_ONE_TYPE,
-    ),
-]
 InputNames: TypeAlias = Annotated[list[Name], field("a list of names of inputs", "its inputs")]
 OutputNames: TypeAlias = Annotated[list[Name], field("a list of names of outputs", "its outputs")]
-
-
-def value_of(value: PlainValue) -> ParameterValue:
-    """The value of a parameter. Raises ValueError for a list of mixed types and for a number no float can hold."""
-    for member in value if isinstance(value, list) else [value]:
-        finite(member)
-    if (wrong := _mixed(value)) is not None:
-        raise ValueError(wrong)
-    return cast("ParameterValue", value)
-
-
-def values_form(parameters: Mapping[str, ParameterValue]) -> dict[str, PlainValue]:
-    """The values of parameters, sorted by name."""
-    return {name: cast("PlainValue", value) for name, value in sorted(parameters.items())}
-
-
-class ParameterForm(Form, frozen=True):
-    """A parameter's value, and whether it can be set in place."""
-
-    what: ClassVar[str] = "a parameter"
-
-    value: Value
-    changeable: bool = False
 
 
 EndpointKind: TypeAlias = Literal["topic", "service", "action"]
@@ -246,16 +197,14 @@ class ComponentForm(Form, frozen=True):
         return cls(**_body(component))
 
     def component(self, name: str) -> ComponentSpec:
-        """The component under that name; the names in it are not checked. Raises ValueError as :func:`value_of`."""
+        """The component under that name; the names in it are not checked. Raises ValueError as ``value_of``."""
         return ComponentSpec.of(
             name,
             inputs={port: assumption.predicate() for port, assumption in self.inputs.items()},
             outputs=tuple(self.outputs),
             functionalities=tuple(form.functionality(key) for key, form in self.functionalities.items()),
             holds=self.holds,
-            parameters={
-                key: ParameterSpec(value_of(form.value), form.changeable) for key, form in self.parameters.items()
-            },
+            parameters={key: form.parameter() for key, form in self.parameters.items()},
             allows=tuple(NodeEndpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
             run=None if self.run is UNSET else self.run,
             takes=None if self.takes_seconds is UNSET else self.takes_seconds,
@@ -272,7 +221,7 @@ class NamedComponentForm(ComponentForm, frozen=True, kw_only=True):
         return cls(name=component.name, **_body(component))
 
     def declared(self) -> ComponentSpec:
-        """The component, without a check of its names. Raises ValueError as :func:`value_of`."""
+        """The component, without a check of its names. Raises ValueError as ``value_of``."""
         return self.component(self.name)
 
     def checked(self) -> ComponentSpec:
@@ -291,10 +240,7 @@ def _body(component: ComponentSpec) -> dict[str, Any]:
         "run": component.run or UNSET,
         "takes_seconds": stated(component.startup_seconds),
         "holds": {name: plain(amount) for name, amount in sorted(component.resource_usage.items())},
-        "parameters": {
-            name: ParameterForm(value=cast("PlainValue", parameter.value), changeable=parameter.changeable)
-            for name, parameter in sorted(component.parameters.items())
-        },
+        "parameters": {name: ParameterForm.of(parameter) for name, parameter in sorted(component.parameters.items())},
         "allows": [
             EndpointForm(kind=cast("EndpointKind", endpoint.kind), name=endpoint.name) for endpoint in component.allows
         ],

@@ -12,8 +12,9 @@ from typing import Annotated, ClassVar, TypeAlias
 
 from immutables import Map
 
-from midstride.codec.component import NamedComponentForm, Value, value_of, values_form
+from midstride.codec.component import NamedComponentForm
 from midstride.codec.form import Document, Form, Name, encode, field
+from midstride.codec.parameter import Value, value_of, values_form
 from midstride.codec.reading import decode_form
 from midstride.codec.specification import SpecificationForm
 from midstride.errors import SpecificationError

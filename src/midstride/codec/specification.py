@@ -23,7 +23,7 @@ import msgspec
 from immutables import Map
 from msgspec import UNSET, UnsetType
 
-from midstride.codec.component import ComponentForm, PlainValue, Value, value_of, values_form
+from midstride.codec.component import ComponentForm
 from midstride.codec.contract import PredicateForm
 from midstride.codec.form import (
     LARGEST,
@@ -41,6 +41,7 @@ from midstride.codec.form import (
     named,
     plain,
 )
+from midstride.codec.parameter import PlainValue, Value, value_of, values_form
 from midstride.codec.reading import decode
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.name_checks import specification_names
@@ -122,7 +123,7 @@ class NodeForm(Form, frozen=True):
 
 
 def node_of(role: str, component: str, attachments: dict[str, list[str]], parameters: dict[str, PlainValue]) -> Node:
-    """Raises ValueError as :func:`midstride.codec.component.value_of` does."""
+    """Raises ValueError as :func:`midstride.codec.parameter.value_of` does."""
     topics = {port: tuple(names) for port, names in attachments.items()}
     return Node(role, component, Map(topics), Map({name: value_of(value) for name, value in parameters.items()}))
 

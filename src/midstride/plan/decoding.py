@@ -8,7 +8,7 @@ from typing import Any
 from immutables import Map
 from msgspec import UNSET
 
-from midstride.codec.component import PlainValue, value_of
+from midstride.codec.parameter import PlainValue, value_of
 from midstride.codec.reading import decode, under
 from midstride.errors import PlanRefused
 from midstride.model.action import (

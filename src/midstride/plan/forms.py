@@ -10,8 +10,8 @@ from typing import Annotated, Any, ClassVar, TypeAlias
 import msgspec
 from msgspec import UNSET, UnsetType
 
-from midstride.codec.component import Value, values_form
 from midstride.codec.form import Document, FiniteNumber, Form, encode, field
+from midstride.codec.parameter import Value, values_form
 from midstride.codec.specification import SpecificationForm
 from midstride.model.action import (
     Attach,

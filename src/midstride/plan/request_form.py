@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, ClassVar, Literal, TypeAlias
 
-from midstride.codec.component import NamedComponentForm, Value, values_form
+from midstride.codec.component import NamedComponentForm
 from midstride.codec.form import Form, Name, field
+from midstride.codec.parameter import Value, values_form
 from midstride.codec.reading import decode, under
 from midstride.codec.specification import SpecificationForm, node_of
 from midstride.model.diagnostics import Problem
