@@ -163,6 +163,12 @@ class Rig:
     async def shows_node(self, full_name: str) -> bool:
         return full_name in (await self.backend.endpoints()).nodes
 
+    async def shows_writer(self, full_name: str, topic: str) -> bool:
+        return (full_name, topic) in (await self.backend.endpoints()).publishers
+
+    async def shows_no_writer(self, topic: str) -> bool:
+        return all(shown != topic for _, shown in (await self.backend.endpoints()).publishers)
+
     async def shows_reader(self, full_name: str, topic: str) -> bool:
         return (full_name, topic) in (await self.backend.endpoints()).subscribers
 

@@ -48,8 +48,11 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
             await r.attach("listener", "in", "/chatter", peers=1)
             await r.modes("talker", talk="normal")
             await r.modes("listener", listen="normal")
+            await until_async(lambda: r.shows_node("/talker"))
+            await until_async(lambda: r.shows_node("/listener"))
+            await until_async(lambda: r.shows_reader("/listener", "/chatter"))
+            await until_async(lambda: r.shows_writer("/talker", "/chatter"))
             seen = await r.backend.endpoints()
-            assert seen.nodes >= {"/talker", "/listener"}
             assert seen.publishers == (("/talker", "/chatter"),)
             assert seen.subscribers == (("/listener", "/chatter"),)
             before = (await r.link("listener", "in", "/chatter")).count
@@ -60,7 +63,7 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
             await until_async(more)
             await r.modes("talker", talk="degraded")
             assert (await r.detach("talker", "out", "/chatter")).acknowledged is True
-            assert (await r.backend.endpoints()).publishers == ()
+            await until_async(lambda: r.shows_no_writer("/chatter"))
             pid = r.pid("talker")
             await r.backend.end("talker", 5.0)
             assert not alive(pid)
@@ -74,6 +77,7 @@ def test_a_killed_component_is_known_at_once_however_long_the_graph_shows_it(tmp
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
+            await until(lambda: "/talker" in graph_names(r))
             waiting = AwaitWriteCommand(timeout=30.0, port="out", topic="/none")
             calling = asyncio.ensure_future(r.client.read("talker", waiting))
             r.kill("talker")
@@ -393,6 +397,7 @@ def test_namespaces(tmp_path: Path) -> None:
             await r.start("listener", LISTENER)
             await r.client.change("front/talker", MeetCommand(peer="listener", address=r.client.address("listener")))
             await until_async(lambda: r.shows_node("/front/talker"))
+            await until_async(lambda: r.shows_writer("/front/talker", "/chatter"))
             seen = await r.backend.endpoints()
             assert seen.publishers == (("/front/talker", "/chatter"),)
 

@@ -91,4 +91,4 @@ def test_events_after_the_answer_are_shown() -> None:
 
     client.events = late_events  # type: ignore[method-assign]
     followed = FollowedRequest(cast(Client, client), request, since=0, until="outcome", id="first")
-    assert [event["words"] for event in followed] == ["replace talker by NewTalker", "1/1 done", "done"]
+    assert [event["words"] for event in followed] == ["replace talker with NewTalker", "1/1 done", "done"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sqlite3
 import stat
+from collections.abc import Callable
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -11,13 +12,17 @@ import pytest
 from immutables import Map
 
 from midstride.errors import ManagerError
+from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, Resource
 from midstride.model.configuration import Instance
+from midstride.model.contract import Predicate
+from midstride.model.specification import Order, Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.state_store import SavedInstance, StateStore
 from tests.runtime.systems import example
 
 SPECIFICATION = example("talker")
 TALKER = SPECIFICATION.instance("talker")
+TEXT = Predicate("std_msgs/msg/String")
 HANDLE = Handle("talker", 4711, 12.5, "/tmp/talker.log")
 
 
@@ -69,6 +74,62 @@ def test_the_specification_is_replaced(path: Path) -> None:
     found = StateStore(path).load()
     assert found is not None
     assert found.specification == target
+
+
+def statements(store: StateStore, write: Callable[[], None]) -> list[str]:
+    """What ``write`` writes, without the values."""
+    found: list[str] = []
+    database = store._open()
+    database.set_trace_callback(found.append)
+    write()
+    database.set_trace_callback(None)
+    return [words.split(" VALUES")[0] for words in found if words.startswith(("INSERT", "DELETE", "UPDATE"))]
+
+
+def test_only_what_differs_of_the_specification_is_written(path: Path) -> None:
+    store = begun(path)
+    listener = SPECIFICATION.nodes["listener"]
+    other = changed(listener, attachments=Map())
+    target = changed(SPECIFICATION, nodes=SPECIFICATION.nodes.set("listener", other))
+    insert = "INSERT OR REPLACE INTO specification"
+    assert statements(store, lambda: store.write_specification(target)) == [insert]
+    assert statements(store, lambda: store.write_specification(target)) == []
+    found = StateStore(path).load()
+    assert found is not None and found.specification == target
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        changed(SPECIFICATION, connectors=SPECIFICATION.connectors.set("/new", Connector("/new", TEXT))),
+        changed(SPECIFICATION, components=SPECIFICATION.components.set("Empty", ComponentSpec.of("Empty"))),
+        changed(SPECIFICATION, resources=Map({"memory": Resource("memory", 3.0)})),
+        changed(SPECIFICATION, environment=(EnvironmentGuarantee("sun", TEXT, "/chatter"),)),
+        changed(SPECIFICATION, constraints=(Order("talker", "listener"),)),
+        changed(SPECIFICATION, timing=Map({"create": 2.0})),
+    ],
+    ids=["topics", "components", "resources", "environment", "constraints", "timing"],
+)
+def test_each_part_of_the_specification_comes_and_goes(path: Path, target: Specification) -> None:
+    store = begun(path)
+    for specification in (target, SPECIFICATION):
+        store.write_specification(specification)
+        found = StateStore(path).load()
+        assert found is not None and found.specification == specification
+
+
+def test_a_specification_that_the_disk_refused_is_written_later(path: Path) -> None:
+    store = begun(path)
+    target = SPECIFICATION.without_node("listener")
+    with sqlite3.connect(path) as blocker:
+        store._open().execute("PRAGMA busy_timeout = 0")
+        blocker.execute("BEGIN IMMEDIATE")
+        store.write_specification(target)
+        assert store.unwritten is not None
+    blocker.close()
+    store.require()
+    found = StateStore(path).load()
+    assert found is not None and found.specification == target
 
 
 def test_forgotten_means_gone(path: Path) -> None:
@@ -131,7 +192,8 @@ def test_a_state_that_cannot_be_read_says_what_to_do(path: Path, content: bytes)
     [
         ("UPDATE system SET value = '1' WHERE key = 'version'", "another version of Midstride"),
         ("DELETE FROM system WHERE key = 'token'", "token"),
-        ("UPDATE system SET value = '[]' WHERE key = 'specification'", "specification"),
+        ("UPDATE specification SET form = '[]' WHERE section = 'nodes'", "nodes"),
+        ("DELETE FROM specification WHERE section = 'rest'", "system"),
         ("UPDATE instances SET form = '{}'", "name"),
         ("UPDATE instances SET handle = '{\"pid\": 5}'", "instance"),
     ],

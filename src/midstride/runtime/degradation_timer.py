@@ -6,7 +6,7 @@ of the last one counts.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
@@ -15,30 +15,40 @@ from midstride.plan.disruption import Levels
 
 
 class DegradationTimer:
-    """Sums the seconds below the baseline; :meth:`moved` must be called with each configuration as it is reached."""
+    """Sums the seconds below the baseline; :meth:`moved` must be called with each configuration as it is reached.
+
+    The cost of a step depends on what it changes: at the start, only functionalities that the change lowered beforehand
+    are below.
+    """
 
     def __init__(self, change: Change, steady: Callable[[], float]) -> None:
+        self._change = change
         self._levels = Levels(change)
         self._steady = steady
-        self._roles = sorted({*change.specification.nodes} & {*change.target.nodes})
         self._since = steady()
-        self._below = self._levels.fallen(change.start, self._roles)
+        lowered = dict.fromkeys(change.start.instances[ref.instance].role for ref in change.lowered)
+        self._below = set(self._levels.fallen(change.start, lowered))
         self._seconds: dict[FunctionalityRef, float] = dict.fromkeys(self._below, 0.0)
 
-    def moved(self, configuration: Configuration) -> None:
-        """A step has led to ``configuration``, now."""
+    def moved(self, configuration: Configuration, instances: Iterable[str]) -> None:
+        """A step has led to ``configuration``, now, and has changed ``instances``."""
+        self._count()
+        for role in {self._change.role_of(instance) for instance in instances}:
+            below = self._levels.below(configuration, role)
+            for counted in self._levels.counted(role):
+                if counted.ref in below:
+                    self._below.add(counted.ref)
+                    self._seconds.setdefault(counted.ref, 0.0)
+                else:
+                    self._below.discard(counted.ref)
+
+    def _count(self) -> None:
         now = self._steady()
         for ref in self._below:
             self._seconds[ref] += now - self._since
         self._since = now
-        self._below = self._levels.fallen(configuration, self._roles)
-        for ref in self._below:
-            self._seconds.setdefault(ref, 0.0)
 
     def stop(self) -> dict[str, float]:
         """The seconds below the baseline of each functionality that has been below it, by role."""
-        now = self._steady()
-        for ref in self._below:
-            self._seconds[ref] += now - self._since
-        self._since = now
+        self._count()
         return {str(ref): round(seconds, 6) for ref, seconds in sorted(self._seconds.items())}

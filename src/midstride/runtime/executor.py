@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,14 +34,15 @@ class Executor:
     """Carries out actions on the running system.
 
     ``on_started`` is called with each instance whose process is started, ``on_moved`` with the configuration after each
-    step. ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed.
+    step and the instances that the step changed. ``after_step`` checks the configuration after each step of a plan: if
+    it raises, the step has failed.
     """
 
     driver: ActionDriver
     system: RunningSystem
     store: StateStore
     on_started: Callable[[Instance], None] = lambda _: None
-    on_moved: Callable[[Configuration], None] = lambda _: None
+    on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
 
     async def run(self, actions: Sequence[Action], forms: Sequence[AnyStep] = ()) -> None:
@@ -98,16 +99,16 @@ class Executor:
         before = self.system.configuration
         after = action.apply(before)
         await self.driver.perform(action, before, f"the plan asked for it: {action.describe(before)}")
-        self._moved(after)
+        self._moved(after, action.instances())
         match action:
             case Remove(instance):
                 self.store.remove_instance(instance)
             case SetParameters(instance):
                 self.store.write_instance(after.instances[instance], self.driver.launcher.handles.get(instance))
 
-    def _moved(self, configuration: Configuration) -> None:
+    def _moved(self, configuration: Configuration, instances: Collection[str]) -> None:
         self.system.moved(configuration)
-        self.on_moved(configuration)
+        self.on_moved(configuration, instances)
 
     async def lower(self, modes: Mapping[FunctionalityRef, int], because: str) -> set[FunctionalityRef]:
         """Degrade functionalities whose assumptions no longer hold; returns those that could not be degraded.
@@ -120,7 +121,7 @@ class Executor:
         failed = {ref for group, lowered in zip(groups.values(), results, strict=True) if not lowered for ref in group}
         if len(failed) < len(modes):
             reached = {ref: index for ref, index in modes.items() if ref not in failed}
-            self._moved(self.system.configuration.with_modes(reached))
+            self._moved(self.system.configuration.with_modes(reached), {ref.instance for ref in reached})
         return failed
 
     async def _lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> bool:

@@ -126,7 +126,7 @@ def _sides(rows: Sequence[Receipt], begun: int, last_number: int | None) -> dict
 
 
 def _swapped(rows: Sequence[Receipt], sides: dict[int, str], begun: int, tail: float) -> dict[str, list[Receipt]]:
-    """The rows of the publishers that appeared or disappeared (others would hide empty slots); if none did, all rows."""
+    """The rows of the publishers that appeared or disappeared (others would hide holes); all rows if none did."""
     by_side: dict[str, list[Receipt]] = {}
     for index, row in enumerate(rows):
         by_side.setdefault(sides[index], []).append(row)

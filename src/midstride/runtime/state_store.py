@@ -9,27 +9,34 @@ from __future__ import annotations
 
 import os
 import sqlite3
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import msgspec
+from immutables import Map
 
+from midstride.codec.component import ComponentForm
 from midstride.codec.configuration import InstanceForm
-from midstride.codec.specification import SpecificationForm, decode_specification
+from midstride.codec.specification import NodeForm, SpecificationForm, TopicForm, decode_specification
 from midstride.errors import ManagerError, MidstrideError
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 
 # The form of the database; a manager of another version refuses it.
-VERSION: Final = 2
+VERSION: Final = 3
 _SCHEMA: Final = """
 CREATE TABLE IF NOT EXISTS system (key TEXT PRIMARY KEY, value TEXT NOT NULL) WITHOUT ROWID;
+CREATE TABLE IF NOT EXISTS specification (
+    section TEXT, name TEXT, form TEXT NOT NULL, PRIMARY KEY (section, name)
+) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL, handle TEXT) WITHOUT ROWID;
 """
+# The section of the specification that has what the other three have not.
+_REST: Final = "rest"
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +68,7 @@ class StateStore:
         self.unwritten: str | None = None
         self._warn = warn
         self._database: sqlite3.Connection | None = None
+        self._specification = Specification("")  # as last written
         self._pending: dict[str, tuple[str, tuple[Any, ...]]] = {}  # writes that failed, by key
 
     # -- reading -----------------------------------------------------------------------------------
@@ -72,14 +80,15 @@ class StateStore:
         try:
             with sqlite3.connect(f"file:{self.path}?mode=rw", uri=True) as database:
                 system = dict(database.execute("SELECT key, value FROM system"))
+                if system.get("version") != str(VERSION):
+                    raise self._unreadable("another version of Midstride wrote it")
+                parts = database.execute("SELECT section, name, form FROM specification").fetchall()
                 rows = database.execute("SELECT form, handle FROM instances ORDER BY name").fetchall()
             database.close()
-            if system.get("version") != str(VERSION):
-                raise self._unreadable("another version of Midstride wrote it")
             return SavedState(
                 system["backend"],
                 system["token"],
-                decode_specification(msgspec.json.decode(system["specification"])),
+                decode_specification(_assembled(parts)),
                 tuple(_instance(form, handle) for form, handle in rows),
             )
         except ManagerError:
@@ -98,11 +107,31 @@ class StateStore:
     def begin(self, backend: str, token: str, specification: Specification) -> None:
         """The system is being brought up or recovered."""
         self._put("version", str(VERSION), "backend", backend, "token", token)
-        self.write_specification(specification)
+        self._specification = Specification("")
+        # At once: half a specification could not be read.
+        self._write({"specification": ("DELETE FROM specification", ()), **self._parts(specification)})
 
     def write_specification(self, specification: Specification) -> None:
-        """The specification that the system runs now."""
-        self._put("specification", msgspec.json.encode(SpecificationForm.of(specification)).decode())
+        """The specification that the system runs now: a row for each part that differs from what was written last."""
+        self._write(self._parts(specification))
+
+    def _parts(self, specification: Specification) -> dict[str, tuple[str, tuple[Any, ...]]]:
+        """The statements that turn the specification that was written last into this one."""
+        before, self._specification = self._specification, specification
+        parts: dict[tuple[str, str], Any] = {}
+        for name in _changed(before.connectors, specification.connectors):
+            found = specification.connectors.get(name)
+            parts["topics", name] = None if found is None else TopicForm.of_connector(found)
+        for name in _changed(before.components, specification.components):
+            component = specification.components.get(name)
+            parts["components", name] = None if component is None else ComponentForm.of(component)
+        for role in _changed(before.nodes, specification.nodes):
+            node = specification.nodes.get(role)
+            parts["nodes", role] = None if node is None else NodeForm.of(node, specification)
+        rest = _rest(specification)
+        if rest != _rest(before):
+            parts[_REST, ""] = SpecificationForm.of(rest)
+        return {f"{section} {name}": _part(section, name, form) for (section, name), form in parts.items()}
 
     def write_instance(self, instance: Instance, handle: Handle | None) -> None:
         """An instance has been started, or its parameters have changed."""
@@ -162,6 +191,37 @@ class StateStore:
             database.executescript(_SCHEMA)
             self._database = database
         return self._database
+
+
+def _changed(before: Mapping[str, object], after: Mapping[str, object]) -> Iterator[str]:
+    """The names of what was added, removed or replaced."""
+    if before is after:
+        return
+    yield from (name for name in before if name not in after)
+    yield from (name for name, value in after.items() if (old := before.get(name)) is not value and old != value)
+
+
+def _rest(specification: Specification) -> Specification:
+    return replace(specification, connectors=Map(), components=Map(), nodes=Map())
+
+
+def _part(section: str, name: str, form: object) -> tuple[str, tuple[Any, ...]]:
+    """The statement that writes one part of the specification; None removes it."""
+    if form is None:
+        return "DELETE FROM specification WHERE section = ? AND name = ?", (section, name)
+    text = msgspec.json.encode(form).decode()
+    return "INSERT OR REPLACE INTO specification VALUES (?, ?, ?)", (section, name, text)
+
+
+def _assembled(parts: list[tuple[str, str, str]]) -> dict[str, Any]:
+    """The document of the specification."""
+    document: dict[str, Any] = {}
+    for section, name, form in parts:
+        if section == _REST:
+            document.update(msgspec.json.decode(form))
+        else:
+            document.setdefault(section, {})[name] = msgspec.json.decode(form)
+    return document
 
 
 def _instance(form: str, handle: str | None) -> SavedInstance:

@@ -7,11 +7,14 @@ One hidden node in a context of its own, which looks at the graph and needs no t
 from __future__ import annotations
 
 import asyncio
+import logging
 import os
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,12 +33,17 @@ from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock, SystemClock
 from midstride.runtime.process import Process, find, spawn
 from midstride.runtime.reaper import Reaper
+from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_INSTANCE
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Transport
 
 # A manager that has just joined knows no other node yet: that long it listens before it says that a name is free (s).
 _LISTEN: Final = 0.3
+# How long leaving ROS 2 may take (s).
+_LEAVE: Final = 5.0
+
+log = logging.getLogger(__name__)
 
 
 class Ros2Backend:
@@ -84,8 +92,25 @@ class Ros2Backend:
         self._children.close()
         if self._context is not None:
             context, self._context = self._context, None
+            await self._leave(context)
+
+    async def _leave(self, context: Any) -> None:
+        """Leave ROS 2, in a thread of its own: a middleware that has deadlocked never returns from it."""
+        loop = asyncio.get_running_loop()
+        left = asyncio.Event()
+
+        def leave() -> None:
             self._node.destroy_node()
             context.try_shutdown()
+            with suppress(RuntimeError):  # the loop is closed: it was not waited for any longer
+                loop.call_soon_threadsafe(left.set)
+
+        threading.Thread(target=leave, name="midstride-leave", daemon=True).start()
+        try:
+            async with within(_LEAVE):
+                await left.wait()
+        except asyncio.TimeoutError:
+            log.error("ROS 2 has not let the manager's node go within %g s; it is left behind", _LEAVE)
 
     # -- components ----------------------------------------------------------------------------------
 
@@ -94,7 +119,11 @@ class Ros2Backend:
         command = common.command(launch.arguments, launch.directory, os.environ, lambda: sys.executable)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
-        if graph.has(full_name):
+        if (
+            launch.instance in self._children
+            or await common.listens(self.transport, launch.instance)
+            or graph.has(full_name)
+        ):
             raise StartFailed(f"{launch.instance}: a node {full_name} is running already; end it, or use another name")
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)

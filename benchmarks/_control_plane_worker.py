@@ -1,0 +1,346 @@
+"""One scenario of benchmarks/control_plane.py, with the version of Midstride that this Python imports.
+
+Prints a JSON object: figure -> samples, in seconds unless the figure's name says otherwise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import json
+import os
+import shlex
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+NODES = HERE / "_control_plane_nodes.py"
+Samples = dict[str, list[float]]
+
+
+@dataclass(frozen=True)
+class Happened:
+    """An event of the manager; ``at`` in seconds since 1970."""
+
+    n: int
+    at: float
+    kind: str
+    words: str
+
+
+class Plane:
+    """The control plane of this checkout. _control_plane_old.py has the same for an earlier version."""
+
+    def backend(self, name: str, workspace: Any) -> Any:
+        from midstride import backends
+
+        return backends.make(name, workspace)
+
+    def connect(self, backend: Any, token: str) -> None:
+        """Use ``backend`` without a manager."""
+        from midstride.runtime.component_client import ComponentClient
+
+        self._client = ComponentClient(backend.transport, backend.clock, token)
+
+    def connect_manager(self, manager: Any) -> None:
+        """Use what a manager uses."""
+        self._client = manager._client
+
+    async def ping(self, instance: str, timeout: float) -> None:
+        """Raises BackendError where no reply comes."""
+        from midstride.wire.commands import PingCommand
+
+        await self._client.read(instance, PingCommand())
+
+    def outcome(self, result: Any) -> tuple[str, str | None]:
+        return result.outcome, result.because
+
+    def events(self, manager: Any, since: int) -> list[Happened]:
+        return [Happened(each.n, each.at, each.kind, each.words) for each in manager.events.since(since)]
+
+
+def specification(nodes: str) -> Any:
+    from midstride.lang.load import load_text
+
+    run = f"python3 {shlex.quote(str(NODES))}"
+    sources = "".join(
+        f"""
+component {name} {{
+  run "{run} source {name}"
+  output out
+  functionality talk {{
+    produces out
+    mode normal {{ guarantee out : Ticks }}
+    mode degraded {{ }}
+  }}
+}}"""
+        for name in ("Source", "OtherSource")
+    )
+    text = f"""
+system control_plane_benchmark
+contract Ticks = std_msgs/msg/String @ 50 Hz
+contract Text = std_msgs/msg/String
+{sources}
+component Sink {{
+  run "{run} sink"
+  input in : Ticks
+  functionality listen {{ uses in
+    mode normal {{ assume in }}
+    mode degraded {{ }} }}
+}}
+component Head {{
+  run "{run} head"
+  output out
+  functionality work {{ produces out
+    mode normal {{ guarantee out : Text }}
+    mode degraded {{ }} }}
+}}
+component Link {{
+  run "{run} link"
+  input in : Text
+  output out
+  functionality work {{ uses in
+    produces out
+    mode normal {{ assume in
+      guarantee out : Text }}
+    mode degraded {{ }} }}
+}}
+{nodes}
+"""
+    return load_text(text, "control_plane.stride").require()
+
+
+def pair() -> Any:
+    """A source at 50 Hz and a sink."""
+    return specification(
+        "topic /ticks : Ticks\nnode source : Source { out -> /ticks }\nnode sink : Sink { in <- /ticks }"
+    )
+
+
+def chain(length: int) -> Any:
+    """Components in a row, on topics on which nothing is ever written."""
+    topics = [f"topic /t{index} : Text" for index in range(length)]
+    nodes = ["node n0 : Head { out -> /t0 }"]
+    nodes += [f"node n{i} : Link {{ in <- /t{i - 1}\n out -> /t{i} }}" for i in range(1, length)]
+    return specification("\n".join(topics + nodes))
+
+
+async def until(attempt: Callable[[], Awaitable[None]], deadline: float) -> float:
+    """The steady time at which ``attempt`` first succeeds; repeated after 5 ms."""
+    from midstride.errors import BackendError
+
+    while True:
+        try:
+            await attempt()
+            return time.monotonic()
+        except BackendError:
+            if time.monotonic() > deadline:
+                raise
+        await asyncio.sleep(0.005)
+
+
+async def first_reply(plane: Any, name: str, folder: Path, times: int) -> Samples:
+    """Components started one after another, each asked until it replies."""
+    from midstride.runtime.backend import Launch
+    from midstride.runtime.workspace import Workspace
+
+    found: Samples = {"first reply after process start": [], "first reply after end of imports": []}
+    marks = folder / "imports"
+    os.environ["BENCHMARK_IMPORTS"] = str(marks)
+    backend = plane.backend(name, Workspace(folder))
+    await backend.open(lambda *_: None)
+    plane.connect(backend, "a token")
+    await asyncio.sleep(1.0)
+    try:
+        for number in range(times):
+            instance, arguments = f"source{number}", ("python3", str(NODES), "source")
+            marks.unlink(missing_ok=True)
+            begun = time.monotonic()
+            await backend.start(Launch(instance, "", arguments, "a token", HERE))
+            replied = await until(lambda i=instance: plane.ping(i, 10.0), begun + 30)  # type: ignore[misc]
+            found["first reply after process start"].append(replied - begun)
+            found["first reply after end of imports"].append(replied - int(marks.read_text()) / 1e9)
+            await asyncio.sleep(0.5)
+            await backend.end(instance, 3.0)
+    finally:
+        await backend.close()
+    return found
+
+
+class Session:
+    """A manager with its system."""
+
+    def __init__(self, plane: Any, name: str, folder: Path, specification: Any) -> None:
+        from midstride.runtime.manager import Manager
+        from midstride.runtime.workspace import Workspace
+
+        workspace = Workspace(folder)
+        self.plane = plane
+        self.manager = Manager(specification, plane.backend(name, workspace), workspace, HERE)
+
+    async def __aenter__(self) -> Session:
+        begun = time.monotonic()
+        await self.manager.up()
+        self.up = time.monotonic() - begun
+        self.plane.connect_manager(self.manager)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        try:
+            await self.manager.down()
+        finally:
+            await self.manager.close()
+
+    def events(self, since: int = 0) -> list[Happened]:
+        found: list[Happened] = self.plane.events(self.manager, since)
+        return found
+
+    async def change(self, **request: Any) -> list[Happened]:
+        """Carry a change out; its events."""
+        from midstride.plan.request import Request
+
+        last = self.events()[-1].n
+        outcome, because = self.plane.outcome(await self.manager.change(Request(**request)))
+        if outcome != "done":
+            raise SystemExit(f"{request}: {outcome}: {because}")
+        return self.events(last)
+
+    def pids(self) -> list[int]:
+        return [handle.pid for handle in self.manager._launcher.handles.values()]
+
+
+def steps(events: list[Happened]) -> list[tuple[str, float, float]]:
+    """Each step in words, when it began and when it was done."""
+    begun = [event for event in events if event.kind == "step"]
+    done = [event for event in events if event.kind == "step_done"]
+    return [(event.words, event.at, end.at) for event, end in zip(begun, done, strict=True)]
+
+
+def creation(events: list[Happened]) -> tuple[float, float]:
+    """When the only creation began and was done."""
+    ((begun, done),) = [(begun, done) for words, begun, done in steps(events) if " create " in words]
+    return begun, done
+
+
+async def life(plane: Any, name: str, folder: Path, times: int) -> Samples:
+    """A source and a sink: round trips, restarts after kill -9, replacements."""
+    found: Samples = {
+        "create": [],
+        "restart: create, same name": [],
+        "restart: kill to registered": [],
+        "replace: command to last step": [],
+        "round trip": [],
+    }
+    async with Session(plane, name, folder, pair()) as session:
+        for _ in range(100):
+            await plane.ping("sink", 3.0)
+        for _ in range(1000):
+            begun = time.perf_counter()
+            await plane.ping("sink", 3.0)
+            found["round trip"].append(time.perf_counter() - begun)
+        for _ in range(times):
+            seen = session.events()[-1].n
+            killed = time.time()
+            os.kill(session.manager._launcher.handles["source"].pid, signal.SIGKILL)
+            while not any(event.kind == "exited" for event in session.events(seen)):
+                await asyncio.sleep(0.001)
+            begun, done = creation(await session.change(to=session.manager.specification))
+            found["restart: create, same name"].append(done - begun)
+            found["restart: kill to registered"].append(done - killed)
+        for number in range(times):
+            asked = time.time()
+            events = await session.change(replace=(("source", ("OtherSource", "Source")[number % 2]),))
+            begun, done = creation(events)
+            found["create"].append(done - begun)
+            found["replace: command to last step"].append(steps(events)[-1][2] - asked)
+    return found
+
+
+async def many(plane: Any, name: str, folder: Path, nodes: int, seconds: float) -> Samples:
+    """``up`` of many nodes, and the processor time that they take while nothing happens."""
+    async with Session(plane, name, folder, chain(nodes)) as session:
+        await asyncio.sleep(10.0)
+        before = processor_time(session.pids()), processor_time([os.getpid()])
+        await asyncio.sleep(seconds)
+        after = processor_time(session.pids()), processor_time([os.getpid()])
+    return {
+        f"up of {nodes} nodes": [session.up],
+        f"{nodes} idle components, % of a core": [100 * (after[0] - before[0]) / seconds],
+        f"manager of {nodes} idle components, % of a core": [100 * (after[1] - before[1]) / seconds],
+    }
+
+
+def processor_time(pids: list[int]) -> float:
+    """Of these processes together (s); without psutil, which an earlier version did not need."""
+    ticks = 0
+    for pid in pids:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        ticks += int(fields[11]) + int(fields[12])
+    return ticks / os.sysconf("SC_CLK_TCK")
+
+
+async def paused(plane: Any, name: str, folder: Path, nodes: int, seconds: float) -> Samples:
+    """Components that were stopped, and continued after a while: how long until each answers again."""
+    async with Session(plane, name, folder, chain(nodes)) as session:
+        names = list(session.manager._launcher.handles)
+        await asyncio.sleep(2.0)
+        for pid in session.pids():
+            os.kill(pid, signal.SIGSTOP)
+        await asyncio.sleep(seconds)
+        continued = time.monotonic()
+        for pid in session.pids():
+            os.kill(pid, signal.SIGCONT)
+
+        async def answered(instance: str) -> float | None:
+            from midstride.errors import BackendError
+
+            try:
+                return await until(lambda: plane.ping(instance, 1.0), continued + 60) - continued
+            except BackendError:
+                return None
+
+        times = await asyncio.gather(*map(answered, names))
+        answers = [each for each in times if each is not None]
+        print(f"up {session.up:.1f} s", file=sys.stderr)
+    return {
+        f"answer of each of {nodes} after {seconds:g} s of SIGSTOP": answers,
+        f"answer of the last of {nodes} after {seconds:g} s of SIGSTOP": [max(answers)],
+        f"of {nodes} without an answer within 60 s, number": [len(times) - len(answers)],
+    }
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("scenario", choices=("first", "life", "many", "paused"))
+    parser.add_argument("--backend", choices=("ros2", "ros1"), required=True)
+    parser.add_argument("--old", action="store_true")
+    parser.add_argument("--times", type=int, required=True)
+    parser.add_argument("--nodes", type=int, required=True)
+    parser.add_argument("--seconds", type=float, required=True)
+    options = parser.parse_args()
+    if options.old:
+        from _control_plane_old import Plane as OldPlane
+
+        plane: Any = OldPlane()
+    else:
+        plane = Plane()
+    # Short: an earlier version keeps sockets in it.
+    with tempfile.TemporaryDirectory(prefix="ms") as name:
+        folder = Path(name)
+        scenarios = {
+            "first": lambda: first_reply(plane, options.backend, folder, options.times),
+            "life": lambda: life(plane, options.backend, folder, options.times),
+            "many": lambda: many(plane, options.backend, folder, options.nodes, options.seconds),
+            "paused": lambda: paused(plane, options.backend, folder, options.nodes, options.seconds),
+        }
+        print(json.dumps(asyncio.run(scenarios[options.scenario]())))
+
+
+if __name__ == "__main__":
+    main()
