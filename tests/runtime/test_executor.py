@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Collection
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -38,11 +39,11 @@ DEGRADE, DETACH = Degrade(Map({work("listener"): 1})), Detach(OUT, "/chatter")
 def test_each_step_is_carried_out_and_only_then_in_the_model(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         start = b.system.configuration
-        seen: list[tuple[Configuration, int]] = []
-        b.executor.on_moved = lambda configuration: seen.append((configuration, len(b.client.changes)))
+        seen: list[tuple[Configuration, list[str], int]] = []
+        b.executor.on_moved = lambda *step: seen.append((step[0], sorted(step[1]), len(b.client.changes)))
         await b.executor.run([DEGRADE, DETACH])
         first = DEGRADE.effect(start)
-        assert seen == [(first, 1), (DETACH.effect(first), 2)]
+        assert seen == [(first, ["listener"], 1), (DETACH.effect(first), ["talker"], 2)]
         assert b.system.configuration == seen[-1][0] and b.system.revision == 2
         assert b.client.changes == [("listener", "modes"), ("talker", "detach")]
         assert b.words() == [
@@ -254,12 +255,13 @@ def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_pat
     """The talker is lowered while the listener relies on it; its failure does not keep the listener from following."""
 
     async def body(b: Bench) -> None:
-        moved: list[Configuration] = []
-        b.executor.on_moved = moved.append
+        moved: list[tuple[Configuration, Collection[str]]] = []
+        b.executor.on_moved = lambda *step: moved.append(step)
         b.client.reply("talker", ModesCommand, UNREACHABLE)
         left = await b.executor.lower({work("talker"): 1, work("listener"): 1}, "the camera exited unexpectedly")
         assert left == {work("talker")}
-        assert b.system.configuration == DEGRADE.effect(talking()) and moved == [b.system.configuration]
+        assert b.system.configuration == DEGRADE.effect(talking())
+        assert moved == [(b.system.configuration, {"listener"})]
         [command] = b.client.of(ModesCommand, "listener")
         assert command.because == "the camera exited unexpectedly"
         assert b.words("degraded") == ["degrade listener.work from normal to degraded"]

@@ -1,8 +1,4 @@
-<<<<<<< HEAD
 """The measured cost of a plan: how long each functionality is below its baseline while the plan is carried out.
-=======
-"""What a running plan really costs: how long each functionality is below its baseline.
->>>>>>> core
 
 The levels are those of docs/semantics.md section 6, by role. Only the time from the start of the first step to the end
 of the last one counts.
@@ -19,14 +15,11 @@ from midstride.plan.disruption import Levels
 
 
 class DegradationTimer:
-<<<<<<< HEAD
-    """Sums the seconds below the baseline; :meth:`moved` must be called with each configuration as it is reached."""
-=======
-    """Called with every configuration as it comes about, counts the seconds below the baseline.
+    """Sums the seconds below the baseline; :meth:`moved` must be called with each configuration as it is reached.
 
-    A step costs what it touches: only what a change has lowered beforehand is below at its start.
+    The cost of a step depends on what it changes: at the start, only functionalities that the change lowered beforehand
+    are below.
     """
->>>>>>> core
 
     def __init__(self, change: Change, steady: Callable[[], float]) -> None:
         self._change = change
@@ -56,14 +49,6 @@ class DegradationTimer:
         self._since = now
 
     def stop(self) -> dict[str, float]:
-<<<<<<< HEAD
         """The seconds below the baseline of each functionality that has been below it, by role."""
-        now = self._steady()
-        for ref in self._below:
-            self._seconds[ref] += now - self._since
-        self._since = now
-=======
-        """The seconds below the baseline of each functionality that was ever there, by role."""
         self._count()
->>>>>>> core
         return {str(ref): round(seconds, 6) for ref, seconds in sorted(self._seconds.items())}

@@ -31,15 +31,11 @@ Done = list[tuple[Action, Configuration]]
 
 @dataclass(slots=True)
 class Executor:
-<<<<<<< HEAD
     """Carries out actions on the running system.
-=======
-    """Carries out actions on the running system. ``on_moved`` is called with each configuration that a step leads
-    to, and with the instances that the step has changed.
->>>>>>> core
 
     ``on_started`` is called with each instance whose process is started, ``on_moved`` with the configuration after each
-    step. ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed.
+    step and the instances that the step changed. ``after_step`` checks the configuration after each step of a plan: if
+    it raises, the step has failed.
     """
 
     driver: ActionDriver

@@ -68,12 +68,8 @@ class StateStore:
         self.unwritten: str | None = None
         self._warn = warn
         self._database: sqlite3.Connection | None = None
-<<<<<<< HEAD
-        self._pending: dict[str, tuple[str, tuple[Any, ...]]] = {}  # writes that failed, by key
-=======
         self._specification = Specification("")  # as last written
-        self._pending: dict[str, tuple[str, tuple[Any, ...]]] = {}  # what the disk has refused, by key
->>>>>>> core
+        self._pending: dict[str, tuple[str, tuple[Any, ...]]] = {}  # writes that failed, by key
 
     # -- reading -----------------------------------------------------------------------------------
 
