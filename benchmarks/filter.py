@@ -51,7 +51,7 @@ def recorder(path: str) -> None:
 async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
     from midstride import backends
     from midstride.codec.specification import decode_specification
-    from midstride.plan.request import Request
+    from midstride.plan.request import PlanRequest
     from midstride.runtime.manager import Manager
     from midstride.runtime.workspace import Workspace
 
@@ -67,7 +67,7 @@ async def swapped(swaps: int, folder: Path) -> dict[str, Any]:
             await asyncio.sleep(2)
             for index in range(swaps):
                 component = ("MedianFilter", "MeanFilter")[index % 2]
-                outcome = await manager.change(Request(replace=(("filter", component),)))
+                outcome = await manager.change(PlanRequest(replace=(("filter", component),)))
                 if outcome.outcome != "done":
                     raise SystemExit(f"swap {index}: {outcome.because}")
                 for swap in outcome.swaps:

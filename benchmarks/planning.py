@@ -29,7 +29,7 @@ from midstride.model.specification import Node, Specification, structure
 from midstride.plan.change import Change
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 
 SIZES = (1_000, 3_000, 10_000, 30_000, 100_000)
 CELL = 5
@@ -115,7 +115,7 @@ class Case:
     def plan(self, strategy: str) -> Plan:
         """A whole replacement as the manager does it, from the request to the plan."""
         role = f"cell{len(self.specification.nodes) // CELL // 2}/filter"
-        request = Request(replace=((role, "NewFilter"),), strategy=strategy)
+        request = PlanRequest(replace=((role, "NewFilter"),), strategy=strategy)
         target = request.target(self.specification)
         return STRATEGIES[strategy](Change.of_request(self.configuration, self.specification, request, target))
 

@@ -31,8 +31,9 @@ from midstride.codec.form import encode
 from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification
-from midstride.plan.request import Request
-from midstride.runtime.measure import Observation, Row, SwapReport, report
+from midstride.plan.request import PlanRequest
+from midstride.runtime.measure import Observation, SwapReport, report
+from midstride.wire.commands import Receipt
 
 HERE = Path(__file__).resolve().parent
 PERIOD = 0.02
@@ -59,7 +60,7 @@ class Way:
     lost_seconds: list[float] = field(default_factory=list)
     own: list[dict[str, Any]] = field(default_factory=list)
     rolled_back: list[str] = field(default_factory=list)
-    rows: list[Row] = field(default_factory=list)
+    rows: list[Receipt] = field(default_factory=list)
 
     def reports(self) -> list[SwapReport]:
         seen = []
@@ -121,7 +122,7 @@ def recorded(way: Way, platform: Platform) -> Iterator[None]:
             yield
             process.send_signal(signal.SIGTERM)
             process.wait(timeout=10)
-        way.rows = [Row(*row) for row in json.loads(path.read_text())]
+        way.rows = [Receipt(*row) for row in json.loads(path.read_text())]
 
 
 def timed(way: Way, swap: Callable[[], None]) -> None:
@@ -150,7 +151,7 @@ async def midstride(way: Way, platform: Platform, strategy: str, swaps: int) -> 
             while len(way.windows) < swaps:
                 await asyncio.sleep(TAIL)
                 begun = time.monotonic_ns()
-                outcome = await manager.change(Request(replace=(("source", component),), strategy=strategy))
+                outcome = await manager.change(PlanRequest(replace=(("source", component),), strategy=strategy))
                 way.windows.append((begun, time.monotonic_ns()))
                 way.own.extend(map(encode, outcome.swaps))
                 way.lost_seconds.append(sum(outcome.fallen.values()))

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from midstride import backends
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
@@ -62,7 +62,7 @@ async def main(folder: Path, task: str, op: str = "", number: str = "0", when: s
             (now,) = (each.component.name for each in manager.configuration.instances.values() if each.role == "source")
             killed_at(manager, op, int(number), when)
             other = "Source" if now == "OtherSource" else "OtherSource"
-            outcome = await manager.change(Request(replace=(("source", other),)))
+            outcome = await manager.change(PlanRequest(replace=(("source", other),)))
             print(outcome.outcome, outcome.because)
     finally:
         await manager.close()

@@ -9,12 +9,12 @@ from midstride.testing.conformance import CHECKS
 # `make test` runs these: start and stop, attach, carry over state, hand over, and what each does when something fails.
 # The simulator runs all checks every time, and `make test-all` runs all of them on every ROS.
 ESSENTIAL = {
-    "starts_announces_and_waits",
+    "starts_registers_and_waits",
     "stops_in_order",
     "ends_what_does_not_end",
     "refuses_a_name_in_use",
-    "finds_again_what_was_started",
-    "obeys_its_manager_alone",
+    "finds_what_an_earlier_manager_started",
+    "obeys_its_manager_only",
     "answers_a_repeat_as_before",
     "attaches_and_detaches",
     "counts_behind_a_closed_gate",
@@ -23,7 +23,7 @@ ESSENTIAL = {
     "hands_over_on_the_grid",
     "hands_over_what_messages_drive",
     "hands_over_a_latched_topic",
-    "takes_up_again_unless_relieved",
+    "resumes_unless_relieved",
     "cancels_a_cut",
 }
 assert {check.__name__ for check in CHECKS} >= ESSENTIAL

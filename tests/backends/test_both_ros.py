@@ -10,7 +10,7 @@ import pytest
 
 from midstride.backends import ros1
 from midstride.cli.files import load
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import Reaper, remaining_groups
 from midstride.runtime.reports import Outcome
@@ -30,7 +30,7 @@ pytestmark = [
 
 
 def loaded(pid: int) -> str:
-    """The libraries that a process has mapped, and what it was told."""
+    """The libraries that a process has mapped, and its environment."""
     process = Path(f"/proc/{pid}")
     return (process / "maps").read_text() + (process / "environ").read_text(errors="replace").replace("\0", "\n")
 
@@ -44,8 +44,9 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
     async def bring_up(name: str, guardian: Reaper) -> Manager:
         folder = tmp_path / name
         folder.mkdir()
-        platform = backends.make(name, Workspace(folder), guardian=guardian)
-        manager = Manager(load(EXAMPLE / "talker.json"), platform, Workspace(folder), EXAMPLE)
+        workspace = Workspace(folder)
+        platform = backends.make(name, workspace, guardian=guardian)
+        manager = Manager(load(EXAMPLE / "talker.json"), platform, workspace, EXAMPLE)
         await manager.up()
         return manager
 
@@ -53,7 +54,7 @@ def test_each_replaces_its_talker_while_the_other_does(tmp_path: Path, monkeypat
         """There and back again."""
         outcomes = []
         for component in ("NewTalker", "Talker"):
-            outcomes.append(await manager.change(Request(replace=(("talker", component),))))
+            outcomes.append(await manager.change(PlanRequest(replace=(("talker", component),))))
         return outcomes
 
     async def scenario(guardian: Reaper) -> None:

@@ -24,7 +24,7 @@ from midstride.runtime.reaper import environment_value
 from midstride.wire.channel import Channel
 from midstride.wire.commands import AwaitWriteCommand, PingCommand
 from midstride.wire.environment import ENV_SYSTEM
-from midstride.wire.sockets import workspace_folder
+from midstride.wire.folders import workspace_folder
 from tests.backends.ros1_support import free_port, own_master_uri, program, rig, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, alive, run, until, until_async
 
@@ -163,7 +163,7 @@ def test_subscriptions_to_parameters_do_not_keep_a_dead_node_known(tmp_path: Pat
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             master, nowhere = r.backend._master, f"http://127.0.0.1:{free_port()}/"
-            await master.ask("subscribeParam", "/ghost", nowhere, "/some/parameter")
+            await master.call("subscribeParam", "/ghost", nowhere, "/some/parameter")
             assert await master.address_of("/ghost") == nowhere
             await master.forget("/ghost")
             assert await master.address_of("/ghost") is None

@@ -140,7 +140,7 @@ def test_the_authors_endpoints_are_listed_and_parameters_are_shown(tmp_path: Pat
             master = r.backend._master
 
             async def shown() -> Any:
-                return await master.ask("getParam", "/test", "/talker/speed")
+                return await master.call("getParam", "/test", "/talker/speed")
 
             async def shows(value: int) -> bool:
                 return bool(await shown() == value)
@@ -213,7 +213,7 @@ def test_nothing_in_the_graph_is_secret_or_takes_commands(tmp_path: Path) -> Non
                 await r.client.change("talker", SetParametersCommand(parameters={"speed": 8}))
                 await until(lambda: all(word in heard.read_bytes() for word in (b'"speed":8', b"is managed by")))
             state = await master.state()
-            parameters = json.dumps(await master.ask("getParam", "/test", "/"), default=str)
+            parameters = json.dumps(await master.call("getParam", "/test", "/"), default=str)
             assert '"speed": 8' in parameters
             for secret in (r.token, r.token.removeprefix("test-")):
                 assert secret.encode() not in heard.read_bytes()
@@ -256,13 +256,13 @@ rospy.init_node = slow
 
 @pytest.mark.parametrize("when", ["joining", "running"])
 def test_a_signal_ends_it_in_order_at_any_time(tmp_path: Path, when: str) -> None:
-    """While rospy joins, too: then no code of the author runs any more."""
+    """While rospy joins, too, which may take for ever: then no code of the author runs any more."""
     source = """
-import rospy, time
+import rospy, sys, time
 join = rospy.init_node
 def slow(*arguments, **options):
     print("joining", flush=True)
-    time.sleep(1.0)
+    time.sleep(0.1 if sys.argv[1] == "running" else 60.0)
     join(*arguments, **options)
 rospy.init_node = slow
 """
@@ -270,7 +270,7 @@ rospy.init_node = slow
 
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            await r.launch("talker", source + talker)
+            await r.launch("talker", source + talker, when)
             await until(lambda: when in r.log("talker"))
             r.kill("talker", signal.SIGTERM)
             await until(lambda: r.exits)
@@ -295,7 +295,7 @@ for line in sys.stdin:
 
     async def scenario() -> None:
         async with rig(tmp_path) as r:
-            await r.backend._master.ask("setParam", "/test", "/use_sim_time", True)
+            await r.backend._master.call("setParam", "/test", "/use_sim_time", True)
             await r.start("talker", TALKER)
             await r.attach("talker", "out", "/chatter", gate="closed")
             await r.modes("talker", talk="normal")

@@ -18,7 +18,7 @@ from midstride.runtime.backend import Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, MeetCommand, PingCommand
 from midstride.wire.environment import ENV_SYSTEM
-from midstride.wire.sockets import COMPONENTS, workspace_folder
+from midstride.wire.folders import COMPONENTS, workspace_folder
 from tests.backends.ros2_support import (
     LISTENER,
     TALKER,

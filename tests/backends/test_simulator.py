@@ -58,11 +58,11 @@ def test_an_hour_takes_no_time() -> None:
     assert time.monotonic() - before < 5
 
 
-def test_when_everybody_waits_for_ever_it_says_so() -> None:
+def test_a_deadlock_is_an_error() -> None:
     async def main() -> None:
         await asyncio.get_running_loop().create_future()
 
-    with pytest.raises(BackendError, match="nothing will ever happen again"):
+    with pytest.raises(BackendError, match=r"deadlock at 0\.0+ s: every task waits"):
         loop.run(main())
 
 
@@ -215,15 +215,15 @@ def test_components_do_not_share_what_python_keeps_for_a_process(tmp_path: Path)
     assert (sys.argv, sys.stdout, list(sys.path), sys.modules["__main__"]) == before
 
 
-def test_code_that_never_comes_back_is_given_up(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cooperative_thread, "PATIENCE", 0.3)
+def test_code_that_never_returns_is_abandoned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cooperative_thread, "COMPUTE_LIMIT", 0.3)
     release = threading.Event()
-    monkeypatch.setattr(sys, "release_the_stuck_fibre", release, raising=False)
+    monkeypatch.setattr(sys, "release_the_stuck_thread", release, raising=False)
 
     async def main(lab: Lab) -> None:
-        await start_script(lab, tmp_path, "stuck", "import sys\nsys.release_the_stuck_fibre.wait()\n")
+        await start_script(lab, tmp_path, "stuck", "import sys\nsys.release_the_stuck_thread.wait()\n")
         exited = await lab.exited("stuck")
-        assert exited.status != 0 and "did not come back" in exited.log_tail
+        assert exited.status != 0 and "did not return within" in exited.log_tail
 
     in_lab(tmp_path, main)
     release.set()
@@ -325,7 +325,7 @@ def test_a_frozen_component_does_nothing_and_misses_nothing(tmp_path: Path) -> N
         await lab.sleep(0.5)
         received = [row[0] for row in await lab.rows("sink")]
         gaps = sorted((later - earlier) / 1e9 for earlier, later in itertools.pairwise(received))
-        assert 0.29 < gaps[-1] < 0.33 and gaps[-2] < 0.021, "it makes up for nothing and bursts not"
+        assert 0.29 < gaps[-1] < 0.33 and gaps[-2] < 0.021, "missed slots are skipped, not made up for in a burst"
         count = len(await lab.received("sink"))
         simulator.faults.freeze("sink", 0.3)
         await lab.sleep(0.4)
@@ -357,7 +357,7 @@ def test_messages_are_dropped_and_delayed(tmp_path: Path) -> None:
     in_lab(tmp_path, main)
 
 
-def test_calls_fail_as_told(tmp_path: Path) -> None:
+def test_requests_fail_as_injected(tmp_path: Path) -> None:
     async def main(lab: Lab) -> None:
         simulator = lab.backend
         assert isinstance(simulator, Simulator)

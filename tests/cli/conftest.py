@@ -1,7 +1,8 @@
-"""The command as its users start it: a process, with a runtime folder of its own."""
+"""The command with a private runtime folder: as a process, or in this process where only its output matters."""
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import shutil
@@ -9,10 +10,11 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
 import pytest
 
@@ -27,7 +29,7 @@ EXAMPLES = ROOT / "examples"
 
 @dataclass(frozen=True)
 class Done:
-    """What a command printed, and its exit status."""
+    """The output of a command, and its exit status."""
 
     status: int
     out: str
@@ -38,9 +40,13 @@ class Done:
         return json.loads(self.out)
 
 
+# Commands that only talk to the manager or compute: they run in this process, which saves the start of an interpreter.
+IN_PROCESS = {"add", "apply", "export", "log", "plan", "remove", "replace", "status", "verify", "why"}
+
+
 @dataclass
 class Midstride:
-    """Runs ``midstride`` with a runtime folder of its own."""
+    """Runs ``midstride`` with a private runtime folder."""
 
     runtime: Path
     environment: dict[str, str] = field(default_factory=dict)
@@ -53,6 +59,20 @@ class Midstride:
         return [sys.executable, "-m", "midstride", *words]
 
     def __call__(self, *words: str, timeout: float = 60, **environment: str) -> Done:
+        if not IN_PROCESS & set(words[:2]):
+            return self.process(*words, timeout=timeout, **environment)
+        out, err = io.StringIO(), io.StringIO()
+        with (
+            mock.patch.dict(os.environ, {**self.environment, **environment}, clear=True),
+            open(os.devnull) as nothing,
+            mock.patch.object(sys, "stdin", nothing),
+            redirect_stdout(out),
+            redirect_stderr(err),
+        ):
+            status = main(words)
+        return Done(status, out.getvalue(), err.getvalue())
+
+    def process(self, *words: str, timeout: float = 60, **environment: str) -> Done:
         done = subprocess.run(
             self.command(*words),
             stdin=subprocess.DEVNULL,
@@ -66,7 +86,7 @@ class Midstride:
         return Done(done.returncode, done.stdout, done.stderr)
 
     def start(self, *words: str) -> subprocess.Popen[str]:
-        """A command that goes on; its standard error comes with its standard output."""
+        """A command that keeps running; its standard error is merged into its standard output."""
         return subprocess.Popen(
             self.command(*words),
             stdin=subprocess.DEVNULL,
@@ -82,19 +102,19 @@ class Midstride:
         return int((self.runtime / "midstride" / system / "lock").read_text())
 
     def components(self, system: str) -> list[int]:
-        """The processes of a running system's components, by what its manager has written."""
+        """The processes of a running system's components, from the manager's state file."""
         pids = [entry.handle and entry.handle.pid for entry in self.saved(system).instances]
         assert all(pids)
         return [pid for pid in pids if pid]
 
     def saved(self, system: str) -> SavedState:
-        """What the manager of a system has written for the next one."""
+        """The state that the manager of a system has saved."""
         state = StateStore(self.runtime / "midstride" / system / "state.db").load()
         assert state is not None
         return state
 
     def down(self) -> None:
-        """End whatever runs here."""
+        """Stop all systems of this folder."""
         for state in self.runtime.glob("midstride/*/state.db"):
             done = self("down", "--system", state.parent.name)
             assert done.status == 0, done.err
@@ -102,7 +122,7 @@ class Midstride:
 
 @contextmanager
 def unwritten(midstride: Midstride) -> Iterator[subprocess.Popen[bytes]]:
-    """A component of the talker's system that a manager started right before it was killed."""
+    """A component that a manager started right before it was killed, and did not record."""
     token = midstride.saved("talker").token
     environment = {**os.environ, ENV_TOKEN: token, ENV_INSTANCE: "late"}
     with subprocess.Popen(["sleep", "600"], env=environment, start_new_session=True) as process:
@@ -114,7 +134,7 @@ def unwritten(midstride: Midstride) -> Iterator[subprocess.Popen[bytes]]:
 
 @pytest.fixture
 def run(capsys: pytest.CaptureFixture[str]) -> Any:
-    """The command line in this process: its exit status, and what it printed."""
+    """The command line in this process: its exit status, standard output and standard error."""
 
     def run(*words: object) -> tuple[int, str, str]:
         status = main([str(word) for word in words])
@@ -130,7 +150,7 @@ def midstride() -> Iterator[Midstride]:
 
 
 def running() -> Iterator[Midstride]:
-    # Sockets have short paths, and pytest's own temporary folders long ones.
+    # The paths of sockets must be short, and those of pytest's temporary folders are long.
     folder = Path(tempfile.mkdtemp(prefix="ms"))
     command = Midstride(folder)
     try:
@@ -141,7 +161,7 @@ def running() -> Iterator[Midstride]:
 
 
 def nothing_lost(swaps: list[dict[str, Any]]) -> bool:
-    """What the middleware cannot tell is None: only from kilted on does it tell whose message one is."""
+    """None where the middleware does not report it: ROS 2 identifies the publisher of a message from kilted on."""
     allowed = {0, None} if "MIDSTRIDE_ROS2_ON_PATHS" in os.environ else {0}
     return bool(swaps) and all({swap["lost"], swap["duplicates"]} <= allowed for swap in swaps)
 

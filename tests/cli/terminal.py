@@ -1,4 +1,4 @@
-"""A command in a terminal of its own: what a person sees and types."""
+"""A command in a pseudo-terminal, as a person sees it and types into it."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Terminal:
         assert ready, f"nothing more comes; shown was:\n{self._shown()}"
         try:
             chunk = os.read(self._fd, 65536)
-        except OSError:  # Linux's way of saying that nobody is at the other end
+        except OSError:  # Linux reports the closed other end so
             return False
         self._seen += chunk.decode(errors="replace")
         return bool(chunk)

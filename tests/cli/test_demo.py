@@ -34,7 +34,7 @@ def in_virtual_time(name: str) -> tuple[list[examples.DemoStep], list[dict[str, 
     out = Console(file=io.StringIO(), width=1000)
     outcomes = loop.run(run_demo(example, "sim", out))
     assert isinstance(out.file, io.StringIO)
-    return list(example.acts), outcomes, out.file.getvalue()
+    return list(example.steps), outcomes, out.file.getvalue()
 
 
 def test_every_example_has_a_demo() -> None:
@@ -46,7 +46,7 @@ def test_every_example_has_a_demo() -> None:
 
 @pytest.mark.usefixtures("environment")
 @pytest.mark.parametrize("name", EVERY)
-def test_a_hand_over_loses_nothing_and_the_paper_s_steps_do(name: str) -> None:
+def test_a_hand_over_loses_nothing_and_the_paper_s_strategy_does(name: str) -> None:
     acts, outcomes, shown = in_virtual_time(name)
     assert [outcome["outcome"] for outcome in outcomes] == ["done"] * len(acts)
     for act, outcome in zip(acts, outcomes, strict=True):
@@ -63,10 +63,10 @@ def test_a_hand_over_loses_nothing_and_the_paper_s_steps_do(name: str) -> None:
 
 
 @pytest.mark.usefixtures("environment")
-def test_the_talker_s_demo_shows_the_listener_going_on() -> None:
+def test_the_talker_s_demo_shows_the_listener_continuing() -> None:
     _, _, shown = in_virtual_time("talker")
-    said = [line.strip() for line in shown.partition("listener said meanwhile:")[2].splitlines()[1:5]]
-    assert [re.sub(r"\d+", "#", line) for line in said] == [
+    lines = [line.strip() for line in shown.partition("Log of listener during the change:")[2].splitlines()[1:5]]
+    assert [re.sub(r"\d+", "#", line) for line in lines] == [
         "I heard: hello world, this is talker",
         "I heard: hello world, this is talker",
         "I heard: good news from talker_#, number #",
@@ -77,29 +77,29 @@ def test_the_talker_s_demo_shows_the_listener_going_on() -> None:
 @pytest.mark.usefixtures("environment")
 def test_the_motor_stops_without_a_detector() -> None:
     _, _, shown = in_virtual_time("obstacle")
-    without = shown.index("Now controller.control is in mode degraded.")
+    without = shown.index("controller.control is now in mode degraded.")
     assert shown.index("no detector") < without < shown.index("a detector again")
-    assert "Now controller.control" not in shown[without + 1 :]
+    assert "controller.control is now" not in shown[without + 1 :]
 
 
-def test_what_is_said_is_cut_down_to_its_changes() -> None:
-    lines = [f"[INFO] [100.{n:03d}] [ear]: I heard: {'old' if n < 50 else 'new'} {n}" for n in range(100)]
-    said = [said for line in ["a line of a library", *lines] if (said := parse(line)) is not None]
-    assert len(said) == 100
-    assert [line and line.words for line in excerpt(said)] == [
+def test_an_excerpt_of_a_log_shows_its_changes() -> None:
+    log = [f"[INFO] [100.{n:03d}] [ear]: I heard: {'old' if n < 50 else 'new'} {n}" for n in range(100)]
+    lines = [parsed for line in ["a line of a library", *log] if (parsed := parse(line)) is not None]
+    assert len(lines) == 100
+    assert [line and line.text for line in excerpt(lines)] == [
         "I heard: old 48",
         "I heard: old 49",
         "I heard: new 50",
         "I heard: new 51",
     ]
-    assert excerpt(said[:50]) == []
-    assert str(said[50]).endswith(".050  I heard: new 50")
-    twice = excerpt([*said, *said[:50]])
+    assert excerpt(lines[:50]) == []
+    assert str(lines[50]).endswith(".050  I heard: new 50")
+    twice = excerpt([*lines, *lines[:50]])
     assert twice.count(None) == 1
 
 
 def test_as_a_command(midstride: Midstride) -> None:
-    done = midstride("demo", "--backend", "sim", "--json")
+    done = midstride.process("demo", "--backend", "sim", "--json")
     assert (done.status, done.err) == (0, "")
     document = done.json
     assert (document["outcome"], document["example"], document["backend"]) == ("done", "talker", "sim")
@@ -108,13 +108,13 @@ def test_as_a_command(midstride: Midstride) -> None:
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_interrupted_it_ends_in_order(midstride: Midstride, number: signal.Signals) -> None:
+def test_an_interrupted_demo_shuts_down_in_order(midstride: Midstride, number: signal.Signals) -> None:
     demo = midstride.start("demo", "--backend", "sim")
     try:
         assert demo.stdout is not None
         assert any("hand over" in line and "✓" in line for line in demo.stdout)
         demo.send_signal(number)
-        assert "Interrupted; everything that was started has ended." in demo.stdout.read()
+        assert "Interrupted; all processes have been stopped." in demo.stdout.read()
         assert demo.wait(20) == 130
     finally:
         demo.kill()

@@ -30,7 +30,7 @@ def test_columns_are_counted_in_code_units() -> None:
 
 
 async def session(folder: Path) -> dict[str, Any]:
-    """Open, break, mend, ask, close: what the server answered."""
+    """Open, break, query, close: the answers of the server."""
     client = LanguageClient("test", "1")
     shown: dict[str, list[types.Diagnostic]] = {}
     arrived = asyncio.Event()
@@ -110,13 +110,13 @@ def test_a_session_ends_in_order() -> None:
         body = json.dumps({"jsonrpc": "2.0", "method": method, **rest}).encode()
         return b"Content-Length: %d\r\n\r\n" % len(body) + body
 
-    said = [
+    messages = [
         message("initialize", id=1, params={"processId": None, "rootUri": None, "capabilities": {}}),
         message("initialized", params={}),
         message("shutdown", id=2),
         message("exit"),
     ]
     command = [sys.executable, "-m", "midstride", "lsp"]
-    ended = subprocess.run(command, input=b"".join(said), capture_output=True, timeout=60, check=False)
+    ended = subprocess.run(command, input=b"".join(messages), capture_output=True, timeout=60, check=False)
     assert b"Traceback" not in ended.stderr, ended.stderr.decode()
     assert ended.returncode == 0

@@ -34,7 +34,7 @@ def test_a_plan_takes_as_long_as_its_steps_one_after_another() -> None:
     )
 
 
-def test_what_stays_lower_is_not_called_nothing() -> None:
+def test_what_stays_lower_is_reported() -> None:
     """`midstride remove` of what the brake relies on: it was meant to fall, and it has fallen."""
     lower = [{"functionality": "brake.watch", "from": "normal", "to": "cautious", "levels": 1}]
     assert shown(render.outcome(done())) == ["Done in 270 ms.", "Nothing fell below its level."]
@@ -42,31 +42,31 @@ def test_what_stays_lower_is_not_called_nothing() -> None:
         "Done in 270 ms.",
         "Stays lower: brake.watch, from normal to cautious.",
     ]
-    assert render.fell(done(plan=plan(afterwards=lower))) == "brake.watch for good"
-    assert render.fell(done(fallen={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
-    assert render.fell(done()) == "nothing"
+    assert render.fallen_line(done(plan=plan(afterwards=lower))) == "brake.watch permanently"
+    assert render.fallen_line(done(fallen={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
+    assert render.fallen_line(done()) == "nothing"
     rolled_back = done("rolled_back", plan=plan(afterwards=lower), because="create filter_2 (Median): it ended")
     assert shown(render.outcome(rolled_back)) == [
-        "Rolled back in 270 ms, every step is undone: create filter_2 (Median): it ended",
+        "Rolled back in 270 ms, every step undone: create filter_2 (Median): it ended",
         "Nothing fell below its level.",
     ]
     crashed = shown(render.outcome(done("rolled_back", because="the process of talker has ended", ended=["talker"])))
-    assert crashed[1].startswith("By itself ended meanwhile: talker;")
+    assert crashed[1].startswith("Exited unexpectedly meanwhile: talker;")
     assert len(crashed) == 2
 
 
-def test_of_one_that_does_not_answer_no_mode_is_claimed() -> None:
+def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
     row = {"name": "talker.talk", "mode": "normal", "normal": True, "because": None, "busy": None}
     component = {"name": "talker", "component": "Talker", "pid": 7, "reachable": True, "functionalities": [row]}
     state = {"system": "talker", "backend": "sim", "valid": True, "components": [component], "topics": []}
     live = shown(render.status({**state, "violations": []}))
     assert live[2].split() == ["talker", "Talker", "7", "talk", "normal"]
     silent = {**component, "reachable": False}
-    told = shown(render.status({**state, "valid": False, "violations": [], "components": [silent]}))
-    assert " ".join(told[2].split()) == "talker Talker 7, no answer talk unknown it was in mode normal"
+    lines = shown(render.status({**state, "valid": False, "violations": [], "components": [silent]}))
+    assert " ".join(lines[2].split()) == "talker Talker 7, not responding talk unknown last known mode: normal"
 
 
-def test_why_a_mode_ended_is_said_by_the_error_and_not_by_the_end_of_its_traceback() -> None:
+def test_the_reason_for_a_mode_is_the_error_and_not_the_end_of_its_traceback() -> None:
     because = (
         'mode normal raised: ValueError: no map\n  File "slam.py", line 3, in normal\n    load(path)\n    ^^^^^^^^^^'
     )
@@ -80,12 +80,12 @@ def test_why_a_mode_ended_is_said_by_the_error_and_not_by_the_end_of_its_traceba
         "topics": [],
         "violations": [],
     }
-    said = "\n".join(shown(render.status(document)))
-    assert "mode normal raised: ValueError: no map" in said
-    assert "^^^" not in said
+    text = "\n".join(shown(render.status(document)))
+    assert "mode normal raised: ValueError: no map" in text
+    assert "^^^" not in text
 
 
-def test_what_has_fallen_by_itself_meanwhile_is_not_called_nothing() -> None:
+def test_unexpected_degradation_is_reported() -> None:
     assert shown(render.outcome(done(degraded=["talker_2.talk"])))[1:] == [
-        "By itself fell meanwhile: talker_2.talk; `midstride why talker_2.talk` says why."
+        "Degraded unexpectedly meanwhile: talker_2.talk; see `midstride why talker_2.talk`."
     ]

@@ -24,7 +24,7 @@ def until(condition: Callable[[], bool], what: str) -> None:
 
 
 def heard(midstride: Midstride) -> str:
-    """What the listener has said last."""
+    """The last line in the listener's log."""
     log = midstride.runtime / "midstride" / "talker" / "logs" / "listener.log"
     return log.read_text().splitlines()[-1].rpartition("]: ")[2]
 
@@ -44,23 +44,23 @@ def test_a_system_from_up_to_down(midstride: Midstride) -> None:
     until(lambda: not any(map(alive, {*before, *after})), "components are left")
 
 
-def test_components_outlive_their_manager_and_are_found_again(midstride: Midstride) -> None:
+def test_components_outlive_their_manager_and_are_reattached(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
     assert midstride("replace", "talker", "NewTalker", "--yes").status == 0
     components = midstride.components("talker")
     os.kill(midstride.manager("talker"), signal.SIGKILL)
-    said = heard(midstride)
-    until(lambda: heard(midstride) != said, "the listener hears nothing any more")
+    last = heard(midstride)
+    until(lambda: heard(midstride) != last, "the listener hears nothing any more")
     done = midstride("status")
     assert done.status == 1
-    assert "its components may still run: `midstride up` with its file finds them again" in done.err
+    assert "its components may still be running: `midstride up FILE` reattaches to them" in done.err
     with unwritten(midstride) as late:
         up = midstride("up", TALKER, "-d")
         assert up.status == 0, up.err
         assert late.wait(20) == -signal.SIGTERM
     assert "ended late, which an earlier manager had just started" in up.out
     assert "talker_2 was reattached unchanged" in up.out
-    assert "was running, and is not as" in up.err  # the file says Talker, a NewTalker runs
+    assert "was already running and differs from" in up.err  # the file says Talker, a NewTalker runs
     assert midstride.components("talker") == components
     assert midstride("status", "--json").json["valid"]
     back = midstride("apply", TALKER, "--yes", "--json").json
@@ -68,7 +68,7 @@ def test_components_outlive_their_manager_and_are_found_again(midstride: Midstri
     assert nothing_lost(back["swaps"]), back["swaps"]
 
 
-def test_down_ends_what_a_killed_manager_left(midstride: Midstride) -> None:
+def test_down_stops_the_components_of_a_killed_manager(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
     components = midstride.components("talker")
     os.kill(midstride.manager("talker"), signal.SIGKILL)
@@ -78,7 +78,7 @@ def test_down_ends_what_a_killed_manager_left(midstride: Midstride) -> None:
 
 
 @pytest.mark.full
-def test_a_manager_that_is_told_to_end_leaves_the_components(midstride: Midstride) -> None:
+def test_a_terminated_manager_leaves_the_components_running(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "-d").status == 0
     manager, components = midstride.manager("talker"), midstride.components("talker")
     os.kill(manager, signal.SIGTERM)

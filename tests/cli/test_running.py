@@ -37,7 +37,7 @@ def playing(midstride: Midstride, role: str = "talker") -> tuple[str, str]:
     return next((entry["name"], entry["component"]) for entry in components if entry["role"] == role)
 
 
-def test_up_shows_what_it_does(midstride: Midstride) -> None:
+def test_up_shows_its_progress(midstride: Midstride) -> None:
     done = midstride("up", TALKER, "--backend", "sim", "-d")
     assert (done.status, done.err) == (0, "")
     assert re.search(r"✓ 1/6 create listener \(Listener\) \d+", done.out)
@@ -46,7 +46,7 @@ def test_up_shows_what_it_does(midstride: Midstride) -> None:
     assert os.getsid(manager) == manager
     again = midstride("up", TALKER, "--backend", "sim", "-d")
     assert (again.status, again.out) == (1, "")
-    assert f"talker is running already, under the manager with process {manager}" in again.err
+    assert f"talker is already running (manager process {manager})" in again.err
     down = midstride("down")
     assert (down.status, down.out) == (0, "talker is down.\n")
     assert midstride("status").status == 1
@@ -55,7 +55,7 @@ def test_up_shows_what_it_does(midstride: Midstride) -> None:
     assert midstride("down", "--json").json == {"outcome": "done", "system": "talker"}
 
 
-def test_status_says_what_is_live(talker: Midstride) -> None:
+def test_status_shows_the_live_components(talker: Midstride) -> None:
     document = talker("status", "--json").json
     assert (document["system"], document["backend"], document["valid"]) == ("talker", "sim", True)
     modes = {row["name"]: row["mode"] for entry in document["components"] for row in entry["functionalities"]}
@@ -82,14 +82,14 @@ def test_why_and_log(talker: Midstride) -> None:
 @pytest.mark.parametrize(
     "words", [("replace", "talkr", "NewTalker"), ("replace", "talker", "NewTalkr"), ("remove", "x")]
 )
-def test_what_is_refused_changes_nothing(talker: Midstride, words: tuple[str, ...]) -> None:
+def test_a_refused_change_changes_nothing(talker: Midstride, words: tuple[str, ...]) -> None:
     before = talker("status", "--json").json["revision"]
     done = talker(*words, "--yes")
     assert done.status == 1
     assert "Refused, nothing was changed: there is no " in done.out
-    told = talker(*words, "--yes", "--json")
-    assert (told.status, told.json["outcome"]) == (1, "refused")
-    assert "there is no " in told.json["because"]
+    refused = talker(*words, "--yes", "--json")
+    assert (refused.status, refused.json["outcome"]) == (1, "refused")
+    assert "there is no " in refused.json["because"]
     assert talker("status", "--json").json["revision"] == before
 
 
@@ -97,8 +97,8 @@ def test_a_replacement_is_shown_and_measured(talker: Midstride) -> None:
     done = talker("replace", "talker", "NewTalker", "--yes")
     assert done.status == 0, done.err
     lines = done.out.splitlines()
-    assert lines[0] == "replace talker by NewTalker"
-    assert "Nothing falls: every functionality keeps its level throughout." in lines
+    assert lines[0] == "replace talker with NewTalker"
+    assert "Nothing degrades: every functionality keeps its level throughout." in lines
     assert [line.split()[1] for line in lines if "✓" in line] == ["1/4", "2/4", "3/4", "4/4"]
     assert re.match(r"/chatter +listener.in +\d+ ms +1\.\d\d", lines[-1])
     back = talker("--json", "replace", "talker", "Talker", "--yes").json
@@ -151,36 +151,36 @@ def test_apply_takes_the_system_to_a_file(talker: Midstride, tmp_path: Path) -> 
     assert len(talker("status", "--json").json["components"]) == 2
 
 
-def test_nobody_to_ask(talker: Midstride) -> None:
+def test_without_a_terminal_a_change_needs_yes(talker: Midstride) -> None:
     before = len(talker("log", "--json").json)
     done = talker("remove", "listener")
     assert (done.status, done.out) == (2, "")
-    assert "say --yes to go ahead" in done.err
+    assert "not a terminal; pass --yes" in done.err
     assert len(talker("log", "--json").json) == before
 
 
-def test_a_person_is_asked(talker: Midstride) -> None:
+def test_a_change_asks_for_confirmation(talker: Midstride) -> None:
     events = len(talker("log", "--json").json)
     with Terminal(talker, "add", "second", "Listener", "in=/chatter") as terminal:
-        shown = terminal.until("Go ahead? [y/N]: ")
+        shown = terminal.until("Proceed? [y/N]: ")
         assert "create second (Listener)" in shown
-        assert "Nothing falls" in shown
+        assert "Nothing degrades" in shown
         terminal.press("n\n")
         assert "Nothing was changed." in terminal.rest()
         assert terminal.status == 1
     assert len(talker("log", "--json").json) == events
     with Terminal(talker, "add", "second", "Listener", "in=/chatter") as terminal:
-        terminal.until("Go ahead? [y/N]: ")
+        terminal.until("Proceed? [y/N]: ")
         terminal.press("y\n")
         assert "Done in" in terminal.rest()
         assert terminal.status == 0
     assert talker("remove", "second", "--yes").status == 0
 
 
-def test_what_was_shown_is_what_is_done(talker: Midstride) -> None:
+def test_only_the_plan_that_was_shown_is_carried_out(talker: Midstride) -> None:
     """A change between the preview and the yes: the plan that was shown is not the one that would be carried out."""
     with Terminal(talker, "remove", "listener") as terminal:
-        terminal.until("Go ahead? [y/N]: ")
+        terminal.until("Proceed? [y/N]: ")
         assert talker("add", "second", "Listener", "in=/chatter", "--yes").status == 0
         terminal.press("y\n")
         assert "the configuration has changed since the plan was shown" in " ".join(terminal.rest().split())
@@ -193,7 +193,7 @@ def test_two_changes_at_once_take_turns(talker: Midstride) -> None:
     done: list[Any] = []
 
     def add(name: str) -> None:
-        done.append(talker("add", name, "Listener", "in=/chatter", "--yes", "--json").json["outcome"])
+        done.append(talker.process("add", name, "Listener", "in=/chatter", "--yes", "--json").json["outcome"])
 
     threads = [threading.Thread(target=add, args=(name,)) for name in ("left", "right")]
     for thread in threads:
@@ -204,7 +204,7 @@ def test_two_changes_at_once_take_turns(talker: Midstride) -> None:
     assert talker("remove", "left", "right", "--yes").status == 0
 
 
-def test_watch_tells_events_as_one_document(talker: Midstride) -> None:
+def test_watch_prints_events_as_one_document(talker: Midstride) -> None:
     watching = talker.start("watch", "--json")
     try:
         assert watching.stdout is not None
@@ -219,11 +219,11 @@ def test_watch_tells_events_as_one_document(talker: Midstride) -> None:
         watching.communicate()
 
 
-def test_the_live_view_is_left_and_the_system_goes_on(midstride: Midstride) -> None:
+def test_the_system_keeps_running_when_the_live_view_is_left(midstride: Midstride) -> None:
     with Terminal(midstride, "up", TALKER, "--backend", "sim") as terminal:
         terminal.until("Ctrl-C leaves the view")
         terminal.press("\x03")
-        assert "talker goes on running." in terminal.rest()
+        assert "talker keeps running:" in terminal.rest()
         assert terminal.status == 0
     assert midstride("status", "--json").json["valid"]
     with Terminal(midstride, "watch") as terminal:
@@ -233,36 +233,36 @@ def test_the_live_view_is_left_and_the_system_goes_on(midstride: Midstride) -> N
         assert terminal.status == 0
 
 
-def test_ctrl_c_while_coming_up_takes_it_down_again(midstride: Midstride, tmp_path: Path) -> None:
+def test_ctrl_c_during_start_up_stops_the_system(midstride: Midstride, tmp_path: Path) -> None:
     document = json.loads(Path(TALKER).read_text())
     document["components"]["Talker"]["run"] = "python3 never.py"
     (tmp_path / "never.py").write_text("import time\nwhile True:\n    time.sleep(1)\n")
     (tmp_path / "listener.py").write_text((EXAMPLES / "talker" / "listener.py").read_text())
     file = tmp_path / "never.json"
     file.write_text(json.dumps(document))
-    midstride.environment["MIDSTRIDE_REGISTRATION_TIMEOUT"] = "3"
+    midstride.environment["MIDSTRIDE_REGISTRATION_TIMEOUT"] = "1.5"
     with Terminal(midstride, "up", str(file), "--backend", "sim") as terminal:
         terminal.until("create talker")
         terminal.press("\x03")
-        assert "Ending what has been started of talker" in terminal.rest()
+        assert "Stopping everything started for talker" in terminal.rest()
         assert terminal.status == 130
     assert midstride("status").status == 1
 
 
-def test_ctrl_c_before_the_manager_answers_takes_it_down_again(midstride: Midstride) -> None:
-    """The manager is on its way by then, in a session of its own, and would bring the system up all the same."""
+def test_ctrl_c_before_the_manager_answers_stops_the_system(midstride: Midstride) -> None:
+    """The manager has been started by then, in its own session, and would still start the system."""
     with Terminal(midstride, "up", TALKER, "--backend", "sim") as terminal:
         log = midstride.runtime / "midstride" / "talker" / "logs" / "manager.log"
         while not log.exists():
             time.sleep(0.001)
         terminal.press("\x03")
-        assert "Ending what has been started of talker" in terminal.rest()
+        assert "Stopping everything started for talker" in terminal.rest()
         assert terminal.status == 130
     assert midstride("status").err.endswith("no system is running; start one with `midstride up FILE`\n")
 
 
 @pytest.mark.parametrize(
-    ("program", "told"),
+    ("program", "message"),
     [
         ("import nothing_of_the_kind\n", "No module named 'nothing_of_the_kind'"),
         ("raise SystemExit(3)\n", "talker exited with status 3 before it registered"),
@@ -274,7 +274,7 @@ def test_ctrl_c_before_the_manager_answers_takes_it_down_again(midstride: Midstr
     ],
 )
 def test_a_component_that_does_not_come_up(
-    midstride: Midstride, tmp_path: Path, program: str | None, told: str
+    midstride: Midstride, tmp_path: Path, program: str | None, message: str
 ) -> None:
     for file in (EXAMPLES / "talker").iterdir():
         (tmp_path / file.name).write_text(file.read_text())
@@ -284,14 +284,14 @@ def test_a_component_that_does_not_come_up(
     done = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "-d")
     assert done.status == 1
     assert done.err.startswith("midstride up: ")
-    assert told in done.err
+    assert message in done.err
     assert "midstride/cli" not in done.err
-    told_json = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "--json")
-    assert (told_json.status, told_json.json["error"]["kind"]) == (1, "StepFailed")
+    failed = midstride("up", str(tmp_path / "talker.json"), "--backend", "sim", "--json")
+    assert (failed.status, failed.json["error"]["kind"]) == (1, "StepFailed")
     assert not (midstride.runtime / "midstride" / "talker" / "state.db").exists()
 
 
-def test_the_api_over_tcp_where_it_is_asked_for(midstride: Midstride) -> None:
+def test_the_api_over_tcp(midstride: Midstride) -> None:
     with socket.create_server(("127.0.0.1", 0)) as door:
         port = door.getsockname()[1]
     up = midstride("up", TALKER, "--backend", "sim", "-d", "--http", str(port))
@@ -309,27 +309,27 @@ def test_several_systems(talker: Midstride) -> None:
     assert talker("up", file, "--backend", "sim", "-d").status == 0
     done = talker("status")
     assert (done.status, done.out) == (2, "")
-    assert "several systems are running (obstacle, talker): say which with --system NAME" in done.err
+    assert "several systems are running (obstacle, talker); choose one with --system NAME" in done.err
     assert talker("status", "--system", "obstacle").out.startswith("obstacle on sim")
     assert talker("status", "--system", "talkr").err.endswith("did you mean `talker`?\n")
     assert talker("down", "--system", "obstacle").status == 0
     assert talker("status").status == 0
 
 
-def test_a_killed_manager_is_no_riddle(midstride: Midstride) -> None:
+def test_the_state_of_a_killed_manager_is_recovered_from(midstride: Midstride) -> None:
     """In the simulator components die with their manager; what is left written must not be in anybody's way."""
     assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
     manager = midstride.manager("talker")
     os.kill(manager, signal.SIGSTOP)
     done = midstride("down")
     assert (done.status, done.out) == (1, "")
-    assert f"the manager of talker (process {manager}) runs, but does not answer" in done.err
+    assert f"the manager of talker (process {manager}) is running but does not answer" in done.err
     os.kill(manager, signal.SIGKILL)
     while alive(manager):
         time.sleep(0.01)
     done = midstride("status")
     assert done.status == 1
-    assert "the manager of talker has ended" in done.err
+    assert "the manager of talker has exited" in done.err
     with unwritten(midstride) as late:
         assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
         assert late.wait(20) == -signal.SIGTERM
@@ -340,14 +340,14 @@ def test_a_killed_manager_is_no_riddle(midstride: Midstride) -> None:
     assert midstride("down").status == 1
 
 
-def test_the_view_says_that_the_manager_has_gone(midstride: Midstride) -> None:
+def test_the_view_reports_that_the_manager_has_exited(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
     watching = midstride.start("watch")
     try:
         assert watching.stdout is not None
         assert "up talker" in watching.stdout.readline()
         os.kill(midstride.manager("talker"), signal.SIGTERM)
-        assert watching.stdout.read().endswith("The manager of talker has ended; its components go on.\n")
+        assert watching.stdout.read().endswith("The manager of talker has exited; its components keep running.\n")
         assert watching.wait(20) == 1
     finally:
         watching.kill()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ import pytest
 import midstride as package
 from midstride.backends import NAMES
 from midstride.cli import main, render
-from midstride.cli.app import COMMANDS
+from midstride.cli.app import COMMANDS, GROUPS
 from midstride.cli.output import console
 from midstride.model.specification import Specification
 from midstride.runtime.state_store import StateStore
@@ -26,15 +27,15 @@ TALKER = str(EXAMPLES / "talker" / "talker.json")
 @pytest.fixture(autouse=True)
 def nothing_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    with open("/dev/null") as nobody:
-        monkeypatch.setattr("sys.stdin", nobody)
+    with open("/dev/null") as nothing:
+        monkeypatch.setattr("sys.stdin", nothing)
         yield
 
 
 def run(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str, str]:
     status = main(words)
-    told = capsys.readouterr()
-    return status, told.out, told.err
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
 
 
 # -- starting fast, and the public names ----------------------------------------------------------------
@@ -51,6 +52,22 @@ def test_help_imports_nothing_slow() -> None:
         name for name in imported if name.startswith(("midstride.model", "midstride.node", "midstride.runtime"))
     ]
     assert all(f"\n  {name} " in done.stdout for name in COMMANDS)
+
+
+def test_help_and_the_reference_have_the_same_headings(capsys: pytest.CaptureFixture[str]) -> None:
+    status, out, _ = run(capsys, "--help")
+    assert status == 0
+    shown: dict[str, list[str]] = {}
+    for line in out.partition("Options:")[2].splitlines()[1:]:
+        if line.endswith(":"):
+            shown[line.rstrip(":")] = commands = []
+        elif shown and line:
+            commands.append(line.split()[0])
+    assert shown == {heading: list(commands) for heading, commands in GROUPS.items()}
+    page = (EXAMPLES.parent / "docs" / "reference" / "commands.md").read_text(encoding="utf-8")
+    sections = dict(part.split("\n", 1) for part in page.split("\n## ")[1:])
+    for heading, names in shown.items():
+        assert set(names) <= set(re.findall(r"\w+", sections[heading])), heading
 
 
 def test_the_public_names_are_there() -> None:
@@ -77,30 +94,30 @@ def test_the_version(capsys: pytest.CaptureFixture[str]) -> None:
 # -- wrong usage: status 2, one clear line -----------------------------------------------------------------
 
 
-def test_who_falls_is_not_taken_for_a_node_whose_name_goes_on() -> None:
-    """`cam_left` is no instance of `cam`, as `cam_2` is: a group falls together, each to a mode of its own."""
+def test_a_fall_is_not_confused_with_that_of_a_node_with_a_longer_name() -> None:
+    """`cam_left` is no instance of `cam`, as `cam_2` is: a group degrades together, each to its own mode."""
     modes = {name: {"from": "on", "to": to} for name, to in (("cam_left.see", "slow"), ("cam_2.see", "off"))}
     fall = {"functionality": "cam.see", "from_step": 1, "to_step": None, "seconds": 1.0, "because": "…"}
     document = {"steps": [{"action": "degrade", "modes": modes}], "falls": [fall], "afterwards": []}
     assert "cam.see to off for" in render.falls(document)
 
 
-def test_a_plan_without_steps_says_that_there_is_nothing_to_do(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_without_steps_reports_nothing_to_do(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "plan", TALKER, "--to", TALKER)
-    assert (status, out.splitlines()[1:]) == (0, ["There is nothing to do: what is wanted is there."])
+    assert (status, out.splitlines()[1:]) == (0, ["Nothing to do: the system already matches the target."])
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (["replce"], "midstride: there is no command `replce`; did you mean `replace`?"),
         (["replace"], "midstride replace: missing argument 'NODE'"),
         (["status", "--systm", "x"], "midstride status: no such option '--systm'. Did you mean '--system'?"),
-        (["replace", "talker", "NewTalker"], "nobody can be asked here (no terminal): say --yes to go ahead"),
-        (["plan", TALKER], "midstride plan: say what is to change: --to NEW, --replace, --add or --remove"),
+        (["replace", "talker", "NewTalker"], "not a terminal; pass --yes"),
+        (["plan", TALKER], "midstride plan: nothing to change: pass --to NEW, --replace, --add or --remove"),
         (["plan", TALKER, "--replace", "talker"], "`talker` is not of the form NODE=COMPONENT"),
         (["plan", TALKER, "--add", "second"], "`second` is not of the form 'NODE COMPONENT PORT=TOPIC…'"),
-        (["plan", TALKER, "--to", TALKER, "--remove", "talker"], "--to names a whole specification"),
+        (["plan", TALKER, "--to", TALKER, "--remove", "talker"], "--to cannot be combined with --replace"),
         (
             ["plan", TALKER, "--remove", "talker", "--strategy", "fast"],
             "'fast' is not one of 'minimal', 'paper', 'quiesce'",
@@ -113,10 +130,10 @@ def test_a_plan_without_steps_says_that_there_is_nothing_to_do(capsys: pytest.Ca
         (["add", "second", "Listener", "in", "--yes"], "`in` is not of the form PORT=TOPIC, such as out=/chatter"),
     ],
 )
-def test_wrong_usage(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_wrong_usage(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run(capsys, *words)
     assert (status, out) == (2, "")
-    assert told in err.splitlines()[0]
+    assert message in err.splitlines()[0]
     assert "--help`" in err.splitlines()[-1]
     status, out, _ = run(capsys, *words, "--json")
     document = json.loads(out)
@@ -130,16 +147,18 @@ def test_no_command_at_all(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.parametrize("words", [["status"], ["watch"], ["log"], ["down"], ["why", "a.b"], ["remove", "a", "--yes"]])
-def test_without_a_manager_it_is_said_how_to_start_one(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    told = "no system is running; start one with `midstride up FILE`"
-    assert run(capsys, *words) == (1, "", f"midstride {words[0]}: {told}\n")
+def test_the_error_without_a_manager_says_how_to_start_one(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    message = "no system is running; start one with `midstride up FILE`"
+    assert run(capsys, *words) == (1, "", f"midstride {words[0]}: {message}\n")
     status, out, _ = run(capsys, "--json", *words)
     document = json.loads(out)
-    assert (status, document["error"]) == (1, {"kind": "NoManager", "message": told})
+    assert (status, document["error"]) == (1, {"kind": "NoManager", "message": message})
 
 
 @pytest.mark.parametrize("command", ["status", "down"])
-def test_of_several_whose_managers_have_ended_one_must_be_named(
+def test_one_of_several_systems_without_managers_must_be_named(
     command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("talker", "filter"):
@@ -149,12 +168,12 @@ def test_of_several_whose_managers_have_ended_one_must_be_named(
         store.close()
     status, out, err = run(capsys, command)
     assert (status, out) == (1, "")
-    assert "may still run: filter, talker. Say which is meant with --system NAME" in err
+    assert "may still be running: filter, talker. Choose one with --system NAME" in err
     assert run(capsys, "down", "--system", "talker")[:2] == (0, "talker is down.\n")
     assert run(capsys, "down")[:2] == (0, "filter is down.\n")
 
 
-def test_a_system_that_does_not_run(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_system_that_is_not_running(capsys: pytest.CaptureFixture[str]) -> None:
     status, _, err = run(capsys, "status", "--system", "patrol")
     assert (status, err.split("; ")[0]) == (1, "midstride status: no system patrol is running")
 
@@ -162,11 +181,11 @@ def test_a_system_that_does_not_run(capsys: pytest.CaptureFixture[str]) -> None:
 # -- specifications in files ---------------------------------------------------------------------------------
 
 
-def test_what_is_well_formed(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_examples_have_no_problems(capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(file) for file in sorted(EXAMPLES.glob("*/*.json")) if file.name != "demo.json"]
     status, out, err = run(capsys, "check", *files)
     assert (status, err) == (0, "")
-    assert "nothing to complain of" in out
+    assert "no problems found" in out
     status, out, _ = run(capsys, "check", *files, "--json", "--strict")
     assert (status, json.loads(out)) == (0, {"ok": True, "diagnostics": []})
 
@@ -179,7 +198,7 @@ def broken(folder: Path, **changes: Any) -> str:
     return str(file)
 
 
-def test_every_fault_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_error_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nodes = {"talker": {"component": "Talkr", "attachments": {"out": ["/chatter"]}}}
     file = broken(tmp_path, topcs={}, nodes=nodes)
     status, out, _ = run(capsys, "check", file)
@@ -189,14 +208,14 @@ def test_every_fault_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     assert "Talkr" in out
     assert "did you mean `Talker`?" in out
     status, out, _ = run(capsys, "--json", "check", file)
-    told = json.loads(out)
-    assert (status, told["ok"]) == (1, False)
-    first = told["diagnostics"][0]
+    document = json.loads(out)
+    assert (status, document["ok"]) == (1, False)
+    first = document["diagnostics"][0]
     assert {"code", "severity", "file", "line", "column", "message", "help"} <= set(first)
-    assert {fault["code"] for fault in told["diagnostics"]} >= {"E002", "E008"}
+    assert {fault["code"] for fault in document["diagnostics"]} >= {"E002", "E008"}
 
 
-def test_a_warning_counts_where_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_warning_counts_with_strict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     nodes = {"listener": {"component": "Listener", "attachments": {"in": ["/chatter"]}}}
     file = broken(tmp_path, nodes=nodes)
     status, out, _ = run(capsys, "check", file)
@@ -205,21 +224,21 @@ def test_a_warning_counts_where_asked(tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         ("talkr.json", "did you mean `talker.json`?"),
         ("", "is a folder; give a file in it: "),
-        ("/dev/zero", "/dev/zero has more than 64 million characters: is it what you meant?"),
+        ("/dev/zero", "/dev/zero has more than 64 million characters: wrong file?"),
     ],
 )
-def test_a_file_that_is_none(name: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_or_unusable_file(name: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
     file = EXAMPLES / "talker" / name
     for words in (["up", str(file), "-d"], ["plan", str(file), "--remove", "x"], ["export", str(file)]):
         status, out, err = run(capsys, *words)
         assert (status, out) == (1, "")
         assert err.startswith(f"midstride {words[0]}: ")
         assert err.count("\n") == 1
-        assert told in err
+        assert message in err
 
 
 def test_not_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -230,7 +249,7 @@ def test_not_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "line 1, column 12" in err
 
 
-def test_what_is_exported_is_the_same_specification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_export_is_the_same_specification(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "export", TALKER, "--json")
     assert status == 0
     assert json.loads(out) == json.loads(Path(TALKER).read_text())
@@ -247,22 +266,22 @@ def test_the_paper_s_seven_steps(capsys: pytest.CaptureFixture[str]) -> None:
     assert status == 0
     steps = [line.split(maxsplit=1)[1].rsplit("  ", 1)[0].strip() for line in out.splitlines() if line[:1].isdigit()]
     assert steps == [
-        "degrade listener.listen: normal → degraded",
+        "degrade listener.listen from normal to degraded",
         "detach talker.out from /chatter",
         "remove talker",
-        "create talker_2 (NewTalker, as talker)",
-        "upgrade talker_2.talk: degraded → normal",
+        "create talker_2 (NewTalker)",
+        "upgrade talker_2.talk from degraded to normal",
         "attach talker_2.out to /chatter",
-        "upgrade listener.listen: degraded → normal",
+        "upgrade listener.listen from degraded to normal",
     ]
-    assert out.startswith("talker.json: replace talker by NewTalker\n")
-    assert "Falls: listener.listen to degraded for about" in out
+    assert out.startswith("talker.json: replace talker with NewTalker\n")
+    assert "Degrades: listener.listen to degraded for about" in out
 
 
-def test_a_plan_in_which_nothing_falls(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_in_which_nothing_degrades(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker")
     assert status == 0
-    assert "Nothing falls" in out
+    assert "Nothing degrades" in out
     assert "proved minimal" in out
     status, out, _ = run(capsys, "plan", TALKER, "--replace", "talker=NewTalker", "--json")
     document = json.loads(out)
@@ -271,16 +290,14 @@ def test_a_plan_in_which_nothing_falls(capsys: pytest.CaptureFixture[str]) -> No
     assert document["target"]["nodes"]["talker"]["component"] == "NewTalker"
 
 
-def test_what_stays_lower_is_said(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_shows_what_stays_lower(capsys: pytest.CaptureFixture[str]) -> None:
     file = str(EXAMPLES / "obstacle" / "obstacle.json")
     _, out, _ = run(capsys, "plan", file, "--remove", "detector")
     assert "Stays lower: controller.control, from normal to degraded" in out
-    assert "Nothing falls" not in out
+    assert "Nothing degrades" not in out
 
 
-def test_what_stays_lower_is_said_of_a_role_that_is_replaced(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_plan_shows_that_a_replaced_role_stays_lower(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     document = json.loads(Path(TALKER).read_text())
     document["components"]["NewTalker"]["functionalities"]["talk"]["modes"]["normal"]["assumes"] = [
         {"type": "sensor_msgs/msg/Image"}
@@ -289,19 +306,19 @@ def test_what_stays_lower_is_said_of_a_role_that_is_replaced(
     file.write_text(json.dumps(document))
     _, out, _ = run(capsys, "plan", str(file), "--replace", "talker=NewTalker")
     assert "Stays lower: talker.talk, from normal to degraded" in out
-    assert "Nothing falls" not in out
+    assert "Nothing degrades" not in out
 
 
-def test_a_topic_that_the_environment_satisfies_is_not_published_by_nobody(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_topic_that_the_environment_satisfies_has_a_publisher(capsys: pytest.CaptureFixture[str]) -> None:
     topics = [
         {"name": name, "satisfied": satisfied, "publishers": [], "subscribers": ["amcl.odom"]}
         for name, satisfied in (("/odom", True), ("/map", False))
     ]
     document = {"system": "s", "backend": "sim", "valid": True, "components": [], "topics": topics, "violations": []}
     console().print(render.status(document))
-    told = capsys.readouterr().out
-    assert "/odom: the environment → amcl.odom" in told
-    assert "/map: nobody → amcl.odom  (not satisfied)" in told
+    shown = capsys.readouterr().out
+    assert "/odom: the environment → amcl.odom" in shown
+    assert "/map: no publisher → amcl.odom  (not satisfied)" in shown
 
 
 def test_a_node_is_added_to_a_plan(capsys: pytest.CaptureFixture[str]) -> None:
@@ -319,32 +336,32 @@ def test_to_another_specification(tmp_path: Path, capsys: pytest.CaptureFixture[
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
-        (["--replace", "talkr=NewTalker"], "there is no node talkr; did you mean talker?"),
-        (["--replace", "talker=NewTalkr"], "there is no component NewTalkr; did you mean NewTalker?"),
-        (["--remove", "nobody"], "there is no node nobody; there are listener, talker"),
-        (["--add", "second Listener in=/chater"], "there is no topic /chater; did you mean /chatter?"),
-        (["--add", "second Listener inn=/chatter"], "there is no port inn of Listener; did you mean in?"),
-        (["--add", "'b ad' Listener in=/chatter"], "`b ad` cannot name a node"),
-        (["--replace", "talker=Listener"], "Listener cannot play talker: it has no port out"),
+        (["--replace", "talkr=NewTalker"], "there is no node `talkr`; did you mean `talker`?"),
+        (["--replace", "talker=NewTalkr"], "there is no component `NewTalkr`; did you mean `NewTalker`?"),
+        (["--remove", "nobody"], "there is no node `nobody`; known: listener, talker"),
+        (["--add", "second Listener in=/chater"], "there is no topic `/chater` (did you mean `/chatter`?)"),
+        (["--add", "second Listener inn=/chatter"], "Listener has no port `inn` (did you mean `in`?)"),
+        (["--add", "'b ad' Listener in=/chatter"], "`b ad` is not a valid node name"),
+        (["--replace", "talker=Listener"], "Listener cannot replace talker: it has no port out"),
     ],
 )
-def test_a_plan_that_is_refused(words: list[str], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_that_is_refused(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
     status, out, err = run(capsys, "plan", TALKER, *words)
     assert (status, out) == (1, "")
-    assert told in err
+    assert message in err
     status, out, _ = run(capsys, "plan", TALKER, *words, "--json")
     document = json.loads(out)
     assert (status, document["outcome"]) == (1, "refused")
-    assert told in document["because"]
+    assert message in document["because"]
     assert "steps" not in document
 
 
 # -- pipes and encodings -------------------------------------------------------------------------------------------
 
 
-def test_a_reader_that_has_seen_enough_is_no_error(midstride: Midstride) -> None:
+def test_a_closed_pipe_is_not_an_error(midstride: Midstride) -> None:
     command = " ".join(midstride.command("export", TALKER))
     done = subprocess.run(
         ["sh", "-c", f"{command} | head -c 1; sleep 0.1"],
@@ -357,7 +374,7 @@ def test_a_reader_that_has_seen_enough_is_no_error(midstride: Midstride) -> None
 
 
 @pytest.mark.parametrize("stream", ["stdin", "stdout", "stderr"])
-def test_a_closed_stream_is_no_error(
+def test_a_closed_stream_is_not_an_error(
     stream: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Python has None for a standard stream that its caller has closed, as in `midstride … >&-`."""
@@ -369,15 +386,15 @@ def test_a_closed_stream_is_no_error(
         getattr(sys, stream).close()
 
 
-def test_an_output_that_cannot_be_written_is_told(
+def test_an_output_that_cannot_be_written_is_reported(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for words in (["plan", TALKER, "--remove", "talker"], ["export", TALKER], ["explain", "E008", "--json"]):
         with open("/dev/full", "w") as full:
             monkeypatch.setattr("sys.stdout", full)
             status = main(words)
-        told = capsys.readouterr().err
-        assert (status, told) == (1, f"midstride {words[0]}: the output cannot be written: No space left on device\n")
+        message = capsys.readouterr().err
+        assert (status, message) == (1, f"midstride {words[0]}: cannot write the output: No space left on device\n")
 
 
 def test_a_runtime_folder_that_cannot_be_made(
@@ -389,18 +406,23 @@ def test_a_runtime_folder_that_cannot_be_made(
     assert "cannot create the folder /dev/null/midstride" in err
 
 
-def test_what_the_terminal_cannot_show_stops_nothing(midstride: Midstride) -> None:
-    done = midstride("plan", TALKER, "--replace", "talker=NewTalker", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
+def test_characters_outside_the_encoding_are_replaced(midstride: Midstride, tmp_path: Path) -> None:
+    file = tmp_path / "größe.json"
+    file.write_text(Path(TALKER).read_text())
+    done = midstride.process(
+        "plan", str(file), "--replace", "talker=NewTalker", PYTHONIOENCODING="ascii", PYTHONUTF8="0"
+    )
     assert (done.status, done.err) == (0, "")
-    assert "upgrade talker_2.talk: degraded ? normal" in done.out
+    assert done.out.startswith("gr??e.json: replace talker")
+    assert "hand over /chatter from talker.out to talker_2.out" in done.out
 
 
 def test_piped_tables_are_not_folded(midstride: Midstride) -> None:
-    done = midstride("plan", TALKER, "--replace", "talker=NewTalker", "--strategy", "paper", COLUMNS="40")
-    assert "nobody satisfies /chatter (it has no publisher), after step 2" in done.out
+    done = midstride.process("plan", TALKER, "--replace", "talker=NewTalker", "--strategy", "paper", COLUMNS="40")
+    assert "/chatter has no publisher, after step 2" in done.out
 
 
-def test_who_is_lowered_first_and_then_gone_is_not_said_to_stand_in_its_lowest_mode(
+def test_a_role_that_degrades_and_is_then_removed_is_shown_as_unserved(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     path = tmp_path / "s.stride"
@@ -428,4 +450,4 @@ def test_who_is_lowered_first_and_then_gone_is_not_said_to_stand_in_its_lowest_m
     )
     status, out, _ = run(capsys, "plan", str(path), "--replace", "base=New")
     assert status == 0
-    assert "Falls: base.drive to stop, and from step 3 on to nobody serving it, for about" in out
+    assert "Degrades: base.drive to stop, unserved from step 3 on, for about" in out

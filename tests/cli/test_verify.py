@@ -32,11 +32,11 @@ def test_a_plan_from_standard_input(run: Any, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr("sys.stdin", StringIO(text))
     status, out, err = run("verify", TALKER, "--plan", "-")
     assert (status, err) == (0, "")
-    assert out.startswith("HOLDS: the plan of 4 steps (exact: 5 configurations, 28 atoms; Alloy 6.2.0)\nJudged in ")
+    assert out.startswith("HOLDS: the plan of 4 steps (exact: 5 configurations, 28 atoms; Alloy 6.2.0)\nVerified in ")
 
 
 @pytest.mark.alloy
-def test_a_violation_is_told_kept_and_drawn(run: Any, spoilt: Path, tmp_path: Path) -> None:
+def test_a_violation_is_explained_saved_and_drawn(run: Any, spoilt: Path, tmp_path: Path) -> None:
     kept, drawn = tmp_path / "plan.als", tmp_path / "plan.mmd"
     status, out, _ = run("verify", TALKER, "--plan", spoilt, "-o", kept, "--picture", drawn, "--json")
     document = json.loads(out)
@@ -49,22 +49,22 @@ def test_a_violation_is_told_kept_and_drawn(run: Any, spoilt: Path, tmp_path: Pa
     assert "/chatter" in drawn.read_text(encoding="utf-8")
 
 
-def test_a_plan_of_another_system_is_none_of_this_one(run: Any, spoilt: Path) -> None:
+def test_a_plan_of_another_system_is_refused(run: Any, spoilt: Path) -> None:
     status, out, _ = run("verify", ROVER, "--plan", spoilt)
     assert status == 1
-    assert "it starts from another specification than the rover given: topic /chatter: added" in out
+    assert "it starts from a specification that differs from rover: topic /chatter: added" in out
 
 
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ('{"outcome": "refused", "because": "no"}', "there is no plan in PLAN, it was refused: no"),
-        ("[]", "PLAN is not a plan: `midstride plan … --json` prints one"),
+        ('{"outcome": "refused", "because": "no"}', "PLAN has no plan; it was refused: no"),
+        ("[]", "PLAN is not a plan; `midstride plan … --json` prints one"),
         ("{}", "/: a plan needs the key `start`"),
         ("{", "not JSON: Expecting property name"),
     ],
 )
-def test_what_is_no_plan(text: str, words: str, run: Any, tmp_path: Path) -> None:
+def test_documents_that_are_not_plans(text: str, words: str, run: Any, tmp_path: Path) -> None:
     path = tmp_path / "plan.json"
     path.write_text(text, encoding="utf-8")
     status, out, err = run("verify", TALKER, "--plan", path)
@@ -75,10 +75,10 @@ def test_what_is_no_plan(text: str, words: str, run: Any, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ((), "say what is to be judged"),
-        ((TALKER, "--live"), "--live judges what is running"),
-        ((TALKER, "--system", "talker"), "it goes with --live alone"),
-        ((TALKER, "--picture", "x.txt"), "does not say what to draw"),
+        ((), "nothing to verify: pass FILE"),
+        ((TALKER, "--live"), "--live cannot be combined"),
+        ((TALKER, "--system", "talker"), "--system needs --live"),
+        ((TALKER, "--picture", "x.txt"), "unknown kind of diagram"),
         ((TALKER, "--limit", "0"), "--limit"),
     ],
 )
@@ -88,7 +88,7 @@ def test_wrong_usage(line: tuple[object, ...], words: str, run: Any) -> None:
     assert words in err
 
 
-def test_nothing_is_live(midstride: Midstride) -> None:
+def test_live_without_a_running_system(midstride: Midstride) -> None:
     done = midstride("verify", "--live")
     assert done.status == 1
     assert "no system is running" in done.err
@@ -97,22 +97,22 @@ def test_nothing_is_live(midstride: Midstride) -> None:
 @pytest.mark.alloy
 @pytest.mark.ros2
 @pytest.mark.full
-def test_a_running_system_is_judged_and_changed_only_as_alloy_allows(midstride: Midstride) -> None:
+def test_a_running_system_is_verified_and_changed_only_if_alloy_agrees(midstride: Midstride) -> None:
     """On the simulator, `docs/how-to/verify.md` does so."""
     up = midstride("up", str(EXAMPLES / "talker" / "talker.stride"), "-d", "--backend", "ros2")
     assert up.status == 0, up.err
     live = midstride("verify", "--live")
     assert live.status == 0, live.out + live.err
-    assert live.out.startswith("HOLDS: talker as it runs (exact: 1 configuration, 14 atoms; Alloy 6.2.0)")
+    assert live.out.startswith("HOLDS: talker as it is running (exact: 1 configuration, 14 atoms; Alloy 6.2.0)")
     done = midstride("replace", "talker", "NewTalker", "--yes", "--verify", "--json")
     assert done.status == 0, done.out + done.err
     assert (done.json["outcome"], done.json["verdict"]["verdict"]) == ("done", "holds")
     assert nothing_lost(done.json["swaps"]), done.json["swaps"]
-    said = [event["words"] for event in midstride("log", "--json").json if event["kind"] == "verified"]
-    assert said == ["HOLDS: the plan of 4 steps (exact: 5 configurations, 28 atoms; Alloy 6.2.0)"]
+    verdicts = [event["words"] for event in midstride("log", "--json").json if event["kind"] == "verified"]
+    assert verdicts == ["HOLDS: the plan of 4 steps (exact: 5 configurations, 28 atoms; Alloy 6.2.0)"]
 
 
-def test_without_alloy_nothing_is_begun(midstride: Midstride) -> None:
+def test_without_alloy_a_verified_change_does_not_start(midstride: Midstride) -> None:
     talker = str(EXAMPLES / "talker" / "talker.stride")
     up = midstride("up", talker, "-d", "--backend", "sim", MIDSTRIDE_ALLOY=os.devnull)
     assert up.status == 0, up.err

@@ -199,7 +199,7 @@ FAULTS: list[tuple[str, object, str, str]] = [
     (f"{D}/holds/gpu_memory", -5, "E004", "more than 0"),
     (f"{D}/holds/gpu", 5, "E008", "did you mean `gpu_memory`?"),
     (f"{D}/outputs/1", 3, "E001", "a text is expected"),
-    (f"{D}/inputs/9", {"type": "a/B"}, "E006", "cannot name a port"),
+    (f"{D}/inputs/9", {"type": "a/B"}, "E006", "is not a valid port name"),
     (f"{D}/allows/0/kind", "servise", "E005", "`service`?"),
     (f"{D}/parameters/zones/value", [1, 2.5], "E001", "integers and reals"),
     (f"{D}/parameters/model/changable", True, "E002", "`changeable`?"),
@@ -211,13 +211,13 @@ FAULTS: list[tuple[str, object, str, str]] = [
     (f"{M}/assumes/0", 1, "E001", "an assumption"),
     (f"{M}/assumes/1/any_of", [], "E001", "empty"),
     (f"{M}/guarantees/out/rate", "x", "E001", "a rate"),
-    (f"{M}/guarantees/alarm", {"type": "a/B"}, "E008", "let detect produce alarm"),
+    (f"{M}/guarantees/alarm", {"type": "a/B"}, "E008", "add alarm to what detect `produces`"),
     ("/nodes/detector/component", "Detecter", "E008", "did you mean `Detector`?"),
     ("/nodes/detector/attachments/oot", ["/scan"], "E008", "did you mean `out`?"),
     ("/nodes/detector/attachments/out/0", "/obstacle", "E008", "`/obstacles`?"),
     ("/nodes/detector/attachments/out", "/obstacles", "E001", "write [ … ]"),
     ("/nodes/detector/parameters/treshold", 1.0, "E008", "`threshold`?"),
-    ("/nodes/my node", {"component": "Detector"}, "E006", "cannot name a node"),
+    ("/nodes/my node", {"component": "Detector"}, "E006", "is not a valid node name"),
     ("/constraints/0/at", "blond", "E008", "did you mean `blind`?"),
     ("/constraints/0/keep", "detector.detekt", "E008", "did you mean `detect`?"),
     ("/constraints/0/keep", "detector", "E008", "write it as `node.functionality`"),
@@ -227,7 +227,7 @@ FAULTS: list[tuple[str, object, str, str]] = [
     ("/timing_seconds/crate", 1, "E002", "did you mean `create`?"),
     ("/timing_seconds/create", -1, "E004", "at least 0"),
     ("/system", "", "E006", "the name of the system cannot be empty"),
-    (f"{F}/modes/", {}, "E006", "cannot name a mode"),
+    (f"{F}/modes/", {}, "E006", "is not a valid mode name"),
 ]
 # The same, where the problem is told elsewhere.
 ELSEWHERE: list[tuple[str, object, str, str, str]] = [
@@ -236,8 +236,8 @@ ELSEWHERE: list[tuple[str, object, str, str, str]] = [
     ("/environment/recording/guarantee", ABSENT, "E003", "/environment/recording", "needs the key `guarantee`"),
     ("/constraints/2/before", ABSENT, "E003", "/constraints/2", "needs the key `before`"),
     (f"{F}/modes", ABSENT, "E003", F, "needs the key `modes`"),
-    (f"{F}/uses", ["scan"], "E008", f"{M}/assumes/1", "let detect use other"),
-    (f"{D}/outputs", ["out", "alarm", "out"], "E007", f"{D}/outputs/2", "named twice"),
+    (f"{F}/uses", ["scan"], "E008", f"{M}/assumes/1", "add other"),
+    (f"{D}/outputs", ["out", "alarm", "out"], "E007", f"{D}/outputs/2", "listed twice"),
     (f"{D}/outputs", ["out", "alarm", "scan"], "E007", f"{D}/outputs/2", "an input and an output"),
 ]
 

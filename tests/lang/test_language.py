@@ -9,7 +9,7 @@ from immutables import Map
 
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.lang import Loaded, load, load_text, render
-from midstride.model.component import Endpoint, InputAlternatives, ParameterSpec
+from midstride.model.component import InputAlternatives, NodeEndpoint, ParameterSpec
 from midstride.model.contract import Interval, OneOf, Predicate, QoS
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 
@@ -70,7 +70,7 @@ def test_the_sample_is_resolved() -> None:
         detector.functionalities,
         detector.resource_usage,
     )
-    assert patrol.components["MotorController"].allows == (Endpoint("service", "~/reset"),)
+    assert patrol.components["MotorController"].allows == (NodeEndpoint("service", "~/reset"),)
     assert patrol.nodes["controller"].attachments == Map({"obstacles": ("/obstacles",), "cmd": ("/cmd_vel",)})
     assert [str(constraint) for constraint in patrol.constraints] == [
         "keep controller.control at normal",
@@ -182,7 +182,7 @@ def test_like_inherits_and_overrides_part_by_part() -> None:
     assert child.functionality_order == ("f", "g")
     assert child.functionalities["f"] == base.functionalities["f"]
     assert [mode.name for mode in child.functionalities["g"].modes] == ["on", "half", "off"]
-    assert child.allows == (Endpoint("service", "~/reset"), Endpoint("topic", "/tf"))
+    assert child.allows == (NodeEndpoint("service", "~/reset"), NodeEndpoint("topic", "/tf"))
     assert found.components["Same"].same_body(base)
     assert found.components["Grandchild"].functionalities == child.functionalities
 

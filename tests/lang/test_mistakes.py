@@ -72,7 +72,7 @@ MISTAKES = {
     "a misspelt component": Mistake(
         "filter : Mean", "filter : ‹E008›Maen", "there is no component `Maen`", "did you mean `Mean`?"
     ),
-    "a misspelt port": Mistake("{ distance <-", "{ ‹E008›distanc <-", "there is no port `distanc`", "`distance`?"),
+    "a misspelt port": Mistake("{ distance <-", "{ ‹E008›distanc <-", "Brake has no port `distanc`", "`distance`?"),
     "a misspelt topic": Mistake(
         "<- /smooth", "<- ‹E008›/smoth", "there is no topic `/smoth`", "did you mean `/smooth`?"
     ),
@@ -174,10 +174,10 @@ MISTAKES = {
         "add a last mode that assumes nothing",
     ),
     "an input that is not used": Mistake(
-        "    uses distance\n", "", "watch does not use distance", "let watch use distance: add it to what it `uses`"
+        "    uses distance\n", "", "watch does not use distance", "add distance to what watch `uses`"
     ),
     "an output that is not produced": Mistake(
-        "    produces stop\n", "", "watch does not produce stop", "let watch produce stop: add it to what it `produces`"
+        "    produces stop\n", "", "watch does not produce stop", "add stop to what watch `produces`"
     ),
     "a port that is not attached": Mistake(
         "node filter : Mean   { in <- /raw   out",
@@ -221,7 +221,7 @@ MISTAKES = {
     "a parameter without a declaration": Mistake(
         "in <- /raw ",
         "parameters { ‹E008›window = 3 } in <- /raw ",
-        "no parameter `window` of Mean",
+        "Mean has no parameter `window`",
         "declare it in Mean: `parameters { window = … }`",
     ),
     "a parameter with a unit": Mistake(
@@ -249,7 +249,7 @@ MISTAKES = {
         "node sensor",
         "order sensor before filter\n‹E024›order filter before sensor\nnode sensor",
         "contradicts `order sensor before filter`",
-        "take one of them out",
+        "remove one of them",
     ),
     "an arrow in the wrong direction": Mistake(
         "{ in <- /raw", "{ ‹E144›in -> /raw", "is an input", "write `in <- /raw`"

@@ -98,7 +98,7 @@ def test_hover_says_why_a_functionality_falls(service: LanguageService) -> None:
     text = service.hover(ROOT, *at(changed, "node  contr|oller"))
     assert text is not None
     assert "`controller.control` will be in mode **stop**" in text
-    assert "nobody satisfies /obstacles" in text
+    assert "no publisher satisfies /obstacles" in text
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Each action: what it asks, what it does, and what it says when it is refused (semantics.md section 4)."""
+"""Each action: what it asks, what it does, and what it says when it is refused (docs/semantics.md section 4)."""
 
 from __future__ import annotations
 
@@ -60,7 +60,12 @@ def test_remove_asks_for_isolation_and_undoes_with_its_modes() -> None:
     assert refused(Remove("nobody"), configuration) == [("live", ("nobody",))]
     alone = best(system({"talker": source("Talker")}, []))
     undo = Remove("talker").undo(alone)
-    assert [step.describe(alone) for step in undo] == ["create talker (Talker)", "upgrade talker.work to normal"]
+    configuration, words = Remove("talker").apply(alone), []
+    for step in undo:
+        words.append(step.describe(configuration))
+        configuration = step.apply(configuration)
+    assert words == ["create talker (Talker)", "upgrade talker.work from degraded to normal"]
+    assert configuration == alone
 
 
 def test_attach_an_output_is_judged_by_its_normal_mode() -> None:
@@ -97,8 +102,7 @@ def test_detach_names_who_would_be_left_unsatisfied() -> None:
         ("satisfied", ("listener.work", "listener.in", "/chatter", "talker.out"))
     ]
     assert because(Detach(port("talker.out"), "/chatter"), configuration) == (
-        "without talker.out on /chatter, listener.work in mode normal: assumes in:"
-        " nobody satisfies /chatter (it has no publisher)"
+        "listener.work in mode normal would be unsatisfied: it assumes in: /chatter has no publisher"
     )
     assert "input listener.in is not attached" in because(Detach(port("listener.in"), "/chatter"), configuration)
     assert refused(Detach(port("listener.in"), "/nowhere"), configuration)[0][0] == "topic"
@@ -113,11 +117,21 @@ def test_degrade_protects_those_outside_the_group() -> None:
         ("satisfied", ("listener.work", "listener.in", "/chatter", "talker.out"))
     ]
     assert because(Degrade(Map({work("talker"): 1})), configuration) == (
-        "after degrade talker.work to degraded, listener.work in mode normal: assumes in: nobody satisfies /chatter"
+        "listener.work in mode normal would be unsatisfied: it assumes in: no publisher satisfies /chatter"
         " (talker.out in mode degraded: nothing is guaranteed)"
     )
     both = Degrade(Map({work("talker"): 1, work("listener"): 1}))
     assert is_valid(both.apply(configuration))
+
+
+def test_degrade_does_not_answer_for_what_was_unsatisfied_before() -> None:
+    """After a crash several degrade one by one: the step of one must not wait for the steps of the others."""
+    modes = [mode("normal", out=at(10)), mode("slow", out=at(1)), mode("degraded")]
+    instances = {"talker": component("Talker", {}, ["out"], modes), "listener": sink("Listener")}
+    slow = {"talker.work": 1, "listener.work": 0}
+    configuration = system(instances, ["talker.out /chatter", "listener.in /chatter"], modes=slow)
+    assert not is_valid(configuration)
+    assert Degrade(Map({work("talker"): 2})).check(configuration) == ()
 
 
 def test_degrade_to_a_mode_whose_own_assumptions_do_not_hold() -> None:
@@ -242,7 +256,7 @@ def test_actions_are_values() -> None:
     assert Attach(port("a.out"), "/t") == Attach(port("a.out"), "/t")
     assert len({Detach(port("a.out"), "/t"), Detach(port("a.out"), "/t"), Remove("a"), Remove("a")}) == 2
     assert Upgrade(Map({work("a"): 0})).describe() == "upgrade a.work to mode 0"
-    assert str(Handover((SWAP,))) == "hand over /chatter: talker.out -> talker_2.out"
+    assert str(Handover((SWAP,))) == "hand over /chatter from talker.out to talker_2.out"
 
 
 def test_a_filter_in_the_middle_falls_before_what_it_feeds_on() -> None:

@@ -1,4 +1,4 @@
-"""Satisfaction, clause by clause (semantics.md section 1)."""
+"""Satisfaction, clause by clause (docs/semantics.md section 1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cost follows the change, not the system (semantics.md section 5, F5): counted in judgements, which no clock sways."""
+"""Cost follows the change, not the system (docs/semantics.md section 5, F5): evaluations are counted, not time."""
 
 from __future__ import annotations
 

@@ -12,11 +12,11 @@ from midstride.model.best import best
 from midstride.model.component import (
     ComponentSpec,
     Connector,
-    Endpoint,
     FunctionalityRef,
     FunctionalitySpec,
     InputAlternatives,
     Mode,
+    NodeEndpoint,
     ParameterSpec,
     PortRef,
 )
@@ -73,7 +73,7 @@ def test_a_component_is_its_body() -> None:
     for other in (
         replace(talker, run="python3 other.py"),
         replace(talker, resource_usage=Map({"gpu": 0.25})),
-        replace(talker, allows=(Endpoint("topic", "/tf"),)),
+        replace(talker, allows=(NodeEndpoint("topic", "/tf"),)),
         source("Talker", 11.0),
     ):
         assert not talker.same_body(other)

@@ -7,10 +7,10 @@ from immutables import Map
 
 from midstride.model.action import Attach, Create, Degrade, Detach, Upgrade
 from midstride.model.best import best, rebalanced
-from midstride.model.component import Assumption, EnvironmentGuarantee
-from midstride.model.configuration import Configuration, Instance
+from midstride.model.component import Assumption, Connector, EnvironmentGuarantee
+from midstride.model.configuration import Configuration, Instance, SystemContext, configure
 from midstride.model.diagnosis import reasons_against
-from midstride.model.rules import Evaluator, is_valid, violations
+from midstride.model.rules import Evaluator, is_valid, publishers_count, violations
 from tests.model.build import (
     at,
     component,
@@ -186,12 +186,10 @@ def test_long_chain_tells_why() -> None:
     reasons = reasons_against(configuration, work("motor"))
     assert [reason.split()[0] for reason in reasons] == ["motor.work", "planner.work", "detector.work"]
     assert reasons[0] == (
-        "motor.work cannot be in mode normal: it assumes in: nobody satisfies /path"
+        "motor.work cannot be in mode normal: it assumes in: no publisher satisfies /path"
         " (planner.out in mode degraded: nothing is guaranteed)"
     )
-    assert reasons[-1] == (
-        "detector.work cannot be in mode normal: it assumes in: nobody satisfies /image (it has no publisher)"
-    )
+    assert reasons[-1] == ("detector.work cannot be in mode normal: it assumes in: /image has no publisher")
     assert reasons_against(configuration, work("camera")) == ()
 
 
@@ -244,7 +242,7 @@ def test_resources_are_summed_as_they_are_written() -> None:
     full = Create(Instance("c", "c", third)).apply(configuration)  # 0.1 + 0.1 + 0.1 is 0.3 here, though not in floats
     (reason,) = Create(Instance("d", "d", third)).check(full)
     assert reason.precondition == "capacity"
-    assert "0.4 held by a, b, c, d, capacity 0.3" in reason.because
+    assert "0.4 held by a, b, c, d, but the capacity is 0.3" in reason.because
 
 
 def test_a_resource_that_is_not_declared_has_capacity_one() -> None:
@@ -253,3 +251,31 @@ def test_a_resource_that_is_not_declared_has_capacity_one() -> None:
     assert is_valid(configuration)
     (reason,) = Create(Instance("b", "b", device)).check(configuration)
     assert reason.precondition == "capacity"
+
+
+# -- what only an unusual structure shows ----------------------------------------------------------------
+
+
+def test_an_attachment_to_no_topic_is_not_valid() -> None:
+    configuration = system({"talker": source()}, []).with_attachment(port("talker.out"), "/nowhere")
+    assert [(each.kind, each.names) for each in violations(configuration)] == [
+        ("attachment", ("talker.out", "/nowhere"))
+    ]
+
+
+def test_a_functionality_downstream_of_a_gain_rises_only_as_far_as_its_other_input_allows() -> None:
+    join = component("Join", {"a": at(5), "b": at(5)}, [], [mode("normal", [named("a"), named("b")]), mode("degraded")])
+    attachments = ["raw.out /raw", "filter.out /clean", "join.a /clean", "join.b /missing"]
+    before = best(system({"raw": source(), "filter": filter_(), "join": join}, attachments))
+    after = before.with_attachment(port("filter.in"), "/raw")
+    assert rebalanced(after, [work("filter")]) == {work("filter"): 0}
+
+
+def test_the_environment_publishes_on_the_topic_whatever_the_connector_is_called() -> None:
+    """While a topic's contract changes, its second connector has another name, and the same topic."""
+    context = SystemContext(
+        Map({"/x@2": Connector("/x@2", at(5), topic="/x")}), (EnvironmentGuarantee("outside", at(10), "/x"),)
+    )
+    configuration = configure(context, [Instance("sink", "sink", sink())], [(port("sink.in"), "/x@2")])
+    assert modes_of(best(configuration)) == {"sink": "normal"}
+    assert publishers_count(configuration, "/x@2") == 1

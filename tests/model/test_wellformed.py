@@ -65,7 +65,7 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         "E010",
         [(f"{LISTEN}/modes/degraded", {"assumes": ["in"]})],
         f"{LISTEN}/modes/degraded",
-        "M1: mode degraded, the last of listen, must assume nothing, it assumes in",
+        "M1: mode degraded, the last of listen, must assume nothing, but assumes in",
     ),
     (
         "E011",
@@ -81,7 +81,7 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         "E012",
         [(f"{MODES}/degraded", {"guarantees": {"out": {"type": "std_msgs/msg/Int32", "rate": 1}}})],
         f"{MODES}/degraded/guarantees/out",
-        f"M3: output out is one endpoint, but is {STRING} in mode normal and std_msgs/msg/Int32 in mode degraded",
+        f"M3: output out is one endpoint, but has type {STRING} in mode normal and std_msgs/msg/Int32 in mode degraded",
     ),
     (
         "E012",
@@ -93,7 +93,7 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         "E013",
         [("/components/Talker/outputs", ["out", "spare"])],
         "/components/Talker/outputs/1",
-        "output spare is owned by no functionality",
+        "no functionality produces output spare",
     ),
     (
         "E014",
@@ -105,7 +105,7 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         "E015",
         [(f"{TALK}/modes", {"normal": {"guarantees": {"out": FAST}}})],
         f"{TALK}/modes",
-        "talk has one mode alone: there is nothing to degrade to",
+        "talk has only one mode, so there is nothing to degrade to",
     ),
     (
         "E016",
@@ -154,7 +154,7 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
             ("/components/Talker/holds/gpu", 0.6),
         ],
         "/resources/gpu",
-        "1.2 of gpu is held (talker 0.6, talker_b 0.6), its capacity is 1",
+        "nodes hold 1.2 of gpu (talker 0.6, talker_b 0.6), but its capacity is 1",
     ),
     (
         "E024",
@@ -172,7 +172,7 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         "E025",
         [("/nodes/talker/parameters", {"volume": "loud"})],
         "/nodes/talker/parameters/volume",
-        "parameter volume of Talker takes a real, not a text",
+        "parameter volume of Talker takes a float, not a string",
     ),
     (
         "W030",
@@ -180,7 +180,7 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
         "/nodes/talker/attachments/ear",
         "input talker.ear is attached to no topic",
     ),
-    ("W031", [("/topics/~1quiet", SLOW)], "/topics/~1quiet", "nobody satisfies /quiet: it has no publisher"),
+    ("W031", [("/topics/~1quiet", SLOW)], "/topics/~1quiet", "/quiet has no publisher"),
     (
         "W031",
         [
@@ -188,7 +188,7 @@ CASES: list[tuple[str, list[tuple[str, object]], str, str]] = [  # code, changes
             ("/environment", {"hum": {"guarantee": SLOW, "topic": "/quiet"}}),
         ],
         "/topics/~1quiet",
-        "nobody satisfies /quiet: environment hum: rate: 1 Hz is offered, at least 10 Hz is needed",
+        "no publisher satisfies /quiet: environment hum: rate: 1 Hz is offered, at least 10 Hz is needed",
     ),
 ]
 
@@ -215,8 +215,8 @@ def test_an_assumption_that_nothing_can_satisfy_and_what_follows() -> None:
         (
             "W033",
             "/nodes/listener",
-            f"listener.listen cannot at first be in mode normal: it assumes {STRING} @ 3 Hz: input listener.in does not"
-            " count (rate: 1 Hz is offered, at least 3 Hz is needed) (it will be in mode degraded)",
+            f"listener.listen cannot start in mode normal: it assumes {STRING} @ 3 Hz: input listener.in does not"
+            " satisfy it (rate: 1 Hz is offered, at least 3 Hz is needed) (it will start in mode degraded)",
         ),
     ]
     offered = ("/environment", {"line": {"guarantee": FAST}})
@@ -236,11 +236,11 @@ def test_the_chain_of_reasons_and_a_keep_that_does_not_hold() -> None:
         ("W031", "/topics/~1chatter"),
     ]
     assert problems[1].message == (
-        "listener.listen cannot at first be in mode normal: it assumes in: nobody satisfies /chatter"
-        " (it has no publisher) (it will be in mode degraded)"
+        "listener.listen cannot start in mode normal: it assumes in: /chatter has no publisher"
+        " (it will start in mode degraded)"
     )
     assert problems[0].message == (
-        "`keep listener.listen at normal` does not hold at first: listener.listen will be in mode degraded"
+        "`keep listener.listen at normal` does not hold at the start: listener.listen will start in mode degraded"
     )
 
 

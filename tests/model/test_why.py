@@ -24,7 +24,7 @@ def test_short_chains_begin_and_end_as_the_whole_ones(specification: Specificati
         short = why.chain(ref, most=1)
         assert bool(short) == bool(whole)
         for reason in short:
-            assert reason.removeprefix("… in the end ") in whole
+            assert reason.removeprefix("… root cause: ") in whole
 
 
 def dead(nodes: int) -> Configuration:
@@ -39,8 +39,8 @@ def test_the_end_of_a_long_chain_is_told() -> None:
     (last,) = (ref for ref in configuration.modes if ref.instance == "n49")
     told = Diagnosis(configuration).chain(last)
     assert len(told) == 5
-    assert told[0].startswith("n49.filter cannot be in mode normal: it assumes in: nobody satisfies /t49")
-    assert told[-1].startswith("… in the end n0.filter cannot be in mode ")
+    assert told[0].startswith("n49.filter cannot be in mode normal: it assumes in: no publisher satisfies /t49")
+    assert told[-1].startswith("… root cause: n0.filter cannot be in mode ")
     assert "environment source: rate: 1 Hz is offered, at least 10 Hz is needed" in told[-1]
 
 

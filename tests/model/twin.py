@@ -1,4 +1,4 @@
-"""The slow, obvious twin of the model: semantics.md sections 1, 3, 4 and 5, word for word, over plain dicts and sets.
+"""The slow, obvious twin of the model: docs/semantics.md sections 1, 3, 4 and 5, over plain dicts and sets.
 
 It shares nothing with the model but the JSON form, from which it reads. Every question is answered by walking
 the whole configuration; sets of field values are compared by trying values out.

@@ -196,7 +196,7 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
     (lambda p: p.comp.create_output("scan", String), "port scan exists already"),
     (lambda p: p.comp.create_output("a-b", String), "not a name"),
     (lambda p: p.comp.create_output("o", "std_msgs/String"), "from std_msgs.msg import String"),  # type: ignore[arg-type]
-    (lambda p: p.comp.create_output("o", dict), "dict is no ROS message class"),
+    (lambda p: p.comp.create_output("o", dict), "dict is not a ROS message class"),
     (lambda p: p.comp.create_input("i", String, rate=0), "rate=0 is not a rate"),
     (lambda p: p.comp.create_input("i", String, rate=-1), "positive number of Hz"),
     (lambda p: p.comp.create_input("i", String, rate=math.nan), "is not a rate"),
@@ -210,18 +210,18 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
         "no field 'widht'; its fields are header,",
     ),
     (lambda p: p.comp.create_input("i", Image, where={"header.stamp.hour": 1}), "header.stamp has no field 'hour'"),
-    (lambda p: p.comp.create_input("i", Image, where={"width": (1, 2)}), "says no set of values"),
-    (lambda p: p.comp.create_input("i", Image, where={"width": set()}), "no value meets"),
-    (lambda p: p.comp.create_input("i", Image, where={"width": between(2, 1)}), "no value meets"),
-    (lambda p: p.comp.create_input("i", Image, where={"width": [None]}), "no value of a field"),
+    (lambda p: p.comp.create_input("i", Image, where={"width": (1, 2)}), "is not a set of values"),
+    (lambda p: p.comp.create_input("i", Image, where={"width": set()}), "contains no value"),
+    (lambda p: p.comp.create_input("i", Image, where={"width": between(2, 1)}), "contains no value"),
+    (lambda p: p.comp.create_input("i", Image, where={"width": [None]}), "cannot be the value of a field"),
     (lambda p: p.comp.create_input("i", Image, where="width"), "must map fields to values"),  # type: ignore[arg-type]
     (lambda p: p.comp.create_functionality("work"), "work exists already"),
     (lambda p: p.comp.create_functionality("w", weight=0), "greater than 0"),
     (lambda p: p.comp.create_functionality("w", inputs=p.scan), "must be a list; write inputs=[scan]"),  # type: ignore[arg-type]
-    (lambda p: p.comp.create_functionality("w", inputs=[p.out]), "write what create_input gave"),  # type: ignore[list-item]
+    (lambda p: p.comp.create_functionality("w", inputs=[p.out]), "write what create_input returned"),  # type: ignore[list-item]
     (lambda p: p.comp.create_functionality("w", inputs=[p.scan, p.scan]), "names a port twice"),
-    (lambda p: p.comp.create_functionality("w", outputs=[p.out]), "belongs to functionality work already"),
-    (foreign_output, "not of this component"),
+    (lambda p: p.comp.create_functionality("w", outputs=[p.out]), "already belongs to functionality work"),
+    (foreign_output, "not a port of this component"),
     (lambda p: p.normal(rate=0), "rate=0 is not a rate"),
     (lambda p: p.normal(rate=math.inf), "is not a rate"),
     (lambda p: p.normal(fn=None), "None is not a function"),
@@ -234,11 +234,14 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
         "one message of each input: (scan, odom)",
     ),
     (lambda p: p.normal(fn=one, inputs=[p.scan], sync=approximate(0.1)), "several inputs"),
-    (lambda p: p.normal(fn=one, inputs=[any_of(p.scan, p.odom)], sync=approximate(0.1)), "any_of() leaves one out"),
+    (
+        lambda p: p.normal(fn=one, inputs=[any_of(p.scan, p.odom)], sync=approximate(0.1)),
+        "any_of() cannot be used with it",
+    ),
     (lambda p: p.normal(rate=1, sync=approximate(0.1)), "without rate="),
     (lambda p: p.normal(fn=two, inputs=[p.scan, p.odom], sync=0.1), "sync=approximate(0.05)"),
     (lambda p: p.normal(fn={p.odom: one}, inputs=[p.scan]), "which inputs= does not name"),
-    (lambda p: p.normal(fn={}, inputs=[p.scan]), "calls nothing"),
+    (lambda p: p.normal(fn={}, inputs=[p.scan]), "calls no function"),
     (lambda p: p.normal(fn={p.scan: nothing}, inputs=[p.scan]), "with each message"),
     (lambda p: p.normal(rate=1, inputs=p.scan), "must be a list; write inputs=[scan]"),
     (lambda p: p.normal(rate=1, inputs=["scan"]), "which is not an input"),
@@ -252,7 +255,7 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
     (unknown_mode_output, "write create_functionality(…, outputs=[…, out])"),
     (normal_twice, "set_mode("),
     (degraded_twice, "set_mode("),
-    (same_mode_name, "has a mode normal already"),
+    (same_mode_name, "already has a mode normal"),
     (not_degraded, "write work.set_degraded_mode(fn)"),
     (not_normal, "write work.set_normal_mode(fn, …)"),
     (not_owned, "output spare belongs to no functionality"),
@@ -264,11 +267,11 @@ MISUSES: list[tuple[Callable[[Parts], object], str]] = [
     (lambda p: approximate(0), "a number of seconds greater than 0"),
     (lambda p: approximate(1, queue=0), "at least one message"),
     (lambda p: p.comp.parameter("midstride.mode", 1), "cannot be the name"),
-    (lambda p: p.comp.parameter("p", None), "no value of a ROS parameter"),  # type: ignore[arg-type]
-    (lambda p: p.comp.parameter("p", [1, "a"]), "no value of a ROS parameter"),  # type: ignore[arg-type]
+    (lambda p: p.comp.parameter("p", None), "cannot be the value of a ROS parameter"),  # type: ignore[arg-type]
+    (lambda p: p.comp.parameter("p", [1, "a"]), "cannot be the value of a ROS parameter"),  # type: ignore[arg-type]
     (lambda p: p.comp.parameter("p", math.inf), "is not finite"),
     (lambda p: (p.comp.parameter("p", 1), p.comp.parameter("p", 1)), "parameter p exists already"),
-    (lambda p: p.comp.on_stop(None), "on_stop(None): write a function"),  # type: ignore[type-var]
+    (lambda p: p.comp.on_stop(None), "on_stop(None): pass a function"),  # type: ignore[type-var]
     (lambda p: p.comp.on_stop(nothing, timeout=0), "on_stop(timeout=)"),
     (lambda p: p.comp.clock.stamp(String()), "clock.stamp(header.stamp)"),
     (lambda p: p.comp.clock.sleep(1), "async mode function"),

@@ -209,7 +209,7 @@ def test_questions_on_their_way_at_the_cut_are_answered_once(tmp_path: Path) -> 
         assert await outcomes(lab) == ("done", "done")
         await lab.mode("source", "talk", "degraded")
         await lab.sleep(0.5)
-        asked = (await lab.told("source"))["calls"]["talk.normal"]
+        asked = (await lab.exported("source"))["calls"]["talk.normal"]
         assert await lab.received("sink") == [f"source normal {n}" for n in range(1, asked + 1)]
         assert (await lab.port("new", "out", TOPIC))["count"] > 5
 
@@ -241,7 +241,7 @@ def test_a_newer_question_on_one_way_does_not_shut_the_door_on_older_ones_on_ano
         await lab.sleep(0.5)
         heard = await lab.received("sink")
         for name in sources:
-            asked = (await lab.told(name))["calls"]["talk.normal"]
+            asked = (await lab.exported(name))["calls"]["talk.normal"]
             own = [words for words in heard if words.startswith(name)]
             assert own == [f"{name} normal {n}" for n in range(1, asked + 1)]
 

@@ -507,7 +507,7 @@ comp.start()
     simulate(tmp_path, main)
 
 
-def test_started_by_hand_it_belongs_to_whoever_welcomes_it_first(tmp_path: Path) -> None:
+def test_started_by_hand_it_belongs_to_the_first_manager_that_welcomes_it(tmp_path: Path) -> None:
     async def main(bench: Bench) -> None:
         await bench.start("node", TALKER, token="")
         assert "waits for a manager" in bench.simulator.log("node")
@@ -522,14 +522,14 @@ def test_started_by_hand_it_belongs_to_whoever_welcomes_it_first(tmp_path: Path)
         await bench.send("node", "release", token="mine")
         assert "token" in await bench.refusal("node", "modes", token="mine", modes={"talk": "normal"})
         view = (await bench.send("node", "observe", token="yours"))["functionalities"]["talk"]
-        assert (view["mode"], view["because"]) == ("degraded", "released: it has no manager any more")
+        assert (view["mode"], view["because"]) == ("degraded", "released: it no longer has a manager")
         assert (await bench.simulator.endpoints()).publishers == ()
         bench.lab.registrations.clear()
         await bench.lab.channel("node", "of a third system")
         await bench.sleep(0.3)
         assert "node" in bench.lab.registrations, "it does not register any more"
         await bench.send("node", "welcome", token="yours", manager="you")
-        assert "manager's to end" in await refusal_of_one_started_by_its_manager(bench)
+        assert "for components started by hand" in await refusal_of_one_started_by_its_manager(bench)
 
     simulate(tmp_path, main)
 
@@ -609,8 +609,8 @@ comp.start()
     simulate(tmp_path, main)
 
 
-def test_an_attach_that_user_code_holds_up_leaves_no_endpoint(tmp_path: Path) -> None:
-    """Nobody is there to match with, and when that is clear user code is busy: the endpoint goes once it returns."""
+def test_an_attach_that_is_delayed_by_user_code_leaves_no_endpoint(tmp_path: Path) -> None:
+    """There is nothing to match with, and by then user code is busy: the endpoint goes once it returns."""
 
     async def main(bench: Bench) -> None:
         await bench.start(
@@ -629,11 +629,11 @@ comp.start()
         await bench.send("node", "welcome", manager="me")
         await bench.mode("node", "talk", "normal")
         await bench.sleep(3.5)
-        refused = await bench.refusal("node", "attach", port="out", topic="/nobody", peers=3, timeout=1.0)
-        assert "only 0 of 3 endpoints on /nobody" in refused
+        refused = await bench.refusal("node", "attach", port="out", topic="/alone", peers=3, timeout=1.0)
+        assert "only 0 of 3 endpoints on /alone" in refused
         await bench.sleep(3.5)
         assert (await bench.simulator.endpoints()).publishers == ()
-        await bench.attach("node", "out", "/nobody")
+        await bench.attach("node", "out", "/alone")
 
     simulate(tmp_path, main)
 

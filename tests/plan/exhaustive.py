@@ -1,4 +1,4 @@
-"""The slow, obvious twin of ``minimal``: every order of the structural actions, over best modes (semantics.md F4).
+"""The slow, obvious twin of ``minimal``: every order of structural actions (docs/semantics.md section 5, F4).
 
 A state is the set of structural differences already made; its configuration stands in ``best``.
 Dijkstra over the states gives the least disruption there is, and, among the plans that have it,

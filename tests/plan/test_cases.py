@@ -21,6 +21,7 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.forms import LevelShiftForm
+from midstride.plan.quiesce import reachable
 from midstride.plan.registry import STRATEGIES
 from tests.plan.cases import (
     NEED,
@@ -69,7 +70,7 @@ def test_talker_minimal_lets_nothing_fall() -> None:
     assert told(plan) == [
         "create talker_2 (NewTalker)",
         "upgrade talker_2.talk from degraded to normal",
-        "hand over /chatter: talker.out -> talker_2.out",
+        "hand over /chatter from talker.out to talker_2.out",
         "remove talker",
     ]
     assert (plan.disruption, plan.fallen, plan.proved_minimal) == (0.0, (), True)
@@ -84,12 +85,37 @@ def test_talker_by_quiescence_lowers_all_that_it_reaches_first() -> None:
     assert plan.disruption == pytest.approx(1.5 * (1 + 2))
 
 
+def test_quiescence_reaches_everything_downstream() -> None:
+    """Three levels down the chain, and from a new publisher, which does not run yet."""
+    parts = [work("Sensor", outputs=["out"]), work("NewSensor", outputs=["out"])]
+    parts += [work("Filter", ["in"], ["out"]), work("Sink", ["in"])]
+    nodes = {
+        "sensor": ("Sensor", {"out": "/raw"}),
+        "one": ("Filter", {"in": "/raw", "out": "/one"}),
+        "two": ("Filter", {"in": "/one", "out": "/two"}),
+        "sink": ("Sink", {"in": "/two"}),
+        "logger": ("Sink", {"in": "/raw"}),
+    }
+    start = system(parts, nodes)
+    running = initial(start)
+    change = Change.replacing(running, start, "sensor", "NewSensor")
+    assert [str(ref) for ref in reachable(change)] == [
+        "logger.work",
+        "one.work",
+        "sensor.work",
+        "sink.work",
+        "two.work",
+    ]
+    second = Change.adding(running, start, Node("second", "Sensor", Map({"out": ("/two",)})))
+    assert [str(ref) for ref in reachable(second)] == ["sink.work"]
+
+
 def test_a_fall_says_why_and_for_how_long() -> None:
     plan = replaced(talker(), "talker", "NewTalker", "paper")
-    listener, talk = plan.falls
+    listener, talk = plan.degradations
     assert (str(listener.functionality), listener.since, listener.until) == ("listener.listen", 1, 7)
     assert listener.seconds == pytest.approx(1.73)
-    assert "nobody satisfies /chatter" in listener.because
+    assert "/chatter has no publisher" in listener.because
     assert "step 2 (`detach talker.out from /chatter`)" in listener.because
     assert (str(talk.functionality), talk.since, talk.until) == ("talker.talk", 2, 6)
     assert "no instance of talker serves it" in talk.because
@@ -179,7 +205,7 @@ def test_filter_in_a_chain_minimal() -> None:
         "create filter_2 (Median)",
         "attach filter_2.in to /raw",
         "upgrade filter_2.work from degraded to normal",
-        "hand over /clean: filter.out -> filter_2.out",
+        "hand over /clean from filter.out to filter_2.out",
         "degrade filter.work from normal to degraded",
         "detach filter.in from /raw",
         "remove filter",
@@ -367,7 +393,7 @@ def tuned(value: float, *, changeable: bool) -> Specification:
 @pytest.mark.parametrize("strategy", EVERY)
 def test_a_changeable_parameter_is_set_in_place(strategy: str) -> None:
     plan = sound(changed(tuned(0.4, changeable=True), tuned(0.6, changeable=True), strategy))
-    assert told(plan)[-1:] == ["set threshold = 0.6 of detector"]
+    assert told(plan)[-1:] == ["set threshold = 0.6 on detector"]
     assert len(plan.steps) == 1
 
 
@@ -448,7 +474,7 @@ def test_what_the_new_environment_keeps_down_is_told_as_fallen() -> None:
     configuration = initial(start).with_modes({FunctionalityRef("eye", "see"): 1})
     plan = sound(STRATEGIES["minimal"](Change.between(configuration, start, target)))
     assert fallen(plan) == ["eye.see"]
-    assert plan.falls[0].because == "it stands below when the plan begins"
+    assert plan.degradations[0].because == "it is already below when the plan begins"
     # While the source comes (1 s) the eye is a level below what it was when its camera still worked.
     assert plan.disruption == pytest.approx(1.0)
 
@@ -470,8 +496,8 @@ def test_what_a_replacement_never_comes_up_to_is_told(strategy: str) -> None:
     start = replace(start, components=start.components.set("Blind", blind))
     plan = sound(replaced(start, "talker", "Blind", strategy))
     assert plan.disruption == 0.0 or strategy != "minimal"
-    assert [encode(LevelShiftForm.of(shift)) for shift in plan.shifts] == [
+    assert [encode(LevelShiftForm.of(shift)) for shift in plan.level_shifts] == [
         {"functionality": "listener.listen", "from": "normal", "to": "degraded", "levels": 1},
         {"functionality": "talker.talk", "from": "normal", "to": "degraded", "levels": 1},
     ]
-    assert replaced(talker(), "talker", "NewTalker", strategy).shifts == ()
+    assert replaced(talker(), "talker", "NewTalker", strategy).level_shifts == ()

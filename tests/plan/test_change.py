@@ -14,7 +14,7 @@ from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.registry import STRATEGIES, planner
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from tests.plan.cases import NEED, SLOW, component, functionality, system, talker, work
 
 
@@ -107,15 +107,15 @@ def test_durations_are_declared_else_measured_else_the_default() -> None:
 def test_unknown_names_are_suggested() -> None:
     start = talker()
     configuration = initial(start)
-    with pytest.raises(PlanRefused, match=r"no node talkr; did you mean talker\?"):
+    with pytest.raises(PlanRefused, match=r"no node `talkr`; did you mean `talker`\?"):
         Change.replacing(configuration, start, "talkr", "NewTalker")
-    with pytest.raises(PlanRefused, match=r"no component NewTalk; did you mean NewTalker\?"):
+    with pytest.raises(PlanRefused, match=r"no component `NewTalk`; did you mean `NewTalker`\?"):
         Change.replacing(configuration, start, "talker", "NewTalk")
-    with pytest.raises(PlanRefused, match=r"no node speaker"):
+    with pytest.raises(PlanRefused, match=r"no node `speaker`"):
         Change.removing(configuration, start, "speaker")
-    with pytest.raises(PlanRefused, match=r"no topic /chater; did you mean /chatter\?"):
+    with pytest.raises(PlanRefused, match=r"no topic `/chater` \(did you mean `/chatter`\?\)"):
         Change.adding(configuration, start, Node("more", "Talker", Map({"out": ("/chater",)})))
-    with pytest.raises(PlanRefused, match=r"no strategy minimum; did you mean `minimal`\?"):
+    with pytest.raises(PlanRefused, match=r"no strategy `minimum`; did you mean `minimal`\?"):
         planner("minimum")
     assert planner() is STRATEGIES["minimal"]
 
@@ -126,19 +126,22 @@ LAME = component("Lame", FunctionalitySpec("f", (Mode("only"),)))
 @pytest.mark.parametrize(
     ("request_", "words"),
     [
-        (Request(add=(Node("b ad", "Talker"),)), "`b ad` cannot name a node"),
-        (Request(add=(Node("n" * 256, "Talker"),)), "cannot name a node"),
+        (PlanRequest(add=(Node("b ad", "Talker"),)), "`b ad` is not a valid node name"),
+        (PlanRequest(add=(Node("n" * 256, "Talker"),)), "is not a valid node name"),
         (
-            Request(add=(Node("more", "Talker", Map({"out": ("/chatter", "/chatter")})),)),
+            PlanRequest(add=(Node("more", "Talker", Map({"out": ("/chatter", "/chatter")})),)),
             "more.out is attached to /chatter twice",
         ),
-        (Request(remove=("talker", "talker")), "node talker is named twice"),
-        (Request(remove=("talker",), replace=(("talker", "NewTalker"),)), "node talker is named twice"),
-        (Request(remove=("talker",), components=(LAME,)), "component Lame: /functionalities/f/modes: f has one mode"),
-        (Request(to=replace(talker(), components=Map(Lame=LAME))), "/components/Lame/functionalities/f/modes: "),
+        (PlanRequest(remove=("talker", "talker")), "node talker is named twice"),
+        (PlanRequest(remove=("talker",), replace=(("talker", "NewTalker"),)), "node talker is named twice"),
+        (
+            PlanRequest(remove=("talker",), components=(LAME,)),
+            "component Lame: /functionalities/f/modes: f has only one mode",
+        ),
+        (PlanRequest(to=replace(talker(), components=Map(Lame=LAME))), "/components/Lame/functionalities/f/modes: "),
     ],
 )
-def test_what_is_asked_for_must_be_well_formed(request_: Request, words: str) -> None:
+def test_what_is_asked_for_must_be_well_formed(request_: PlanRequest, words: str) -> None:
     """The command line and the API say by single changes what a file may not say either."""
     with pytest.raises(PlanRefused) as caught:
         request_.target(talker())
@@ -148,13 +151,16 @@ def test_what_is_asked_for_must_be_well_formed(request_: Request, words: str) ->
 @pytest.mark.parametrize(
     ("node", "words"),
     [
-        (Node("talker", "Talkr"), "node talker: there is no component Talkr; did you mean `Talker`?"),
+        (Node("talker", "Talkr"), "/nodes/talker/component: there is no component `Talkr` (did you mean `Talker`?)"),
         (
             Node("talker", "Talker", Map({"uot": ("/chatter",)})),
-            "component Talker has no port uot; did you mean `out`?",
+            "Talker has no port `uot` (did you mean `out`?)",
         ),
-        (Node("talker", "Talker", Map({"out": ("/chat",)})), "port out is to be attached to /chat, which is no topic"),
-        (Node("talker", "Talker", Map(), Map({"gain": 1})), "component Talker has no parameter gain"),
+        (
+            Node("talker", "Talker", Map({"out": ("/chat",)})),
+            "/nodes/talker/attachments/out/0: there is no topic `/chat` (did you mean `/chatter`?)",
+        ),
+        (Node("talker", "Talker", Map(), Map({"gain": 1})), "Talker has no parameter `gain`"),
     ],
 )
 def test_a_target_that_names_what_is_not_there(node: Node, words: str) -> None:
@@ -177,20 +183,24 @@ def test_a_cap_that_either_end_exceeds() -> None:
     two = {"a": ("Source", {"out": "/x"}), "b": ("Source", {"out": "/x"})}
     one = {"a": ("Source", {"out": "/x"})}
     assert refused(system(parts, two), system(parts, one, caps={"/x": 1})) == (
-        "the running system does not fit: /x: 2 publishers (a.out, b.out), at most 1 allowed"
+        "the running system exceeds a limit: /x: 2 publishers (a.out, b.out), at most 1 allowed"
     )
     words = refused(system(parts, one, caps={"/x": 1}), system(parts, two, caps={"/x": 1}))
-    assert words.startswith("the target does not fit: /x: 2 publishers")
+    assert words.startswith("the target exceeds a limit: /x: 2 publishers")
     start = system(parts, one, caps={"/x": 1})
-    with pytest.raises(PlanRefused, match="the target does not fit: /x: 2 publishers"):
+    with pytest.raises(PlanRefused, match="the target exceeds a limit: /x: 2 publishers"):
         Change.adding(initial(start), start, Node("b", "Source", Map({"out": ("/x",)})))
 
 
 def test_a_capacity_that_either_end_exceeds() -> None:
     parts = [work("Big", holds={"memory": 6.0}), work("Small", holds={"memory": 1.0})]
     start = system(parts, {"a": ("Big", {})}, resources={"memory": 8.0})
-    assert "6 held by a, capacity 5" in refused(start, system(parts, {"a": ("Small", {})}, resources={"memory": 5.0}))
-    with pytest.raises(PlanRefused, match="the target does not fit: resource memory: 12 held by a, b, capacity 8"):
+    assert "6 held by a, but the capacity is 5" in refused(
+        start, system(parts, {"a": ("Small", {})}, resources={"memory": 5.0})
+    )
+    with pytest.raises(
+        PlanRefused, match="the target exceeds a limit: resource memory: 12 held by a, b, but the capacity is 8"
+    ):
         Change.adding(initial(start), start, Node("b", "Big"))
 
 
@@ -225,7 +235,7 @@ def calls_to_plan(specification: Specification, strategy: str) -> int:
         nonlocal count
         count += event in ("call", "c_call")
 
-    request = Request(replace=(("filter0", "Other"),))
+    request = PlanRequest(replace=(("filter0", "Other"),))
     sys.setprofile(note)
     try:
         target = request.target(specification)
@@ -250,4 +260,4 @@ def test_connectors_of_the_target_alone_are_there_throughout() -> None:
     change = Change.between(initial(start), start, target)
     assert "/more" in change.start.context.connectors
     assert "/more" not in change.origin.context.connectors
-    assert change.end_world == target.context
+    assert change.end_context == target.context

@@ -96,14 +96,14 @@ def test_another_role_takes_an_exclusive_topic_over_without_a_gap() -> None:
     start = system(parts, {"a": ("A", {"out": "/x"}), **users}, caps={"/x": 1})
     target = system(parts, {"b": ("B", {"out": "/x"}), **users}, caps={"/x": 1})
     plan = sound(changed(start, target, "minimal"))
-    assert "hand over /x: a.out -> b.out" in told(plan)
+    assert "hand over /x from a.out to b.out" in told(plan)
     assert plan.fallen == ()
 
 
 def test_all_outputs_of_a_role_change_hands_at_once() -> None:
     parts = [work(name, outputs=["one", "two"]) for name in ("Old", "New")]
     plan = sound(replaced(system(parts, {"n": ("Old", {"one": "/one", "two": "/two"})}), "n", "New", "minimal"))
-    assert "hand over /one: n.one -> n_2.one, /two: n.two -> n_2.two" in told(plan)
+    assert "hand over /one from n.one to n_2.one, /two from n.two to n_2.two" in told(plan)
 
 
 def test_no_hand_over_to_one_that_is_not_good_enough() -> None:
@@ -121,7 +121,7 @@ def test_a_renamed_port_on_the_same_topic_is_handed_over() -> None:
     parts = [work("Old", outputs=["out"]), work("New", outputs=["scan"])]
     start = system(parts, {"n": ("Old", {"out": "/x"})})
     target = start.with_node(Node("n", "New", Map({"scan": ("/x",)})))
-    assert "hand over /x: n.out -> n_2.scan" in told(sound(changed(start, target, "minimal")))
+    assert "hand over /x from n.out to n_2.scan" in told(sound(changed(start, target, "minimal")))
 
 
 # -- modes in between ------------------------------------------------------------------------------------
@@ -198,7 +198,7 @@ def test_a_place_is_given_up_rather_than_handed_on_where_another_needs_it_more()
     target = start.with_replaced("a", "Split").with_replaced("b", "Blind")
     plan = sound(changed(start, target, "minimal"))
     assert (plan.disruption, plan.fallen) == (0.0, ())
-    order = ["detach a.out from /x", "attach b_2.out to /x", "hand over /x: b.out -> a_2.out"]
+    order = ["detach a.out from /x", "attach b_2.out to /x", "hand over /x from b.out to a_2.out"]
     assert [step for step in told(plan) if step in order] == order
 
 

@@ -88,6 +88,16 @@ def test_keep_does_not_forbid_to_bring_up_what_is_down() -> None:
     assert told(plan)[-1] == "upgrade listener.listen from degraded to normal"
 
 
+def test_keep_does_not_forbid_to_replace_what_is_down_already() -> None:
+    """The listener stays as low as it is, since there is no talker: the plan takes it no lower."""
+    start = talker().without_node("talker")
+    listen = component("NewListener", functionality("listen", ["in"]))
+    start = replace(start, components=start.components.set("NewListener", listen))
+    target = bound(start.with_replaced("listener", "NewListener"), Keep(LISTEN, "normal"))
+    plan = sound(changed(start, target, "minimal"))
+    assert "create listener_2 (NewListener)" in told(plan)
+
+
 def test_keep_at_a_mode_that_is_none() -> None:
     assert "listener.listen has no mode loud; it has normal, degraded" in refused(
         talker(), bound(talker().with_replaced("talker", "NewTalker"), Keep(LISTEN, "loud"))
@@ -96,7 +106,7 @@ def test_keep_at_a_mode_that_is_none() -> None:
 
 def test_limit_counts_every_step_below_the_baseline() -> None:
     plan = replaced(talker(), "talker", "NewTalker", "paper")
-    (seconds,) = [fall.seconds for fall in plan.falls if fall.functionality == LISTEN]
+    (seconds,) = [fall.seconds for fall in plan.degradations if fall.functionality == LISTEN]
     target = talker().with_replaced("talker", "NewTalker")
     sound(changed(talker(), bound(target, Limit(LISTEN, seconds)), "paper"))
     words = refused(talker(), bound(target, Limit(LISTEN, seconds - 0.01)), "paper")
@@ -165,7 +175,7 @@ def test_the_smallest_set_in_conflict_is_named() -> None:
     user = FunctionalityRef("user", "b")
     words = refused(*devices(Order("a", "b"), Limit(FunctionalityRef("user", "a"), 60.0), Keep(user, "normal")))
     assert words.startswith("no plan was found that meets the constraint `keep user.b at normal`")
-    assert words.endswith("; b and b_2 do not fit at once: B has a capacity of 1")
+    assert words.endswith("; b and b_2 do not fit at the same time: B has a capacity of 1")
     assert "order" not in words
 
 

@@ -72,7 +72,7 @@ def changed(*replacements: tuple[str, str]) -> list[str]:
             "control weight 11",
             [
                 "component MotorController: changed\n  functionality control: weight: 10 -> 11",
-                "node controller: replaced\n  component MotorController is declared otherwise",
+                "node controller: replaced\n  component MotorController is declared differently",
             ],
         ),
     ],

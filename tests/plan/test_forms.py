@@ -14,7 +14,7 @@ from midstride.model.specification import Node
 from midstride.plan.decoding import decode_plan
 from midstride.plan.forms import AnyStep, PlanForm, PlanPreview, encode_plan
 from midstride.plan.registry import STRATEGIES
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.plan.request_form import ChangeRequest, NewNode, Strategy, decode_request
 from tests.plan.cases import replaced, talker
 
@@ -87,7 +87,7 @@ def test_a_request_comes_back() -> None:
     assert request.add == (Node("second", "Talker", node.attachments),)
     assert (request.remove, request.to, request.strategy) == (("listener",), talker(), "paper")
     assert request.components[0].name == "Idle"
-    assert decode_request({}) == ChangeRequest().request() == Request()
+    assert decode_request({}) == ChangeRequest().request() == PlanRequest()
 
 
 @pytest.mark.parametrize(

@@ -19,18 +19,18 @@ SAMPLE = load(Path(__file__).parents[1] / "lang" / "seeds" / "patrol.stride").re
 def test_single_points_of_failure_come_first_and_reasons_are_told() -> None:
     lidar, detector, controller = impacts(SAMPLE)
     assert (lidar.role, lidar.single_point_of_failure, lidar.loss) == ("lidar", True, 16)
-    assert [(str(fall.functionality), fall.before, fall.after, fall.levels) for fall in lidar.falls] == [
+    assert [(str(fall.functionality), fall.before, fall.after, fall.levels) for fall in lidar.impacted] == [
         ("controller.control", "normal", "stop", 1),
         ("detector.detect", "normal", "degraded", 2),
     ]
-    assert "/obstacles" in lidar.falls[0].because[0]
+    assert "/obstacles" in lidar.impacted[0].because[0]
     assert (detector.role, detector.loss) == ("detector", 10)
-    assert (controller.role, controller.single_point_of_failure, controller.falls) == ("controller", False, ())
+    assert (controller.role, controller.single_point_of_failure, controller.impacted) == ("controller", False, ())
     assert controller.own == ("control",)
 
 
 def test_a_node_that_is_none_is_refused_with_a_near_miss() -> None:
-    with pytest.raises(PlanRefused, match="there is no node lidr; did you mean `lidar`"):
+    with pytest.raises(PlanRefused, match="there is no node `lidr`; did you mean `lidar`"):
         impacts(SAMPLE, ["lidr"])
 
 
@@ -41,7 +41,7 @@ def test_what_falls_is_what_stands_lower_in_the_system_without_the_node(specific
     for impact in impacts(specification):
         after = initial(specification.without_node(impact.role))
         fallen = {ref: (before.modes[ref], index) for ref, index in after.modes.items() if index != before.modes[ref]}
-        told = {fall.functionality: fall for fall in impact.falls}
+        told = {fall.functionality: fall for fall in impact.impacted}
         assert set(told) == set(fallen)
         for ref, (stood, stands) in fallen.items():
             assert told[ref].levels == stands - stood > 0

@@ -8,13 +8,14 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from immutables import Map
 
 from midstride.model.component import FunctionalityRef
-from midstride.model.specification import Keep, Limit, Order, Specification, initial
+from midstride.model.specification import Keep, Limit, Node, Order, Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.forms import encode_plan
 from midstride.plan.registry import STRATEGIES
-from midstride.plan.validate import ReplayFinding, replay_document
+from midstride.plan.validate import ReplayFinding, replay, replay_document
 from tests.plan.cases import component, functionality, replaced, system, talker, work
 
 Document = dict[str, Any]
@@ -62,22 +63,25 @@ def swap(one: int, other: int) -> Callable[[Document], None]:
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
-        (drop(0), "step 1: detach talker.out from /chatter: without talker.out on /chatter, listener.listen"),
+        (drop(0), "step 1: detach talker.out from /chatter: listener.listen in mode normal would be unsatisfied"),
         (drop(1), "step 2: remove talker: talker.out is still attached to /chatter"),
         (drop(2), "talker has 2 instances at the end (talker, talker_2)"),
         (drop(4), "step 6: upgrade listener.listen"),
         (drop(5), "step 6: upgrade listener.listen"),
-        (drop(6), "listener.listen is in mode degraded at the end, normal is its best"),
+        (drop(6), "listener.listen is in mode degraded at the end, but could be in normal"),
         (swap(0, 1), "step 1"),
         (swap(1, 2), "step 2: remove talker: talker.out is still attached"),
         (put("disruption", 1.0), "its disruption is 4.5, not 1"),
         (put("seconds", 1.0), "its steps take 1.73 s, not 1 s"),
         (put("makespan", 60.0), "its makespan, 60 s, is longer than its steps one after another"),
-        (put("fallen", []), "what falls is listener.listen, talker.talk, not nothing"),
+        (put("fallen", []), "it takes listener.listen, talker.talk below the baseline, not nothing"),
         (put("proved_minimal", True), "it is not proved minimal: its disruption is above the lower bound, 0"),
         (put("lower_bound", 5.0), "its lower bound, 5, is above its disruption"),
         (put_in(3, "of", "Listener"), "step 5: there is no talker_2.talk with a mode normal"),
-        (put_in(3, "of", "Talker"), "step 4: create talker_2 (Talker): talker_2 is not what the target says of talker"),
+        (
+            put_in(3, "of", "Talker"),
+            "step 4: create talker_2 (Talker): talker_2 differs from the declaration of talker in the target",
+        ),
         (put_in(3, "of", "Speaker"), "step 4: it creates a Speaker, a component that neither"),
         (put_in(3, "role", "stranger"), "the target has no node stranger"),
         (put_in(3, "action", "conjure"), "/steps/3/action: `conjure` is not one of"),
@@ -105,8 +109,8 @@ def rename(text: str, old: str, new: str) -> str:
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("listener", "listener is live already"),
-        ("speaker", "speaker is no name for an instance of talker"),
+        ("listener", "listener is already live"),
+        ("speaker", "speaker is not a valid name for an instance of talker"),
     ],
 )
 def test_a_name_that_no_instance_may_have(name: str, words: str) -> None:
@@ -114,6 +118,28 @@ def test_a_name_that_no_instance_may_have(name: str, words: str) -> None:
     del spoilt["steps"][4:]
     spoilt["steps"] = rename(spoilt["steps"], "talker_2", name)
     assert words in findings(spoilt)
+
+
+def test_the_name_of_a_node_is_not_free_for_an_instance_of_another_role() -> None:
+    start = talker()
+    target = start.with_replaced("talker", "NewTalker").with_node(
+        Node("talker_2", "Listener", Map({"in": ("/chatter",)}))
+    )
+    plan = STRATEGIES["minimal"](Change.between(initial(start), start, target))
+    spoilt = encode_plan(plan)
+    assert replay_document(spoilt).holds
+    # The new talker takes the name of the new node, and the new node another one, so that no name occurs twice.
+    spoilt["steps"] = rename(spoilt["steps"], '"talker_2', '"listener_9')
+    spoilt["steps"] = rename(spoilt["steps"], '"talker_3', '"talker_2')
+    assert "talker_2 is not a valid name for an instance of talker" in findings(spoilt)
+
+
+def test_a_plan_from_an_invalid_configuration() -> None:
+    """A document of such a plan is refused earlier, since its start and target do not make a change."""
+    plan = replaced(talker(), "talker", "NewTalker", "minimal")
+    silent = plan.change.start.with_modes({FunctionalityRef("talker", "talk"): 1})
+    result = replay(dataclasses.replace(plan, change=dataclasses.replace(plan.change, start=silent)))
+    assert "the start is not valid: listener.listen in mode normal: assumes in: no publisher satisfies" in str(result)
 
 
 def test_another_name_that_it_may_have() -> None:
@@ -134,7 +160,7 @@ def test_the_bare_name_is_for_the_first_alone() -> None:
             "seconds": 1.0,
         }
     ]
-    assert "talker is live already" in findings(spoilt)
+    assert "talker is already live" in findings(spoilt)
 
 
 def test_an_attachment_too_many_and_one_too_few() -> None:
@@ -142,7 +168,7 @@ def test_an_attachment_too_many_and_one_too_few() -> None:
     spoilt["steps"].append({"action": "detach", "port": "talker_2.out", "connector": "/chatter", "seconds": 0.1})
     assert "listener.listen" in findings(spoilt)
     del spoilt["steps"][6]
-    assert "talker_2.out is attached to nothing at the end, /chatter is wanted" in findings(spoilt)
+    assert "talker_2.out is attached to nothing at the end, not to /chatter" in findings(spoilt)
 
 
 def test_a_port_left_on_the_old_contract_of_a_topic_as_well() -> None:
@@ -154,13 +180,16 @@ def test_a_port_left_on_the_old_contract_of_a_topic_as_well() -> None:
     assert replay_document(spoilt).holds
     (detach,) = [step for step in spoilt["steps"] if step["action"] == "detach"]
     spoilt["steps"].remove(detach)
-    assert "talker.out is attached to the old /chatter at the end" in findings(spoilt)
+    assert "talker.out is still attached to /chatter with its old contract at the end" in findings(spoilt)
 
 
 @pytest.mark.parametrize(
     ("constraint", "words"),
     [
-        (Keep(FunctionalityRef("listener", "listen"), "normal"), "`keep listener.listen at normal` is not kept after"),
+        (
+            Keep(FunctionalityRef("listener", "listen"), "normal"),
+            "`keep listener.listen at normal` does not hold after",
+        ),
         (Limit(FunctionalityRef("talker", "talk"), 0.5), "`limit talker.talk below baseline 0.5 s` is exceeded"),
     ],
 )
@@ -187,8 +216,6 @@ def test_an_order_that_is_not_kept() -> None:
 def test_parameters_that_were_not_set() -> None:
     from dataclasses import replace
 
-    from immutables import Map
-
     from midstride.model.component import ParameterSpec
 
     one = work("One", parameters={"gain": ParameterSpec(1.0, changeable=True)})
@@ -196,4 +223,4 @@ def test_parameters_that_were_not_set() -> None:
     target = start.with_node(replace(start.nodes["n"], parameters=Map({"gain": 2.0})))
     spoilt = encode_plan(STRATEGIES["minimal"](Change.between(initial(start), start, target)))
     spoilt["steps"], spoilt["seconds"] = [], 0.0
-    assert "n has other parameters at the end than the target says" in findings(spoilt)
+    assert "the parameters of n at the end differ from the target" in findings(spoilt)

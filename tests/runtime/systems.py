@@ -13,7 +13,7 @@ from midstride.backends.simulator import Simulator
 from midstride.codec.specification import decode_specification
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.specification import Specification
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.state_store import SavedState, StateStore
@@ -91,8 +91,8 @@ async def last_said(simulator: Simulator) -> str:
     return said
 
 
-def replace(role: str, component: str, strategy: str = "minimal") -> Request:
-    return Request(replace=((role, component),), strategy=strategy)
+def replace(role: str, component: str, strategy: str = "minimal") -> PlanRequest:
+    return PlanRequest(replace=((role, component),), strategy=strategy)
 
 
 def managed(

@@ -10,7 +10,7 @@ import pytest
 from midstride.backends.simulator import Simulator
 from midstride.codec.specification import decode_specification
 from midstride.model.contract import QoS
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
@@ -84,7 +84,7 @@ def test_one_that_is_attached_again_has_its_message_on_the_topic_again(tmp_path:
         await manager.up()
         try:
             simulator.faults.fail_next("mapper", "export_state", "refused")
-            outcome = await manager.change(Request(remove=("mapper",)))
+            outcome = await manager.change(PlanRequest(remove=("mapper",)))
             return outcome, await late_joiner(simulator)
         finally:
             await manager.close()

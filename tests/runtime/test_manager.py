@@ -14,7 +14,7 @@ from midstride.errors import BackendError, ManagerError, StepFailed
 from midstride.model.contract import DEFAULT_QOS
 from midstride.model.rules import violations
 from midstride.model.specification import Node
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.backend import Launch
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome, Why
@@ -64,12 +64,12 @@ def test_the_other_strategies_end_in_the_same_place_and_say_what_they_cost(
 
 def test_taking_the_detector_away_stops_the_motor_and_another_one_starts_it_again(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
-        assert (await manager.change(Request(remove=("detector",)))).outcome == "done"
+        assert (await manager.change(PlanRequest(remove=("detector",)))).outcome == "done"
         why = await manager.why("controller.control")
         assert why.mode == "degraded"
         assert any("/obstacles" in line and "no publisher" in line for line in why.chain)
         node = Node("detector", "StereoDetector", example("obstacle").nodes["detector"].attachments)
-        assert (await manager.change(Request(add=(node,)))).outcome == "done"
+        assert (await manager.change(PlanRequest(add=(node,)))).outcome == "done"
         assert (await manager.why("controller.control")).mode == "normal"
 
     managed("obstacle", tmp_path, body)
@@ -84,7 +84,7 @@ def test_two_commands_at_once_run_one_after_the_other_and_the_second_is_told(tmp
         assert [outcome.outcome for outcome in outcomes] == ["done", "done"]
         assert sorted(manager.configuration.instances) == ["listener", "talker_3"]
         waiting = [event.words for event in manager.log() if event.kind == "waiting"]
-        assert waiting == ["`replace talker by Talker` waits for `replace talker by NewTalker`"]
+        assert waiting == ["`replace talker with Talker` waits for `replace talker with NewTalker`"]
 
     managed("talker", tmp_path, body)
 
@@ -102,15 +102,15 @@ def test_a_change_seen_at_an_older_revision_is_refused(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("request_", "because"),
     [
-        (replace("talker", "NewTalke"), "did you mean NewTalker?"),
-        (replace("talkr", "NewTalker"), "did you mean talker?"),
+        (replace("talker", "NewTalke"), "did you mean `NewTalker`?"),
+        (replace("talkr", "NewTalker"), "did you mean `talker`?"),
         (replace("talker", "Listener"), "no port out"),
-        (Request(), "nothing is asked for"),
+        (PlanRequest(), "the request is empty"),
         (replace("talker", "NewTalker", "fastest"), "fastest"),
     ],
 )
 def test_what_cannot_be_planned_is_refused_and_nothing_is_begun(
-    request_: Request, because: str, tmp_path: Path
+    request_: PlanRequest, because: str, tmp_path: Path
 ) -> None:
     async def body(manager: Manager, simulator: Simulator) -> Outcome:
         revision = manager.revision
@@ -130,19 +130,19 @@ def test_a_crash_lowers_whom_it_must_and_the_next_plan_restores(tmp_path: Path) 
         assert [entry.name for entry in status.crashed] == ["detector"]
         control = status.components[0].functionalities[0]
         assert (control.name, control.mode) == ("controller.control", "degraded")
-        assert (await manager.change(Request(to=manager.specification))).outcome == "done"
+        assert (await manager.change(PlanRequest(to=manager.specification))).outcome == "done"
         assert (await manager.why("controller.control")).mode == "normal"
         assert (await manager.status()).crashed == []
         assert (await manager.change(replace("detector", "StereoDetector"))).outcome == "done"
         simulator.faults.kill("detector_2")
         await asyncio.sleep(1)
         assert [entry.name for entry in (await manager.status()).crashed] == ["detector_2"]
-        assert (await manager.change(Request(to=manager.specification))).outcome == "done"
+        assert (await manager.change(PlanRequest(to=manager.specification))).outcome == "done"
         assert sorted(manager.configuration.instances) == ["controller", "detector"]
         assert (await manager.status()).crashed == []
         simulator.faults.kill("detector")
         await asyncio.sleep(1)
-        assert (await manager.change(Request(remove=("detector",)))).outcome == "done"
+        assert (await manager.change(PlanRequest(remove=("detector",)))).outcome == "done"
         assert (await manager.status()).crashed == []
 
     managed("obstacle", tmp_path, body)
@@ -164,7 +164,7 @@ def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Pa
         (sink,) = [row for row in status.components if row.name == "sink"]
         assert (sink.reachable, sink.pid) == (False, 4711), "whoever is to kill it needs its number"
         await asyncio.sleep(60)
-        assert (await manager.change(Request(remove=("filter",)))).outcome == "done"
+        assert (await manager.change(PlanRequest(remove=("filter",)))).outcome == "done"
         assert (await manager.peek("sink")).functionalities["use"].mode == "degraded"
 
     managed("filter", tmp_path, body)
@@ -211,7 +211,7 @@ def test_a_crash_at_the_very_end_of_a_command_is_seen_to(tmp_path: Path) -> None
                 await asyncio.sleep(0.1)
 
         reconciler.reconcile = late  # type: ignore[method-assign]
-        assert (await manager.change(Request())).outcome == "refused"
+        assert (await manager.change(PlanRequest())).outcome == "refused"
         reconciler.reconcile = reconcile  # type: ignore[method-assign]
         await asyncio.sleep(2)
         assert sorted(manager.configuration.instances) == ["controller"]
@@ -289,7 +289,7 @@ def test_a_component_started_by_hand_that_ends_is_noticed_at_once_and_accepted_a
         await asyncio.sleep(1)
         ended = [event.words for event in manager.log() if event.kind == "exited"]
         assert ended == ["talker exited unexpectedly"] and list(manager.configuration.instances) == ["listener"]
-        assert (await manager.change(Request(to=specification))).outcome == "done"
+        assert (await manager.change(PlanRequest(to=specification))).outcome == "done"
         assert (await manager.status()).valid and "talker" in manager.configuration.instances
         simulator.faults.kill("talker")
         await asyncio.sleep(1)
@@ -407,7 +407,7 @@ def test_whoever_relies_on_one_that_has_degraded_by_itself_is_lowered_at_once(tm
         assert view.because in [event.words for event in manager.log() if event.kind == "degraded"]
         state = await manager.status()
         assert state.valid and not state.topics[0].satisfied
-        again = await manager.change(Request(to=specification))
+        again = await manager.change(PlanRequest(to=specification))
         assert (again.outcome, again.because) == ("done", None), "it raises no more"
         assert await modes(manager) == {"talker.talk": "normal", "listener.listen": "normal"}
 
@@ -519,7 +519,7 @@ def test_what_has_degraded_by_itself_is_raised_again_at_the_first_try(tmp_path: 
     async def body(manager: Manager, _: Simulator) -> tuple[Outcome, Why]:
         await asyncio.sleep(5)
         assert (await manager.why("talker.talk")).mode == "degraded"
-        outcome = await manager.change(Request(to=example("talker")))
+        outcome = await manager.change(PlanRequest(to=example("talker")))
         return outcome, await manager.why("listener.listen")
 
     programs = rewritten("talker", tmp_path / "programs", glitching)

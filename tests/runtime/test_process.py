@@ -239,7 +239,7 @@ def test_a_long_log_is_cut_to_its_last_lines_and_its_writer_goes_on(tmp_path: Pa
 
 
 def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(common, "LOOK_AT_LOGS", 0.01)
+    monkeypatch.setattr(common, "CHECK_LOGS", 0.01)
     monkeypatch.setattr(common, "LONGEST_LOG", 100_000)
     monkeypatch.setattr(common, "KEPT_OF_LOG", 10_000)
     log = tmp_path / "log"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from immutables import Map
 
-from midstride.model.component import ComponentSpec, Endpoint, FunctionalitySpec, InputAlternatives, Mode
+from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode, NodeEndpoint
 from midstride.model.contract import Predicate, QoS
 from midstride.runtime.registration import mismatches, unexpected_endpoints
 from midstride.wire.state import Endpoint as ExtraEndpoint
@@ -66,7 +66,7 @@ def test_a_node_may_not_insist_on_one_of_declared_alternatives() -> None:
 
 
 def test_endpoints_that_are_no_ports_must_be_allowed() -> None:
-    component = replace(controller(), allows=(Endpoint("service", "~/reset"),))
+    component = replace(controller(), allows=(NodeEndpoint("service", "~/reset"),))
     endpoints = [ExtraEndpoint(kind="service", name="/robot/controller/reset"), ExtraEndpoint(kind="topic", name="/tf")]
     assert unexpected_endpoints(component, "/robot/controller", endpoints) == ["topic /tf"]
     assert unexpected_endpoints(controller(), "controller", endpoints) == [

@@ -15,7 +15,7 @@ import pytest
 
 from midstride.backends.simulator import Simulator
 from midstride.model.rules import violations
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from midstride.runtime.workspace import Workspace
@@ -54,7 +54,7 @@ class Failing(Simulator):
             self.calls.append((instance, op))
 
 
-def change(simulator: Failing, name: str, request: Request, folder: Path) -> Outcome:
+def change(simulator: Failing, name: str, request: PlanRequest, folder: Path) -> Outcome:
     async def body(manager: Manager, _: Simulator) -> Outcome:
         before = await snapshot(manager, simulator)
         simulator.armed = True
@@ -90,13 +90,13 @@ CASES = [
     ("talker", replace("talker", "NewTalker", "paper")),
     ("filter", replace("filter", "MedianFilter")),
     ("obstacle", replace("detector", "StereoDetector", "quiesce")),
-    ("obstacle", Request(remove=("detector",))),
+    ("obstacle", PlanRequest(remove=("detector",))),
 ]
 
 
 @pytest.mark.parametrize(("name", "request_"), CASES, ids=lambda value: getattr(value, "strategy", value))
 @pytest.mark.parametrize(("how", "times"), [("lost_request", 1), ("lost_reply", 1)])
-def test_one_lost_message_is_made_good(name: str, request_: Request, how: str, times: int, tmp_path: Path) -> None:
+def test_one_lost_message_is_made_good(name: str, request_: PlanRequest, how: str, times: int, tmp_path: Path) -> None:
     whole = Failing()
     change(whole, name, request_, tmp_path / "whole")
     for at, (_, op) in enumerate(whole.calls):
@@ -108,7 +108,7 @@ def test_one_lost_message_is_made_good(name: str, request_: Request, how: str, t
 @pytest.mark.parametrize(("name", "request_"), CASES, ids=lambda value: getattr(value, "strategy", value))
 @pytest.mark.parametrize(("how", "times"), [("lost_request", 2), ("lost_reply", 2), ("refused", 1)])
 def test_a_change_in_which_any_one_call_fails_is_done_or_taken_back_whole(
-    name: str, request_: Request, how: str, times: int, tmp_path: Path
+    name: str, request_: PlanRequest, how: str, times: int, tmp_path: Path
 ) -> None:
     whole = Failing()
     assert change(whole, name, request_, tmp_path / "whole").outcome == "done"
@@ -133,7 +133,7 @@ def after_the_cut(calls: list[tuple[str, str]]) -> Iterator[tuple[str, str]]:
 
 @pytest.mark.parametrize(("name", "request_"), CASES[:4], ids=lambda value: getattr(value, "strategy", value))
 def test_a_component_that_dies_at_any_call_leaves_no_half_done_change(
-    name: str, request_: Request, tmp_path: Path
+    name: str, request_: PlanRequest, tmp_path: Path
 ) -> None:
     whole = Failing()
     change(whole, name, request_, tmp_path / "whole")
@@ -148,7 +148,7 @@ def test_a_component_that_dies_at_any_call_leaves_no_half_done_change(
             assert violations(manager.configuration) == []
             assert sorted(simulator.processes) == sorted(manager.configuration.instances)
             assert await differing(manager) == []
-            restored = await manager.change(Request(to=manager.specification))
+            restored = await manager.change(PlanRequest(to=manager.specification))
             assert restored.outcome == "done", restored.because
             roles = sorted(instance.role for instance in manager.configuration.instances.values())
             assert roles == sorted(manager.specification.nodes)
@@ -185,7 +185,7 @@ class Cancelling(Failing):
 
 @pytest.mark.parametrize(("name", "request_"), CASES[:2], ids=lambda value: getattr(value, "strategy", value))
 def test_a_change_that_is_broken_off_at_any_call_is_taken_back_whole(
-    name: str, request_: Request, tmp_path: Path
+    name: str, request_: PlanRequest, tmp_path: Path
 ) -> None:
     whole = Failing()
     change(whole, name, request_, tmp_path / "whole")
@@ -234,7 +234,7 @@ def test_a_witness_of_the_inputs_ends_where_there_is_nobody_to_measure(tmp_path:
     workspace = Workspace(tmp_path)
 
     async def body(manager: Manager, _: Simulator) -> None:
-        assert (await manager.change(Request(remove=("sink",)))).outcome == "done"
+        assert (await manager.change(PlanRequest(remove=("sink",)))).outcome == "done"
         assert (await manager.change(replace("filter", "MedianFilter"))).outcome == "done"
         await asyncio.sleep(1)
         assert await kept(workspace, simulator, "filter_2.in") == 64

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from midstride.backends.simulator import Simulator
 from midstride.model.specification import Node
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Outcome
 from tests.runtime.systems import last_said, managed, stateful_talkers
@@ -22,7 +22,7 @@ def test_a_topic_handed_on_to_another_role_takes_no_state_along(tmp_path: Path) 
     simulator = Simulator()
 
     async def body(manager: Manager, _: Simulator) -> tuple[Outcome, str]:
-        outcome = await manager.change(Request(to=target))
+        outcome = await manager.change(PlanRequest(to=target))
         return outcome, await last_said(simulator)
 
     folder = tmp_path / "workspace"

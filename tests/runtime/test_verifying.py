@@ -17,20 +17,24 @@ from midstride.backends.simulator import Simulator
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime import runtime_verification
 from midstride.runtime.component_client import SILENCE
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event, LiveConfiguration, Outcome
 from midstride.runtime.runtime_verification import Verifier
-from midstride.verify.checking import Asking
+from midstride.verify.checking import AlloyOptions
 from midstride.verify.verdict import Answer, Finding, Verdict, VerdictForm
 from midstride.wire.state import ComponentState
 from tests.runtime.systems import managed, replace, snapshot
 
 UNKNOWN = Verdict(Answer.UNKNOWN, "the plan", "nothing was judged", "Alloy", because="there is no Java here")
 VIOLATED = Verdict(
-    Answer.VIOLATED, "what is live", "exact", "Alloy", (Finding("cap", None, "the configuration", "/cmd", "too many"),)
+    Answer.VIOLATED,
+    "the live configuration",
+    "exact",
+    "Alloy",
+    (Finding("cap", None, "the configuration", "/cmd", "too many"),),
 )
 
 
@@ -43,7 +47,7 @@ class Scripted(Verifier):
     """Answers as the test says, and notes what it was asked."""
 
     of_plan: Verdict = field(default_factory=lambda: holds("the plan"))
-    of_live: Verdict = field(default_factory=lambda: holds("what is live"))
+    of_live: Verdict = field(default_factory=lambda: holds("the live configuration"))
     plans: list[Plan] = field(default_factory=list)
     seen: list[Configuration] = field(default_factory=list)
 
@@ -164,8 +168,8 @@ def test_a_component_that_does_not_answer_is_no_pass(tmp_path: Path) -> None:
 
     outcome, before, after, _ = changed(tmp_path, Scripted(), Lying(silent))
     assert outcome.outcome == "rolled_back"
-    unknown = "what is live is not known: listener has reported nothing for more than 2 s"
-    assert outcome.because == f"degrade listener.listen to degraded: {unknown}"
+    unknown = "the live configuration is unknown: listener has reported nothing for more than 2 s"
+    assert outcome.because == f"degrade listener.listen from normal to degraded: {unknown}"
     assert after == before
 
 
@@ -195,10 +199,10 @@ def test_the_configuration_is_told_as_the_components_tell_it(tmp_path: Path) -> 
 def test_the_loop_goes_on_while_alloy_is_asked_and_who_is_cancelled_stops_it(monkeypatch: pytest.MonkeyPatch) -> None:
     asked, ended = threading.Event(), threading.Event()
 
-    def endless(_: Any, *, asking: Asking, **__: Any) -> Verdict:
-        assert asking.stop is not None
+    def endless(_: Any, *, options: AlloyOptions, **__: Any) -> Verdict:
+        assert options.stop is not None
         asked.set()
-        if asking.stop.wait(30):
+        if options.stop.wait(30):
             ended.set()
         return UNKNOWN
 
@@ -242,7 +246,7 @@ def test_an_unverified_change_asks_nobody(tmp_path: Path) -> None:
     verifier = Scripted(of_plan=VIOLATED)
 
     async def body(manager: Manager, _: Simulator) -> Outcome:
-        return await manager.change(Request(replace=(("talker", "NewTalker"),)))
+        return await manager.change(PlanRequest(replace=(("talker", "NewTalker"),)))
 
     outcome = managed("talker", tmp_path, body, verifier=verifier)
     assert outcome.outcome == "done"

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from midstride.codec.specification import decode_specification
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.events import EventLog
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event, UpReport
@@ -59,11 +59,11 @@ class ScriptedManager:
     async def why(self, functionality: str) -> Any:
         return await self._answer("why", functionality)
 
-    async def plan(self, request: Request) -> Any:
+    async def plan(self, request: PlanRequest) -> Any:
         return await self._answer("plan", request)
 
     async def change(
-        self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, id: str | None = None
     ) -> Any:
         return await self._answer("change", (request, expected, verify))
 

@@ -18,7 +18,7 @@ import httpx
 import pytest
 
 from midstride import errors
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import Tcp, serve
 from tests.server.scripted import ScriptedManager
@@ -184,7 +184,7 @@ class Changing(ScriptedManager):
         self.seconds = seconds
 
     async def change(
-        self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, id: str | None = None
     ) -> Any:
         self.asked.append(("change", None))
         try:
@@ -213,7 +213,7 @@ def test_a_change_under_way_when_the_manager_is_told_to_end_is_taken_back_first(
         manager = Changing(0.05)
         response = await told_to_end_in_a_change(manager, workspace)
         assert response.status_code == 409
-        assert "told to end" in response.json()["error"]["message"]
+        assert "interrupted and rolled back" in response.json()["error"]["message"]
         assert [operation for operation, _ in manager.asked] == ["up", "change", "taken back", "close"]
 
     run(test)
@@ -229,7 +229,7 @@ def test_a_change_that_takes_long_to_take_back_still_has_an_answer(
         manager = Changing(1.5)
         response = await told_to_end_in_a_change(manager, workspace)
         assert response.status_code == 409, response.text
-        assert "still taking back" in response.json()["error"]["message"]
+        assert "still rolling back" in response.json()["error"]["message"]
         assert ("taken back", None) in manager.asked
 
     run(test)

@@ -1,9 +1,9 @@
-"""The model's actions and the Alloy predicates, put side by side: thousands of cases in one run of the Analyzer.
+"""Compares the model's actions with the Alloy predicates: thousands of cases in one run of the Analyzer.
 
-Worlds are drawn, walked, and share one universe. A case is an action tried in a configuration; where the model allows
-it, the configuration that it leads to is one of those walked, so that a case costs hardly an atom. Alloy is told
-neither verdict nor result of the model: it says of every case whether its precondition holds, and whether the action
-takes the one configuration to the other. The two accounts are compared here.
+Worlds are drawn, walked, and share one set of atoms. A case is an action tried in a configuration; where the model
+allows it, the configuration that it leads to is one of those walked, so that a case costs hardly an atom. Alloy gets
+neither the verdict nor the result of the model: for every case it decides whether the precondition holds, and whether
+the action leads from the one configuration to the other. The two answers are compared here.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from typing import Final
 
 from midstride.model.configuration import Configuration
 from midstride.verify.alloy_atoms import AlloyAtoms
-from midstride.verify.formulas import Formula, NotInTheDump, formula
-from midstride.verify.library import carried
+from midstride.verify.formulas import Formula, NotEncoded, formula
+from midstride.verify.library import bundled
 from midstride.verify.run import Alloy, SolverOutcome
 from midstride.verify.world_encoder import WorldEncoder
 from tests.verify.walks import Claim, World, key
 
 ATOMS: Final = 1000  # a little less than one run may have
-_NOBODY: Final = "none -> none"
-_NAMES: Final = "told Told refused wrong invalid broken Case".split()
+_NONE: Final = "none -> none"
+_NAMES: Final = "Answer refused wrong invalid broken Case".split()
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,31 +33,31 @@ class Disagreement:
     """A claim that the specification does not share."""
 
     claim: Claim
-    told: str
+    answer: str
 
     def __str__(self) -> str:
-        return f"{self.claim}: {self.told}"
+        return f"{self.claim}: {self.answer}"
 
 
 class Batch:
-    """Worlds and claims in one universe, as Alloy text, and what the Analyzer says of them."""
+    """Worlds and claims in one Alloy text, and the Analyzer's answers."""
 
     def __init__(self) -> None:
-        self.universe = AlloyAtoms()
+        self.atoms = AlloyAtoms()
         for name in _NAMES:
-            self.universe.names.give(name, None)
-        self.scenes: dict[int, WorldEncoder] = {}
+            self.atoms.names.assign(name, None)
+        self.encoders: dict[int, WorldEncoder] = {}
         self.systems: dict[tuple[int, Hashable], str] = {}
         self.expected: dict[str, bool] = {}
         self.cases: list[tuple[Claim, str, Formula, str]] = []
-        self.unspoken: list[Claim] = []
+        self.inexpressible: list[Claim] = []
         self._number: dict[str, int] = defaultdict(int)
 
     def add(self, number: int, world: World) -> None:
-        scene = self.scenes[number] = WorldEncoder(self.universe, world.claims[0].before.context, f"w{number}_")
+        encoder = self.encoders[number] = WorldEncoder(self.atoms, world.claims[0].before.context, f"w{number}_")
         for instance in world.instances:
-            scene.instance(instance)
-        scene.overloads()
+            encoder.instance(instance)
+        encoder.overloads()
         for configuration in world.configurations.values():
             self.expected[self.system(number, configuration)] = True
         for configuration in world.invalid:
@@ -68,64 +68,64 @@ class Batch:
     def system(self, number: int, configuration: Configuration) -> str:
         where = (number, key(configuration))
         if where not in self.systems:
-            self.systems[where] = self.scenes[number].system(configuration, len(self.systems), "a configuration")
+            self.systems[where] = self.encoders[number].system(configuration, len(self.systems), "a configuration")
         return self.systems[where]
 
     def claim(self, claim: Claim) -> None:
-        """Puts a claim to the specification. Of what it has no word for, the code must refuse."""
+        """Add a claim. If the specification cannot express it, the code must refuse it."""
         before = self.system(claim.world, claim.before)
         after = before if claim.after is None else self.system(claim.world, claim.after)
         try:
-            asked = formula(self.scenes[claim.world], claim.action, before, after)
-        except NotInTheDump:
-            self.unspoken.append(claim)
+            queries = formula(self.encoders[claim.world], claim.action, before, after)
+        except NotEncoded:
+            self.inexpressible.append(claim)
             return
         self._number[before] += 1
-        self.cases.append((claim, before, asked, f"case{self._number[before]}"))
+        self.cases.append((claim, before, queries, f"case{self._number[before]}"))
 
     def text(self) -> str:
         facts = []
-        for claim, before, asked, case in self.cases:
-            facts.append(f"  {before} -> {case} in Told.refused iff not ({asked.may})")
+        for claim, before, queries, case in self.cases:
+            facts.append(f"  {before} -> {case} in Answer.refused iff not ({queries.may})")
             if claim.after is not None:
-                facts.append(f"  {before} -> {case} in Told.wrong iff not ({asked.whole})")
+                facts.append(f"  {before} -> {case} in Answer.wrong iff not ({queries.whole})")
         most = max(self._number.values())
         return "\n".join(
             [
-                self.universe.text(),
+                self.atoms.text(),
                 "abstract sig Case {}",
                 f"one sig {', '.join(f'case{number}' for number in range(1, most + 1))} extends Case {{}}",
-                "one sig Told { refused: System -> Case, wrong: System -> Case, invalid: set System }",
+                "one sig Answer { refused: System -> Case, wrong: System -> Case, invalid: set System }",
                 "fact {",
-                "  Told.invalid = { s: System | not valid[s] }",
+                "  Answer.invalid = { s: System | not valid[s] }",
                 *facts,
                 "}",
-                f"assert Rules {{ rules }}\ncheck Rules {self.scope(most)}\nrun Said {{}} {self.scope(most)}",
-                carried(),
+                f"assert Rules {{ rules }}\ncheck Rules {self.scope(most)}\nrun Answers {{}} {self.scope(most)}",
+                bundled(),
             ]
         )
 
     def scope(self, cases: int) -> str:
-        return self.universe.scope().replace("for 1 but", f"for {max(1, cases)} but", 1)
+        return self.atoms.scope().replace("for 1 but", f"for {max(1, cases)} but", 1)
 
     def disagreements(self, alloy: Alloy, limit: float = 600) -> list[Disagreement]:
-        """The claims, and the configurations, of which the specification says otherwise."""
+        """The claims and configurations on which the specification disagrees."""
         outcomes = _solved(alloy, self.text(), limit)
         assert not outcomes["Rules"].satisfiable, "a world that was drawn breaks the rules"
-        told = outcomes["Said"].values["Told$0"]
-        refused, wrong = _pairs(told.get("refused", [])), _pairs(told.get("wrong", []))
-        invalid = {_atom(name) for (name,) in told.get("invalid", [])}
+        answer = outcomes["Answers"].values["Answer$0"]
+        refused, wrong = _pairs(answer.get("refused", [])), _pairs(answer.get("wrong", []))
+        invalid = {_atom(name) for (name,) in answer.get("invalid", [])}
         found = [
-            Disagreement(claim, "the code allows it, the specification has no word for it")
-            for claim in self.unspoken
+            Disagreement(claim, "the code allows it, the specification cannot express it")
+            for claim in self.inexpressible
             if claim.allowed
         ]
         for claim, before, _, case in self.cases:
             if claim.allowed and (before, case) in refused:
                 found.append(Disagreement(claim, "the code allows it, the specification refuses it"))
             elif not claim.allowed and (before, case) not in refused:
-                told_ = f"the code refuses it ({'; '.join(claim.reasons)}), the specification allows it"
-                found.append(Disagreement(claim, told_))
+                reason = f"the code refuses it ({'; '.join(claim.reasons)}), the specification allows it"
+                found.append(Disagreement(claim, reason))
             elif claim.allowed and (before, case) in wrong:
                 found.append(Disagreement(claim, "the specification says that it leads elsewhere"))
         for name, expected in self.expected.items():
@@ -152,53 +152,53 @@ def _pairs(entries: Iterable[list[str]]) -> set[tuple[str, str]]:
 
 
 def explained(alloy: Alloy, worlds: dict[int, World], disagreements: list[Disagreement]) -> list[Disagreement]:
-    """The same, with what the specification holds against it: which clause is broken, who would lack what."""
+    """The same with the reasons: which clause is broken, which functionality would lack what."""
     if not disagreements:
         return []
     batch = Batch()
     lines: list[str] = []
-    asked: dict[tuple[str, str], str] = {}
+    queries: dict[tuple[str, str], str] = {}
     for number, claim in enumerate(each.claim for each in disagreements):
-        if claim.world not in batch.scenes:
+        if claim.world not in batch.encoders:
             batch.add(claim.world, replace_claims(worlds[claim.world], claim))
-        for told, held in _clauses(batch, claim):
-            pair = (f"case{number}", batch.universe.clause(told))
-            asked[pair] = told
-            lines.append(f"  {' -> '.join(pair)} in Told.broken iff not ({held})")
-    clauses = batch.universe.clauses.values()
+        for answer, condition in _clauses(batch, claim):
+            pair = (f"case{number}", batch.atoms.clause(answer))
+            queries[pair] = answer
+            lines.append(f"  {' -> '.join(pair)} in Answer.broken iff not ({condition})")
+    clauses = batch.atoms.clauses.values()
     text = "\n".join(
         [
-            batch.universe.text(),
+            batch.atoms.text(),
             "abstract sig Case {}\nabstract sig Clause {}",
             f"one sig {', '.join(f'case{number}' for number in range(len(disagreements)))} extends Case {{}}",
             f"one sig {', '.join(clauses)} extends Clause {{}}",
-            "one sig Told { broken: Case -> Clause }",
+            "one sig Answer { broken: Case -> Clause }",
             *("fact {", *lines, "}"),
-            f"run Said {{}} {batch.scope(max(len(disagreements), len(clauses)))}",
-            carried(),
+            f"run Answers {{}} {batch.scope(max(len(disagreements), len(clauses)))}",
+            bundled(),
         ]
     )
-    broken = _pairs(_solved(alloy, text, 120)["Said"].values["Told$0"].get("broken", []))
+    broken = _pairs(_solved(alloy, text, 120)["Answers"].values["Answer$0"].get("broken", []))
     found = []
     for number, each in enumerate(disagreements):
         because = [
-            told for (case, clause), told in asked.items() if case == f"case{number}" and (case, clause) in broken
+            answer for (case, clause), answer in queries.items() if case == f"case{number}" and (case, clause) in broken
         ]
-        found.append(replace(each, told=each.told + (f" ({'; '.join(because)})" if because else "")))
+        found.append(replace(each, answer=each.answer + (f" ({'; '.join(because)})" if because else "")))
     return found
 
 
 def _clauses(batch: Batch, claim: Claim) -> Iterator[tuple[str, str]]:
     """What the specification asks of a claim's action, part by part: what it says where it is broken, and the part."""
-    scene, before = batch.scenes[claim.world], batch.system(claim.world, claim.before)
-    asked = formula(scene, claim.action, before, before)
-    yield from asked.clauses
-    if asked.lacking != _NOBODY:
-        for ref, atom in scene.functionalities.items():
-            yield f"{ref} would lack what it assumes", f"no ({asked.lacking})[{atom}]"
-    if asked.attached != _NOBODY:
-        for port, atom in scene.ports.items():
-            yield f"{port} is still attached", f"no ({asked.attached}).{atom}"
+    encoder, before = batch.encoders[claim.world], batch.system(claim.world, claim.before)
+    queries = formula(encoder, claim.action, before, before)
+    yield from queries.clauses
+    if queries.lacking != _NONE:
+        for ref, atom in encoder.functionalities.items():
+            yield f"{ref} would lack what it assumes", f"no ({queries.lacking})[{atom}]"
+    if queries.attached != _NONE:
+        for port, atom in encoder.ports.items():
+            yield f"{port} is still attached", f"no ({queries.attached}).{atom}"
 
 
 def replace_claims(world: World, claim: Claim) -> World:

@@ -20,16 +20,16 @@ Plant = Callable[[pytest.MonkeyPatch], None]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """``plant`` breaks the action ``kind``; ``told`` is part of what must come of it."""
+    """``plant`` breaks the action ``kind``; ``message`` is part of the expected disagreement."""
 
     name: str
     kind: str
     plant: Plant
-    told: str
+    message: str
 
 
 def _nothing(*_: object) -> None:
-    """Nobody finds anything wrong."""
+    """Finds nothing wrong."""
 
 
 def _create_forgets_capacities(patch: pytest.MonkeyPatch) -> None:
@@ -70,11 +70,11 @@ def _attach_forgets_what_was_attached(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(model.Attach, "effect", effect)
 
 
-def _detach_asks_nobody(patch: pytest.MonkeyPatch) -> None:
+def _detach_checks_nothing(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Configuration, "consumers", lambda *_: ())
 
 
-def _degrade_asks_only_the_degraded(patch: pytest.MonkeyPatch) -> None:
+def _degrade_checks_only_the_degraded(patch: pytest.MonkeyPatch) -> None:
     def check(self: model.Degrade, configuration: Configuration) -> tuple[model.Reason, ...]:
         reasons = tuple(model._mode_reasons(configuration, self.modes, "worse"))
         return reasons or model._unsatisfied(self.effect(configuration), self.modes, "then")
@@ -97,7 +97,7 @@ def _upgrade_judges_the_mode_it_leaves(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(model.Upgrade, "check", check)
 
 
-def _upgrade_asks_one_by_one(patch: pytest.MonkeyPatch) -> None:
+def _upgrade_checks_one_by_one(patch: pytest.MonkeyPatch) -> None:
     """A group that only works together is refused."""
 
     def check(self: model.Upgrade, configuration: Configuration) -> tuple[model.Reason, ...]:
@@ -164,11 +164,11 @@ FAULTS: Final = (
     Fault("judged by the last mode", "attach", _attach_judges_by_the_last_mode, _REFUSES),
     Fault("the cap is forgotten", "attach", _attach_forgets_the_cap, f"{_ALLOWS} (the cap on publishers would be"),
     Fault("other topics are left", "attach", _attach_forgets_what_was_attached, _ELSEWHERE),
-    Fault("nobody is asked", "detach", _detach_asks_nobody, "would lack"),
-    Fault("only the degraded are asked", "degrade", _degrade_asks_only_the_degraded, "would lack"),
+    Fault("no consumer is checked", "detach", _detach_checks_nothing, "would lack"),
+    Fault("only the degraded are checked", "degrade", _degrade_checks_only_the_degraded, "would lack"),
     Fault("all the way down", "degrade", _degrade_goes_all_the_way, _ELSEWHERE),
     Fault("the old mode is judged", "upgrade", _upgrade_judges_the_mode_it_leaves, "would lack"),
-    Fault("each alone is judged", "upgrade", _upgrade_asks_one_by_one, _REFUSES),
+    Fault("each alone is judged", "upgrade", _upgrade_checks_one_by_one, _REFUSES),
     Fault("the normal mode is judged", "handover", _handover_judges_by_the_normal_mode, "does not satisfy the topic"),
     Fault("the old stays", "handover", _handover_keeps_the_old, _ELSEWHERE),
     Fault("a name is a predicate", "upgrade", _names_are_predicates, "would lack"),

@@ -11,7 +11,7 @@ from midstride.model.specification import Specification, initial
 from midstride.plan.change import Change
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 ROVER = Path(__file__).parent / "rover.stride"
@@ -26,7 +26,7 @@ def specification(path: Path) -> Specification:
 
 def plan(start: Specification, strategy: str = "paper", /, **components: str | None) -> Plan:
     """The plan that replaces the roles named by the components they are given, and removes those given none."""
-    request = Request(
+    request = PlanRequest(
         replace=tuple((role, name) for role, name in components.items() if name is not None),
         remove=tuple(role for role, name in components.items() if name is None),
     )

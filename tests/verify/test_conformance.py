@@ -23,7 +23,7 @@ def batched(worlds: list[World]) -> tuple[Batch, dict[int, World]]:
     """As many of the worlds as one run can take."""
     batch, taken = Batch(), {}
     for number, world in enumerate(worlds):
-        if not world.claims or batch.universe.size > ATOMS:
+        if not world.claims or batch.atoms.size > ATOMS:
             continue
         batch.add(number, world)
         taken[number] = world
@@ -73,7 +73,7 @@ def test_code_and_specification_agree(judged: Judged) -> None:
     batch, worlds, faulty, disagreements = judged
     found = ours(disagreements, faulty)
     assert [str(each) for each in explained(find(), worlds, found[:12])] == []
-    assert not [claim for claim in batch.unspoken if claim.allowed]
+    assert not [claim for claim in batch.inexpressible if claim.allowed]
 
 
 def test_everything_is_tried(judged: Judged) -> None:
@@ -88,11 +88,11 @@ def test_everything_is_tried(judged: Judged) -> None:
     groups = Counter(claim.action.kind for claim in claims if claim.allowed and _size(claim) > 1)
     assert groups["degrade"] >= 3
     assert groups["upgrade"] >= 3
-    assert batch.universe.capped
-    assert batch.universe.sigs["Overload"]
-    assert batch.universe.sigs["NamedInputs"]
-    assert batch.universe.tuples["env_guars"]
-    assert batch.universe.tuples["env_pubs"]
+    assert batch.atoms.capped
+    assert batch.atoms.sigs["Overload"]
+    assert batch.atoms.sigs["NamedInputs"]
+    assert batch.atoms.tuples["env_guars"]
+    assert batch.atoms.tuples["env_pubs"]
     assert sum(not expected for expected in batch.expected.values()) >= 10, "some configurations are not valid"
 
 
@@ -101,8 +101,8 @@ def _size(claim: Claim) -> int:
 
 
 @pytest.fixture(scope="module")
-def told(judged: Judged) -> dict[int, str]:
-    """What is told of each claim of broken code that the specification does not share."""
+def messages(judged: Judged) -> dict[int, str]:
+    """The message for each claim of broken code that the specification does not share."""
     _, worlds, faulty, disagreements = judged
     planted = {id(claim) for claims in faulty.values() for claim in claims}
     caught = [each for each in disagreements if id(each.claim) in planted]
@@ -110,17 +110,17 @@ def told(judged: Judged) -> dict[int, str]:
 
 
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: f"{fault.kind}: {fault.name}")
-def test_a_fault_in_an_action_is_caught_and_told(fault: Fault, judged: Judged, told: dict[int, str]) -> None:
+def test_a_fault_in_an_action_is_caught_and_explained(fault: Fault, judged: Judged, messages: dict[int, str]) -> None:
     claims = judged[2][f"{fault.kind}: {fault.name}"]
     assert claims, "the fault changes nothing that was tried"
     for claim in claims:
-        assert id(claim) in told, f"{claim} passes"
-        assert told[id(claim)].startswith(str(claim))
-    assert any(fault.told in told[id(claim)] for claim in claims), [told[id(claim)] for claim in claims]
+        assert id(claim) in messages, f"{claim} passes"
+        assert messages[id(claim)].startswith(str(claim))
+    assert any(fault.message in messages[id(claim)] for claim in claims), [messages[id(claim)] for claim in claims]
 
 
 @pytest.mark.parametrize("cap", [1, 3, 7])
-def test_one_too_many_is_counted(cap: int) -> None:
+def test_one_publisher_too_many_is_counted(cap: int) -> None:
     """Alloy's numbers have as many bits as a dump needs: also for the publisher that is refused."""
     full = system(
         {f"n{number}": source() for number in range(cap + 1)},

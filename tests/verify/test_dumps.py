@@ -18,10 +18,10 @@ from midstride.model.rules import capacity_violation
 from midstride.model.specification import Node, Specification, initial, structure
 from midstride.verify.alloy_names import Names
 from midstride.verify.chain import chain
-from midstride.verify.checking import Asking, verify_configuration, verify_plan, verify_specification
+from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
 from midstride.verify.export import dump_configuration, dump_plan
-from midstride.verify.library import carried
+from midstride.verify.library import bundled
 from midstride.verify.verdict import Answer, Finding, Verdict, VerdictForm
 from tests.verify.systems import EXAMPLES, ROVER, TALKER, plan, specification
 
@@ -46,7 +46,7 @@ def test_the_text_of_a_plan_is_readable_and_stays_as_it_is(name: str) -> None:
 
 
 @pytest.mark.parametrize(("amount", "too_much"), [(0.5, False), (0.5000000005, True)])
-def test_what_is_too_much_together_is_what_the_model_says(amount: float, too_much: bool) -> None:
+def test_exceeded_resources_are_those_of_the_model(amount: float, too_much: bool) -> None:
     """Amounts are compared as they are written: half a part in a thousand million counts."""
     holders = [ComponentSpec.of(name, holds={"gpu": held}) for name, held in (("A", 0.5), ("B", amount))]
     configuration = structure(
@@ -61,27 +61,27 @@ def test_what_is_too_much_together_is_what_the_model_says(amount: float, too_muc
     assert (capacity_violation(configuration, "gpu") is not None) == too_much
 
 
-def test_a_dump_carries_the_specification_along_and_opens_nothing() -> None:
+def test_a_dump_includes_the_specification_and_opens_no_module() -> None:
     text = dump_configuration(initial(specification(TALKER)), "talker").text
     assert "pred valid_sys[s: System]" in text
     assert not re.search(r"^(module|open) ", text, re.MULTILINE)
 
 
-def test_no_atom_takes_a_word_of_alloy_or_of_the_specification() -> None:
-    declared = set(re.findall(r"^(?:abstract |one )?(?:sig|pred|fun) (\w+)", carried(), re.MULTILINE))
+def test_no_atom_has_a_name_of_alloy_or_of_the_specification() -> None:
+    declared = set(re.findall(r"^(?:abstract |one )?(?:sig|pred|fun) (\w+)", bundled(), re.MULTILINE))
     fields = set(re.findall(r"^fun (\w+):", dump_configuration(initial(specification(TALKER)), "talker").text, re.M))
     names = Names()
     for word in sorted(declared | fields | {"univ", "Int", "some", "fun", "sum", "Findings", "Step", "Clause"}):
-        assert names.give(word, word) == f"{word}_2"
+        assert names.assign(word, word) == f"{word}_2"
 
 
 @pytest.mark.parametrize("text", ["", "größe", "a b", "/a/b", "2nd", "a__b", "'", "can_bus", "step1_may"])
 def test_every_name_becomes_an_identifier_of_its_own(text: str) -> None:
     names = Names()
-    given = [names.give(text, number) for number in range(3)]
+    given = [names.assign(text, number) for number in range(3)]
     assert len(set(given)) == 3
     assert all(re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name) for name in given)
-    assert [names.bearers[name] for name in given] == [0, 1, 2]
+    assert [names.meanings[name] for name in given] == [0, 1, 2]
 
 
 @pytest.mark.parametrize("name", ["talker", "filter", "obstacle"])
@@ -118,14 +118,14 @@ def broken(configuration: Configuration, how: str) -> Configuration:
         (
             "mode",
             "assumption",
-            "motor.drive in mode normal: assumes in: nobody satisfies /cmd (planner.cmd in mode deg",
+            "motor.drive in mode normal: assumes in: no publisher satisfies /cmd (planner.cmd in mode deg",
         ),
         ("cap", "cap", "/cmd"),
-        ("capacity", "capacity", "planner, planner_2: together they hold more of a resource than there is"),
-        ("attachment", "attachment", "left.out is attached to /nowhere, and there is no /nowhere in this system"),
+        ("capacity", "capacity", "planner, planner_2: together they exceed a resource"),
+        ("attachment", "attachment", "left.out is attached to /nowhere, but there is no /nowhere in this system"),
     ],
 )
-def test_what_is_not_valid_is_told_by_its_names(how: str, kind: str, words: str) -> None:
+def test_violations_are_named(how: str, kind: str, words: str) -> None:
     verdict = verify_configuration(broken(initial(specification(ROVER)), how))
     assert verdict.answer is Answer.VIOLATED
     assert [finding.kind for finding in verdict.findings] == [kind]
@@ -153,7 +153,7 @@ node t        : one { in <- /univ }
 
 
 @pytest.mark.alloy
-def test_names_that_mean_something_to_alloy_are_names_like_others() -> None:
+def test_names_that_alloy_reserves_can_be_used() -> None:
     hostile = load_text(HOSTILE, "hostile.stride").require()
     found = plan(hostile, S0=None, t=None)
     assert found.steps
@@ -185,11 +185,14 @@ def holding(count: int) -> Specification:
 
 @pytest.mark.parametrize(
     ("large", "words"),
-    [(many(400), r"\d+ atoms, and Alloy takes \d+ at most"), (holding(17), "17 components hold gpu, and at most 16")],
+    [
+        (many(400), r"\d+ atoms, more than the \d+ that Alloy can handle"),
+        (holding(17), "17 components hold gpu, more than the 16"),
+    ],
     ids=["atoms", "holders"],
 )
-def test_what_is_too_large_for_alloy_is_unknown(large: Specification, words: str) -> None:
-    verdict = verify_specification(large, asking=Asking(Path("nowhere.jar")))
+def test_a_system_too_large_for_alloy_is_unknown(large: Specification, words: str) -> None:
+    verdict = verify_specification(large, options=AlloyOptions(Path("nowhere.jar")))
     assert verdict.answer is Answer.UNKNOWN
     assert re.search(words, str(verdict))
 
@@ -197,12 +200,12 @@ def test_what_is_too_large_for_alloy_is_unknown(large: Specification, words: str
 # -- the picture ---------------------------------------------------------------------------------------------
 
 
-def test_the_chain_is_told_and_drawn() -> None:
+def test_the_chain_is_shown_and_drawn() -> None:
     configuration = broken(initial(specification(ROVER)), "mode")
-    told = chain(configuration, FunctionalityRef("motor", "drive"), InputAlternatives(("in",)))
-    finding = Finding("assumption", None, "the configuration", "motor.drive", "it assumes in", "in", told)
+    causes = chain(configuration, FunctionalityRef("motor", "drive"), InputAlternatives(("in",)))
+    finding = Finding("assumption", None, "the configuration", "motor.drive", "it assumes in", "in", causes)
     verdict = Verdict(Answer.VIOLATED, "the configuration", "exact", "Alloy", (finding,))
-    assert list(chain_lines(told)) == [
+    assert list(chain_lines(causes)) == [
         "motor.drive (in mode normal): not satisfied",
         "  assumes in: not satisfied",
         "    motor.in (geometry_msgs/msg/Twist @ 10 Hz): not satisfied",
@@ -216,5 +219,5 @@ def test_the_chain_is_told_and_drawn() -> None:
     assert (dot.count(" -> "), mermaid.count(" --> ")) == (5, 5)
 
 
-def test_nothing_found_is_drawn_as_nothing() -> None:
+def test_no_findings_are_drawn_as_nothing() -> None:
     assert "->" not in to_dot(Verdict(Answer.HOLDS, 'a "plan"', "exact", "Alloy"))

@@ -40,7 +40,7 @@ def broken(kind: str, name: str, without: str) -> Goal:
 
 
 @pytest.mark.parametrize("one", GOALS, ids=lambda goal: f"{goal.kind} {goal.name}")
-def test_every_goal_is_proved_by_both_solvers_and_of_something(one: Goal) -> None:
+def test_every_goal_is_proved_by_both_solvers_and_not_vacuously(one: Goal) -> None:
     proof = prove_goal(one)
     assert proof.answer is Answer.HOLDS, proof.because
     assert proof.possible is Answer.HOLDS
@@ -51,7 +51,7 @@ def test_every_goal_is_proved_by_both_solvers_and_of_something(one: Goal) -> Non
     assert set(proof.seconds) == set(NAMES)
 
 
-def test_every_action_is_proved_and_no_conjunct_is_idle() -> None:
+def test_every_action_is_proved_and_every_conjunct_is_needed() -> None:
     """Each conjunct of each precondition is needed by validity, by the fit of contracts or by the undo."""
     needed: dict[str, dict[str, bool]] = {}
     for one in GOALS:
@@ -73,7 +73,7 @@ def test_every_action_is_proved_and_no_conjunct_is_idle() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "without", "told"),
+    ("name", "without", "text"),
     [
         ("remove", act.ISOLATED, "is not live"),
         ("attach output", act.CAP, "publisher"),
@@ -81,17 +81,17 @@ def test_every_action_is_proved_and_no_conjunct_is_idle() -> None:
         ("create", act.CAPACITY, "its capacity is"),
     ],
 )
-def test_an_action_that_forgets_a_conjunct_is_violated(name: str, without: str, told: str) -> None:
+def test_an_action_without_a_conjunct_is_violated(name: str, without: str, text: str) -> None:
     proof = prove_goal(broken("F1", name, without), ("z3",))
     assert proof.answer is Answer.VIOLATED
     assert not proof.ok
     assert proof.because is not None
     assert proof.because.startswith("before: ")
     assert f"then {name.split()[0]}" in proof.because
-    assert told in proof.because
+    assert text in proof.because
 
 
-def test_the_papers_rule_for_attach_would_do_for_what_is_attached_to_fit() -> None:
+def test_the_papers_rule_for_attach_is_enough_for_attachments_to_fit() -> None:
     """An output judged by its current mode (the paper's precondition) fits by its normal mode as well: rule M2."""
     fit = goal("fit", "attach output")
 
@@ -104,7 +104,7 @@ def test_the_papers_rule_for_attach_would_do_for_what_is_attached_to_fit() -> No
     assert prove_goal(replace(fit, build=build), ("z3",)).answer is Answer.HOLDS
 
 
-def test_a_goal_of_nothing_is_not_ok() -> None:
+def test_a_vacuous_goal_is_not_ok() -> None:
     """A contradiction among the premises proves everything: it is noticed that nothing can happen."""
     whole = goal("F1", "remove")
 
@@ -118,7 +118,7 @@ def test_a_goal_of_nothing_is_not_ok() -> None:
     assert not proof.ok
 
 
-def test_a_conjunct_said_to_be_needed_that_is_not_is_noticed() -> None:
+def test_an_unneeded_conjunct_that_is_declared_needed_is_noticed() -> None:
     proof = prove_goal(replace(goal("F1", "remove"), spare=frozenset()), ("z3",))
     assert proof.answer is Answer.HOLDS
     assert not proof.ok
@@ -139,7 +139,7 @@ def without_solvers(monkeypatch: pytest.MonkeyPatch, *absent: str) -> None:
     monkeypatch.setattr("importlib.import_module", import_module)
 
 
-def test_an_absent_solver_leaves_it_open(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_solver_leaves_the_goal_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     without_solvers(monkeypatch, "cvc5")
     proof = prove_goal(goal("fit", "attach input"))
     assert proof.answer is Answer.UNKNOWN
@@ -148,7 +148,7 @@ def test_an_absent_solver_leaves_it_open(monkeypatch: pytest.MonkeyPatch) -> Non
     assert prove_goal(goal("fit", "attach input"), ("z3",)).ok
 
 
-def test_a_time_out_leaves_it_open() -> None:
+def test_a_time_out_leaves_the_goal_unknown() -> None:
     proof = prove_goal(goal("F2", "better of two"), ("cvc5",), seconds=0.001)
     assert proof.answer is Answer.UNKNOWN
     assert proof.because is not None
@@ -160,7 +160,7 @@ def say_little(monkeypatch: pytest.MonkeyPatch, *goals: Goal) -> None:
     monkeypatch.setattr("midstride.verify.prove.run.prove.__defaults__", (NAMES, goals, 20.0))
 
 
-def test_the_command_tells_each_goal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_shows_each_goal(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     say_little(monkeypatch, goal("fit", "attach input"))
     assert main(["prove"]) == 0
     out = capsys.readouterr().out
@@ -194,7 +194,7 @@ def test_the_command_without_solvers_fails(monkeypatch: pytest.MonkeyPatch, caps
 
 
 @pytest.mark.parametrize(
-    ("made", "told"),
+    ("made", "text"),
     [
         (lambda: and_("a", TRUE, "b", "a"), "(and a b)"),
         (lambda: and_("a", FALSE), FALSE),
@@ -205,8 +205,8 @@ def test_the_command_without_solvers_fails(monkeypatch: pytest.MonkeyPatch, caps
         (lambda: implies("a", "b"), "(=> a b)"),
     ],
 )
-def test_terms_are_made_simple(made: Callable[[], str], told: str) -> None:
-    assert made() == told
+def test_terms_are_simplified(made: Callable[[], str], text: str) -> None:
+    assert made() == text
 
 
 def test_the_script_is_text_for_any_solver() -> None:

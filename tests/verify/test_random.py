@@ -13,7 +13,7 @@ from midstride.plan.change import Change
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.validate import replay
-from midstride.verify.checking import Asking, verify_plan
+from midstride.verify.checking import AlloyOptions, verify_plan
 from midstride.verify.run import Alloy, find
 from tests.plan import systems
 
@@ -50,12 +50,12 @@ def expected(plan: Plan) -> tuple[bool, int | None]:
     """Whether the plan holds, and the first step that does not; what it says it costs is not Alloy's affair."""
     configuration = plan.change.start
     for number, step in enumerate(plan.steps, start=1):
-        told = all(
+        modes_agree = all(
             configuration.mode(change.functionality).name == change.before
             for change in step.modes
             if change.functionality in configuration.modes
         )
-        if step.action.check(configuration) or not told:
+        if step.action.check(configuration) or not modes_agree:
             return False, number
         configuration = step.action.effect(configuration)
     whole = Plan.of(plan.strategy, plan.change, plan.steps)
@@ -65,6 +65,6 @@ def expected(plan: Plan) -> tuple[bool, int | None]:
 @pytest.mark.parametrize("seed", range(60))
 def test_alloy_and_the_replay_agree(seed: int, alloy: Alloy) -> None:
     plan = drawn(Random(seed))
-    verdict = verify_plan(plan, asking=Asking(alloy))
+    verdict = verify_plan(plan, options=AlloyOptions(alloy))
     assert (verdict.holds, verdict.failed) == expected(plan), verdict.words
     assert "please report" not in verdict.words

@@ -32,7 +32,7 @@ def only(module: str, **given: object) -> Checked:
 @pytest.mark.alloy
 @pytest.mark.parametrize("module", MODULES)
 @pytest.mark.full
-def test_the_specification_comes_out_as_it_says_at_a_small_scope(module: str) -> None:
+def test_the_specification_has_its_stated_results_at_a_small_scope(module: str) -> None:
     checked = only(module)
     assert checked.answer is Answer.HOLDS, checked.because
     assert checked.task.commands == tuple(commands(module, SMALL))
@@ -41,7 +41,7 @@ def test_the_specification_comes_out_as_it_says_at_a_small_scope(module: str) ->
 @pytest.mark.alloy
 @pytest.mark.long
 @pytest.mark.timeout(6 * 3600)
-def test_the_specification_comes_out_as_it_says_to_scope_5() -> None:
+def test_the_specification_has_its_stated_results_to_scope_5() -> None:
     found = list(check_specification(find(), 5))
     assert {str(checked.task): checked.because for checked in found if checked.answer is not Answer.HOLDS} == {}
     assert sorted(str(checked.task) for checked in found) == sorted(str(c) for m in MODULES for c in commands(m))
@@ -57,12 +57,12 @@ def test_the_analyzer_leaves_no_files_where_java_puts_them(tmp_path: Path, monke
     assert list(tmp_path.iterdir()) == []
 
 
-_MENDED = {"'": "_", "...": "", "env_guards": "env_guars", "mode_guards": "mode_guars"}
+_CORRECTIONS = {"'": "_", "...": "", "env_guards": "env_guars", "mode_guards": "mode_guars"}
 
 
 @pytest.mark.alloy
 @pytest.mark.parametrize(
-    ("left", "said"),
+    ("left", "message"),
     [
         ("'", "Syntax error"),
         ("...", "Syntax error"),
@@ -71,32 +71,32 @@ _MENDED = {"'": "_", "...": "", "env_guards": "env_guars", "mode_guards": "mode_
     ],
 )
 @pytest.mark.full
-def test_the_papers_listings_do_not_parse_for_four_reasons(tmp_path: Path, left: str, said: str) -> None:
-    """Each is enough, with the other three mended; docs/paper.md tells them."""
+def test_the_papers_listings_do_not_parse_for_four_reasons(tmp_path: Path, left: str, message: str) -> None:
+    """Each is enough, with the other three corrected; docs/paper.md lists them."""
     text = library.source(PRINTED)
     assert left in text
     assert left in PAPER
-    for printed, mended in _MENDED.items():
-        text = text if printed == left else text.replace(printed, mended)
+    for printed, corrected in _CORRECTIONS.items():
+        text = text if printed == left else text.replace(printed, corrected)
     source = tmp_path / "printed.als"
     source.write_text(text, encoding="utf-8")
-    with pytest.raises(AlloyFailed, match=said):
+    with pytest.raises(AlloyFailed, match=message):
         find().solve(source)
 
 
 @pytest.mark.alloy
 @pytest.mark.full
-def test_the_papers_check_fails_where_the_rest_is_left_open(tmp_path: Path) -> None:
+def test_the_papers_check_fails_if_the_rest_may_change(tmp_path: Path) -> None:
     text = library.source(PRINTED)
-    for printed, mended in _MENDED.items():
-        text = text.replace(printed, mended)
+    for printed, corrected in _CORRECTIONS.items():
+        text = text.replace(printed, corrected)
     source = tmp_path / "printed.als"
     source.write_text(text.replace("check SafeDetach for 5", "check SafeDetach for 3"), encoding="utf-8")
     assert find().solve(source)["SafeDetach"].satisfiable
 
 
-def test_the_page_on_the_paper_tells_what_comes_out_otherwise() -> None:
-    """Every command of the completed listings that does not come out as one would wish is told by its name."""
+def test_the_page_on_the_paper_lists_the_undesired_results() -> None:
+    """docs/paper.md names every command of the completed listings with an undesired result."""
     section = PAPER.partition("## The paper's Alloy listings")[2].partition("\n## ")[0]
     unwished = [c.name for c in commands("completed") if c.expected is (c.kind == "check" or "TooMuch" in c.name)]
     assert len(unwished) == 9
@@ -115,7 +115,7 @@ def test_every_action_has_its_assertion_its_check_and_its_run(module: str) -> No
     assert all(any(name.startswith(action) for name in happen) for action in ACTIONS)
 
 
-def test_the_generalisations_have_theirs() -> None:
+def test_every_generalised_action_has_its_assertion_its_check_and_its_run() -> None:
     for module, action in (("groups", "DegradeAll"), ("groups", "UpgradeAll"), ("handover", "Handover")):
         names = {(c.kind, c.name): c for c in commands(module)}
         assert names["check", f"Safe{action}"].scope == 5
@@ -123,14 +123,14 @@ def test_the_generalisations_have_theirs() -> None:
         assert names["run", action].expected
 
 
-def test_every_command_states_what_to_expect() -> None:
+def test_every_command_states_its_expected_result() -> None:
     for module in MODULES:
         lines = library.source(module).splitlines()
         stated = [line for line in lines if line.startswith(("check ", "run "))]
         assert len(stated) == len(commands(module)), f"a command of {module} states no expectation"
 
 
-def test_tasks_ask_everything_at_any_scope() -> None:
+def test_tasks_cover_every_command_at_any_scope() -> None:
     everything = {str(command) for module in MODULES for command in commands(module)}
     for scope in (3, 4, 5):
         assert {str(command) for task in tasks(scope) for command in task.commands} == everything
@@ -144,27 +144,27 @@ def test_tasks_ask_everything_at_any_scope() -> None:
 @pytest.mark.alloy
 @pytest.mark.full
 def test_a_specification_without_a_conjunct_is_violated() -> None:
-    whole = library.scoped("handover", SMALL)
+    whole = library.with_scope("handover", SMALL)
     forgotten = "    satisfy[s.cur_mode[assoc_outputs.new].mode_guars[new], conn.conn_guar]\n"
     assert whole.count(forgotten) == 1
     checked = only("handover", texts={"handover": whole.replace(forgotten, "    some univ\n")})
     assert checked.answer is Answer.VIOLATED
     assert checked.because is not None
-    assert checked.because.startswith("handover.SafeHandover has a counterexample, and should have none: s = System$")
+    assert checked.because.startswith("handover.SafeHandover should have no counterexample, but has one: s = System$")
 
 
 @pytest.mark.alloy
-def test_a_specification_of_nothing_is_violated() -> None:
+def test_a_contradictory_specification_is_violated() -> None:
     """Facts that contradict each other prove everything, and let nothing happen."""
-    whole = library.scoped("system", SMALL)
+    whole = library.with_scope("system", SMALL)
     checked = only("system", texts={"system": whole + "\nfact { some none }\n"})
     assert checked.answer is Answer.VIOLATED
     assert checked.because is not None
-    assert "system.ValidSystem should have an instance at scope 4, and has none" in checked.because
+    assert "system.ValidSystem should have an instance at scope 4, but has none" in checked.because
 
 
 @pytest.mark.alloy
-def test_a_text_that_is_no_alloy_is_unknown() -> None:
+def test_a_syntax_error_is_unknown() -> None:
     checked = only("system", texts={"system": "module system\nsig {"})
     assert checked.answer is Answer.UNKNOWN
     assert checked.because
@@ -177,12 +177,12 @@ def test_a_time_out_is_unknown() -> None:
     assert checked.because == "no answer within 0.05 s"
 
 
-def test_leaving_early_ends_the_processes(tmp_path: Path) -> None:
+def test_closing_the_generator_ends_the_processes(tmp_path: Path) -> None:
     """A `java` that never ends by itself."""
     java = tmp_path / "java"
     java.write_text('#!/bin/sh\necho $$ >> "${0%java}pids"\nexec sleep 600\n', encoding="utf-8")
     java.chmod(0o755)
-    found = check_specification(Alloy(str(java), tmp_path / "no.jar", "nobody"), SMALL, jobs=2, limit=0.3)
+    found = check_specification(Alloy(str(java), tmp_path / "no.jar", "no Alloy"), SMALL, jobs=2, limit=0.3)
     checked = next(found)
     assert checked.answer is Answer.UNKNOWN
     found.close()
@@ -207,12 +207,12 @@ def little(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.alloy
 @pytest.mark.usefixtures("little")
 @pytest.mark.full
-def test_the_command_tells_each_check(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_shows_each_check(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["prove", "--alloy", "--scope", "3"]) == 0
     out = capsys.readouterr().out
     assert "1 of 1 goals proved" in out
     assert "HOLDS      1/1  system " in out
-    assert "1 of 1 came out as they should (2 commands, checks to scope 3)" in out
+    assert "1 of 1 as expected (2 commands, checks to scope 3)" in out
 
 
 @pytest.mark.alloy
@@ -227,47 +227,47 @@ def test_the_command_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.usefixtures("little")
-def test_the_command_fails_where_a_check_comes_out_otherwise(
+def test_the_command_fails_if_a_check_has_another_result(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def solve(self: Alloy, source: Path, asked: str, **_: object) -> dict[str, SolverOutcome]:
         return {"ValidSystem": SolverOutcome(True), "FinerModes": SolverOutcome(False)}
 
     monkeypatch.setattr(Alloy, "solve", solve)
-    monkeypatch.setattr("midstride.verify.run.find", lambda: Alloy("java", Path("no.jar"), "nobody"))
+    monkeypatch.setattr("midstride.verify.run.find", lambda: Alloy("java", Path("no.jar"), "no Alloy"))
     assert main(["prove", "--alloy", "--scope", "3"]) == 1
     out = capsys.readouterr().out
     assert "VIOLATED   1/1  system " in out
-    assert "system.FinerModes should have an instance at scope 4, and has none" in out
-    assert "0 of 1 came out as they should" in out
+    assert "system.FinerModes should have an instance at scope 4, but has none" in out
+    assert "0 of 1 as expected" in out
 
 
 @pytest.mark.usefixtures("little")
 def test_a_command_that_alloy_skipped_is_unknown(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Alloy, "solve", lambda *_, **__: {"ValidSystem": SolverOutcome(True)})
-    (checked,) = check_specification(Alloy("java", Path("no.jar"), "nobody"), SMALL)
+    (checked,) = check_specification(Alloy("java", Path("no.jar"), "no Alloy"), SMALL)
     assert checked.answer is Answer.UNKNOWN
     assert checked.because == "Alloy did not answer FinerModes"
 
 
-def test_without_the_analyzer_the_command_fails_before_it_begins(
+def test_without_the_analyzer_the_command_fails_before_the_proofs(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     def missing() -> Alloy:
-        raise AlloyMissing("the Alloy Analyzer 6.2.0 is not here: `make alloy` fetches it")
+        raise AlloyMissing("the Alloy Analyzer 6.2.0 is not installed: `make alloy` fetches it")
 
     monkeypatch.setattr("midstride.verify.run.find", missing)
     assert main(["prove", "--alloy"]) == 1
-    said = capsys.readouterr()
-    assert "make alloy" in said.err
-    assert "HOLDS" not in said.out
+    shown = capsys.readouterr()
+    assert "make alloy" in shown.err
+    assert "HOLDS" not in shown.out
 
 
-def test_a_check_tells_what_it_asks() -> None:
-    def told(kind: str, expected: bool) -> str:
+def test_a_check_states_its_claim() -> None:
+    def claim(kind: str, expected: bool) -> str:
         command = AlloyCommand("core", "X", "check" if kind == "check" else "run", expected, 5)
-        return Checked(Task("core", (command,)), Answer.HOLDS, 0.0).told
+        return Checked(Task("core", (command,)), Answer.HOLDS, 0.0).claim
 
-    assert told("check", False) == "has no counterexample, to scope 5"
-    assert told("check", True) == "has a counterexample, at scope 5"
-    assert told("run", True) == "can happen, at scope 5"
+    assert claim("check", False) == "has no counterexample, to scope 5"
+    assert claim("check", True) == "has a counterexample, at scope 5"
+    assert claim("run", True) == "can happen, at scope 5"

@@ -13,7 +13,7 @@ import pytest
 
 from midstride.cli import main
 from midstride.verify import run
-from midstride.verify.checking import Asking, verify_specification
+from midstride.verify.checking import AlloyOptions, verify_specification
 from midstride.verify.verdict import Answer, Verdict
 from tests.verify.systems import TALKER, specification
 
@@ -26,7 +26,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("PATH", str(empty))
     monkeypatch.delenv("JAVA_HOME", raising=False)
     monkeypatch.delenv("MIDSTRIDE_ALLOY", raising=False)
-    monkeypatch.setattr(run, "places", lambda: [tmp_path])
+    monkeypatch.setattr(run, "jar_folders", lambda: [tmp_path])
     return tmp_path
 
 
@@ -47,7 +47,7 @@ def jar(folder: Path) -> Path:
 
 
 def verdict(alloy: Path | None = None, limit: float = 30.0) -> Verdict:
-    found = verify_specification(specification(TALKER), asking=Asking(alloy, limit))
+    found = verify_specification(specification(TALKER), options=AlloyOptions(alloy, limit))
     assert found.answer is Answer.UNKNOWN
     assert not found.holds
     return found
@@ -61,24 +61,24 @@ def answering(document: object) -> tuple[str, ...]:
 
 
 def test_no_java(folder: Path) -> None:
-    told = "there is no Java here, and the Alloy Analyzer needs Java 17 or later (a JRE will do)"
-    assert verdict(jar(folder)).because == told
+    because = "Java is not installed; the Alloy Analyzer needs Java 17 or later (a JRE is enough)"
+    assert verdict(jar(folder)).because == because
 
 
 def test_a_java_that_is_too_old(folder: Path) -> None:
     java(folder, version="1.8.0_402")
-    told = f"{folder / 'bin' / 'java'} is Java 8, and the Alloy Analyzer needs Java 17 or later"
-    assert verdict(jar(folder)).because == told
+    because = f"{folder / 'bin' / 'java'} is Java 8; the Alloy Analyzer needs Java 17 or later"
+    assert verdict(jar(folder)).because == because
 
 
 def test_no_alloy(folder: Path) -> None:
     java(folder)
     because = str(verdict().because)
-    assert because.startswith("the Alloy Analyzer 6.2.0 is not here: `make alloy` fetches it")
+    assert because.startswith("the Alloy Analyzer 6.2.0 is not installed: `make alloy` fetches it")
     assert str(verdict(folder / "none.jar").because).startswith(f"there is no Alloy Analyzer at {folder / 'none.jar'}")
 
 
-def test_what_is_fetched_must_be_alloy(folder: Path) -> None:
+def test_the_fetched_file_must_be_alloy(folder: Path) -> None:
     java(folder)
     (folder / run.JAR).write_bytes(b"something else")
     assert "is not Alloy 6.2.0 (its SHA-256 differs)" in str(verdict().because)
@@ -103,19 +103,19 @@ def test_out_of_memory(folder: Path) -> None:
         pytest.param(("sys.exit('it fell over')",), "it fell over", id="it says why"),
         pytest.param(("sys.exit(3)",), "Alloy ended without an answer", id="it ends in silence"),
         pytest.param((), "Alloy ended without an answer", id="it ends well and leaves nothing"),
-        pytest.param(answering([]), "Alloy's answer cannot be read", id="its answer is something else"),
+        pytest.param(answering([]), "cannot read Alloy's answer", id="its answer is something else"),
         pytest.param(answering({"commands": {}}), "Alloy finds no instance of it", id="it leaves out the commands"),
         pytest.param(
             answering({"commands": {"Verdict": {"solution": []}}}), "the dump contradicts itself", id="no instance"
         ),
         pytest.param(
             answering({"commands": {"Verdict": {"solution": [{"instances": [{"values": {"Findings$0": {}}}]}]}}}),
-            "does not say all that was asked",
+            "Alloy's answer is incomplete: no ",
             id="it says nothing of what it was asked",
         ),
     ],
 )
-def test_an_answer_that_is_none(lines: tuple[str, ...], words: str, folder: Path) -> None:
+def test_an_invalid_answer(lines: tuple[str, ...], words: str, folder: Path) -> None:
     java(folder, *lines)
     assert words in str(verdict(jar(folder)).because)
 
@@ -126,23 +126,23 @@ def nothing_found() -> dict[str, object]:
     return {"Verdict": {"solution": [{"instances": [{"values": values}]}]}, "Verified": {}, "Rules": {}}
 
 
-def test_nothing_found_is_a_pass_only_where_the_checks_say_so_too(folder: Path) -> None:
+def test_no_findings_are_a_pass_only_if_the_checks_agree(folder: Path) -> None:
     java(folder, *answering({"commands": nothing_found()}))
-    assert verify_specification(specification(TALKER), asking=Asking(jar(folder))).holds
+    assert verify_specification(specification(TALKER), options=AlloyOptions(jar(folder))).holds
     for check in ("Verified", "Rules"):
         missing = nothing_found()
         del missing[check]
         for other in (missing, nothing_found() | {check: nothing_found()["Verdict"]}):
             java(folder, *answering({"commands": other}))
             because = str(verdict(jar(folder)).because)
-            assert because == f"Alloy contradicts itself: it finds nothing, and the check {check} does not hold"
+            assert because == f"Alloy contradicts itself: it finds no violation, but the check {check} does not hold"
 
 
 def test_an_atom_that_is_not_in_the_dump(folder: Path) -> None:
     answer = nothing_found()
     answer["Verdict"]["solution"][0]["instances"][0]["values"]["Findings$0"]["invalid"] = [["S9$0"]]  # type: ignore[index]
     java(folder, *answering({"commands": answer}))
-    assert verdict(jar(folder)).because == "Alloy's answer speaks of S9$0, which is not in the dump"
+    assert verdict(jar(folder)).because == "Alloy's answer contains S9$0, which is not in the dump"
 
 
 # -- the real one --------------------------------------------------------------------------------------------
@@ -171,18 +171,16 @@ def test_alloy_itself_without_memory_or_time(monkeypatch: pytest.MonkeyPatch) ->
 
 def test_unknown_is_no_pass(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["verify", str(TALKER), "--alloy", str(jar(folder))]) == 1
-    assert capsys.readouterr().out.startswith(
-        "UNKNOWN: the configuration it starts as (nothing was judged; Alloy): there"
-    )
+    assert capsys.readouterr().out.startswith("UNKNOWN: the initial configuration (nothing was verified; Alloy): Java")
     assert main(["verify", str(TALKER), "--json"]) == 1
     document = json.loads(capsys.readouterr().out)
     assert (document["verdict"], document["findings"]) == ("unknown", [])
-    assert "there is no Java here" in document["because"] or "make alloy" in document["because"]
+    assert document["because"].startswith("the Alloy Analyzer 6.2.0 is not installed: `make alloy` fetches it")
 
 
-def test_the_text_is_kept_without_alloy(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_text_is_saved_without_alloy(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     kept = folder / "talker.als"
     assert main(["verify", str(TALKER), "-o", str(kept)]) == 1
     assert "one sig listener extends Component" in kept.read_text(encoding="utf-8")
     assert main(["verify", str(TALKER), "-o", os.fspath(folder / "no" / "talker.als")]) == 1
-    assert "cannot be written" in capsys.readouterr().err
+    assert "cannot write" in capsys.readouterr().err

@@ -32,8 +32,8 @@ KINDS: Final = (
 
 
 class Steady(HypothesisProvider):
-    """Draws the same for the same seed. Hypothesis's own also draws numbers that stand in the modules loaded by then:
-    in this process, those of whatever tests came before."""
+    """Draws the same for the same seed. Hypothesis's own provider also draws constants from the modules loaded so
+    far, which depend on the tests that ran before."""
 
     def _maybe_draw_constant(self, *arguments: object, **more: object) -> None:
         return None

@@ -180,6 +180,10 @@ def test_a_request_times_out_and_its_late_reply_is_dropped() -> None:
         # The same id, as a repeated request has.
         assert (await channel.request(PingCommand(), timeout=2.0, id="a")).revision == 2
         assert now() == begun + 4.0
+        with pytest.raises(CallTimeout):
+            await channel.request(PingCommand(), timeout=2.0, id="b")
+        await asyncio.sleep(0.1)
+        assert channel._waiting == {}, "requests that get no reply are kept for ever"
 
     talk(component, client)
 
@@ -220,6 +224,26 @@ def test_closing_it_fails_requests_and_reports_no_end() -> None:
         assert ends == []
 
     talk(component, client)
+
+
+def test_closing_it_within_a_report_ends_the_reports() -> None:
+    """Frames that have been received by then are in the connection's buffer, and can be read after it is closed."""
+
+    async def main() -> None:
+        connection = BlockedConnection(*(encode(state(revision)) for revision in range(3)))
+        reports: list[Report] = []
+        ends: list[bool] = []
+
+        def report(frame: Report) -> None:
+            reports.append(frame)
+            channel.close()
+
+        channel = Channel(connection, GREETING, report, lambda: ends.append(True))
+        await connection.closed.wait()
+        await asyncio.sleep(1)
+        assert reports == [state(0)] and ends == []
+
+    run(main())
 
 
 def test_a_request_that_is_given_up_leaves_the_others() -> None:

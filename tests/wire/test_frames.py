@@ -246,7 +246,7 @@ def test_what_is_not_a_greeting_is_refused(line: bytes, words: str) -> None:
 
 def test_a_reply_of_another_shape_is_not_a_result() -> None:
     for result in (b'{"matched": "many"}', b'{"matched": 1, "\xff": 2}', b"null", 100_000 * b"["):
-        with pytest.raises(ProtocolError, match="the reply to `attach` is not one: "):
+        with pytest.raises(ProtocolError, match="the reply to `attach` is malformed: "):
             result_of(Reply(id="1", revision=1, result=msgspec.Raw(result)), AttachCommand(port="out", topic="/t"))
     with pytest.raises(CommandRefused, match="busy"):
         result_of(Reply(id="1", revision=1, refused="busy"), PingCommand())

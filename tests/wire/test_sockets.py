@@ -19,8 +19,9 @@ from midstride.errors import ManagerError, NodeError, ProtocolError, Unreachable
 from midstride.wire import sockets
 from midstride.wire.channel import Channel
 from midstride.wire.commands import PingCommand
+from midstride.wire.folders import COMPONENTS, workspace_folder
 from midstride.wire.frames import StateChanged, decode_from_component
-from midstride.wire.sockets import COMPONENTS, SocketFolder, workspace_folder
+from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Connection
 
 from .support import GREETING, HELLO, eventually, server, state
@@ -354,11 +355,12 @@ def test_a_request_to_a_stopped_component_is_not_sent_after_its_time_out(tmp_pat
         large = asyncio.ensure_future(connection.send(b"1" * 50_000_000))
         given_up = asyncio.ensure_future(connection.send(b"2"))
         kept = asyncio.ensure_future(connection.send(b"3"))
-        for _ in range(100):
-            await asyncio.sleep(0)
-        assert not (large.done() or given_up.done() or kept.done())
-        large.cancel()
-        given_up.cancel()
+        for request in (large, given_up):
+            for _ in range(100):
+                await asyncio.sleep(0)
+            assert not (request.done() or kept.done())
+            request.cancel()
+            await asyncio.wait({request})
         go.set()
         await kept
         await eventually(lambda: len(found) == 2)

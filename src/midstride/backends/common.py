@@ -27,7 +27,8 @@ from midstride.wire.environment import (
     ENV_SYSTEM,
     ENV_TOKEN,
 )
-from midstride.wire.sockets import COMPONENTS, SocketFolder, workspace_folder
+from midstride.wire.folders import COMPONENTS, workspace_folder
+from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Transport
 
 T = TypeVar("T")
@@ -35,11 +36,11 @@ T = TypeVar("T")
 _OURS: Final = ("python", "python3")
 # On the command line of a component started by hand: the system that it belongs to.
 SYSTEM_FLAG: Final = "--system"
-# How often the logs of components are looked at (s), how long one may get, and what is then left of it (bytes).
-LOOK_AT_LOGS: Final = 60.0
+# How often the logs of components are checked (s), how long one may get, and how much is then kept of it (bytes).
+CHECK_LOGS: Final = 60.0
 LONGEST_LOG: Final = 8 * 1024 * 1024
 KEPT_OF_LOG: Final = 1024 * 1024
-# How long the control side may keep the data side from running, while both have something to do (s).
+# How long the control thread may keep the data thread from running, while both are busy (s).
 SWITCH_INTERVAL: Final = 0.0005
 
 
@@ -48,8 +49,8 @@ def command(
 ) -> tuple[str, ...]:
     """The command with its program found. Raises StartFailed, naming what cannot be found.
 
-    ``python`` and ``python3`` mean the interpreter that has the platform and Midstride, whatever comes
-    first on the PATH. Any other one is asked for by its path.
+    ``python`` and ``python3`` mean the interpreter that has the platform and Midstride, also where another one is first
+    on the PATH. Any other interpreter is named by its path.
     """
     program, *rest = arguments
     if program in _OURS:
@@ -121,14 +122,14 @@ async def listens(transport: Transport, instance: str) -> bool:
 class Children:
     """The processes of components, by instance; to be used on one event loop.
 
-    ``exited`` is told of each that ends by itself, once it is no longer among them.
+    ``exited`` is called for each that ends by itself, once it is no longer among them.
     """
 
     def __init__(self, guardian: Reaper | None, exited: Callable[[str, int | None, Process], None]) -> None:
         self._guardian = guardian
         self._exited = exited
         self._processes: dict[str, Process] = {}
-        self._looking: asyncio.Task[None] | None = None
+        self._shortening: asyncio.Task[None] | None = None
 
     def __contains__(self, instance: object) -> bool:
         return instance in self._processes
@@ -142,12 +143,12 @@ class Children:
         if self._guardian is not None:
             self._guardian.watch(process.pid, process.started)
         process.on_exit(lambda status: self._ended(instance, process, status))
-        if self._looking is None:
-            self._looking = asyncio.get_running_loop().create_task(self._look_at_logs())
+        if self._shortening is None:
+            self._shortening = asyncio.get_running_loop().create_task(self._shorten_logs())
 
-    async def _look_at_logs(self) -> None:
+    async def _shorten_logs(self) -> None:
         while True:
-            await asyncio.sleep(LOOK_AT_LOGS)
+            await asyncio.sleep(CHECK_LOGS)
             for process in list(self._processes.values()):
                 process.shorten_log(LONGEST_LOG, KEPT_OF_LOG)
 
@@ -156,7 +157,7 @@ class Children:
         self._exited(instance, status, process)
 
     async def end(self, instance: str, grace: float) -> bool:
-        """End a process, whoever is told of nothing; returns when it is gone. False where there is none."""
+        """End a process, without a call of ``exited``; returns when it is gone. False where there is none."""
         process = self._processes.get(instance)
         if process is None:
             return False
@@ -173,19 +174,19 @@ class Children:
         process.close()
 
     def close(self) -> None:
-        """Let go of them all; they go on."""
-        if self._looking is not None:
-            self._looking.cancel()
-            self._looking = None
+        """Stop watching them; they go on."""
+        if self._shortening is not None:
+            self._shortening.cancel()
+            self._shortening = None
         for process in self._processes.values():
             process.close()
         self._processes.clear()
 
 
 def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], object]) -> Awaitable[T]:
-    """Have ``post`` call ``function`` in another thread; its result, for the event loop that asks."""
-    asking = asyncio.get_running_loop()
-    done: asyncio.Future[T] = asking.create_future()
+    """Have ``post`` call ``function`` in another thread; its result, on the calling event loop."""
+    calling = asyncio.get_running_loop()
+    done: asyncio.Future[T] = calling.create_future()
 
     def settle(result: T | None, error: BaseException | None) -> None:
         if done.cancelled():
@@ -202,18 +203,18 @@ def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], ob
             result = function()
         except BaseException as error:
             raised = RuntimeError(str(error)) if isinstance(error, StopIteration) else error
-        with suppress(RuntimeError):  # the loop is closed: the process is ending, and nobody waits
-            asking.call_soon_threadsafe(settle, result, raised)
+        with suppress(RuntimeError):  # the loop is closed: the process is ending
+            calling.call_soon_threadsafe(settle, result, raised)
 
     post(work)
     return done
 
 
 def with_short_pauses() -> None:
-    """Keep the pauses that Python itself makes in this process short against a period of the data side.
+    """Keep the pauses of this Python process short against a period of the data thread.
 
-    A full garbage collection walks everything that was imported (25 ms with rclpy alone): what is there by now stays.
-    And a thread that is computing lets another wait for 5 ms unless it is told otherwise.
+    A full garbage collection walks everything that was imported (25 ms with rclpy alone): what exists now is exempted.
+    And by default a busy thread runs for 5 ms before another one gets its turn.
     """
     gc.collect()
     gc.freeze()
@@ -241,7 +242,7 @@ def ending_on_signals(main: asyncio.Future[None]) -> Iterator[list[int]]:
     try:
         for number in caught:
             loop.add_signal_handler(number, interrupt, number)
-    except (ValueError, RuntimeError):  # not in the main thread: whoever started that one deals with signals
+    except (ValueError, RuntimeError):  # not in the main thread: signals are handled elsewhere
         before = {}
     try:
         yield came

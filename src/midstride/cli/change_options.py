@@ -1,4 +1,4 @@
-"""What a change is asked with on the command line, as the document of a request (plan/request.py)."""
+"""Options that describe a change, as the JSON document of a request (``midstride.plan.request``)."""
 
 from __future__ import annotations
 
@@ -17,42 +17,42 @@ def strategy_option(function: Any) -> Any:
         type=click.Choice(STRATEGIES),
         default="minimal",
         show_default=True,
-        help="minimal hands over; paper is the paper's algorithm; quiesce lowers everything in reach first.",
+        help="minimal hands over; paper follows the paper's algorithm; quiesce first degrades everything affected.",
     )(function)
 
 
-def pair(text: str, what: str) -> tuple[str, str]:
-    """``NAME=VALUE``. Raises UsageError where it is none."""
+def parse_pair(text: str, form: str) -> tuple[str, str]:
+    """``NAME=VALUE``. Raises UsageError, which names the expected form."""
     name, equals, value = text.partition("=")
     if not (name and equals and value):
-        raise click.UsageError(f"`{text}` is not of the form {what}")
+        raise click.UsageError(f"`{text}` is not of the form {form}")
     return name, value
 
 
-def node(role: str, component: str, attachments: Iterable[str], parameters: Iterable[str] = ()) -> dict[str, Any]:
-    """A node to add, from ``PORT=TOPIC`` and ``NAME=VALUE`` words."""
+def new_node(role: str, component: str, attachments: Iterable[str], parameters: Iterable[str] = ()) -> dict[str, Any]:
+    """A node to add, from arguments of the forms ``PORT=TOPIC`` and ``NAME=VALUE``."""
     topics: dict[str, list[str]] = {}
-    for word in attachments:
-        port, topic = pair(word, "PORT=TOPIC, such as out=/chatter")
+    for text in attachments:
+        port, topic = parse_pair(text, "PORT=TOPIC, such as out=/chatter")
         topics.setdefault(port, []).append(topic)
-    values = dict(pair(word, "NAME=VALUE, such as threshold=0.5") for word in parameters)
+    values = dict(parse_pair(text, "NAME=VALUE, such as threshold=0.5") for text in parameters)
     return {
         "role": role,
         "component": component,
         "attachments": topics,
-        "parameters": {name: value_of(text) for name, text in values.items()},
+        "parameters": {name: parse_value(text) for name, text in values.items()},
     }
 
 
-def added(words: Sequence[str]) -> dict[str, Any]:
+def parse_new_node(words: Sequence[str]) -> dict[str, Any]:
     """A node to add, from ``NODE COMPONENT PORT=TOPIC…``. Raises UsageError."""
     if len(words) < 2 or "=" in words[0] or "=" in words[1]:
         raise click.UsageError(f"`{' '.join(words)}` is not of the form 'NODE COMPONENT PORT=TOPIC…'")
-    return node(words[0], words[1], words[2:])
+    return new_node(words[0], words[1], words[2:])
 
 
-def value_of(text: str) -> Any:
-    """A parameter's value as JSON has it; what is not JSON is a word."""
+def parse_value(text: str) -> Any:
+    """The value of a parameter, written as in JSON; text that is not JSON is a string."""
     try:
         return json.loads(text)
     except ValueError:

@@ -1,4 +1,7 @@
-"""The client of a manager's HTTP API over its Unix socket, on the standard library alone (it must start fast)."""
+"""The client of a manager's HTTP API over its Unix socket.
+
+It uses the standard library alone: importing an HTTP library takes longer than most commands do.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +18,11 @@ from midstride import errors
 Document = dict[str, Any]
 Event = dict[str, Any]
 
-# What only reads is answered at once, or something is wrong (s).
+# Requests that only read are answered at once, or something is wrong (s).
 READ_TIMEOUT = 10.0
 
 
-class _OverSocket(http.client.HTTPConnection):
+class _UnixConnection(http.client.HTTPConnection):
     def __init__(self, path: Path, timeout: float | None) -> None:
         super().__init__("localhost")
         self._path = path
@@ -32,45 +35,45 @@ class _OverSocket(http.client.HTTPConnection):
 
 
 class Client:
-    """One manager. Raises NoManager where none answers, else what the manager raised, by its kind."""
+    """Talks to one manager. Raises NoManager where none is running, and the manager's own errors by their kind."""
 
     def __init__(self, path: Path) -> None:
         self._socket = path
 
     @property
     def log_file(self) -> Path:
-        """What the manager itself has to say, where it ends in an unforeseen way."""
+        """The log of the manager's process, for errors that it could not report."""
         return self._socket.parent / "logs" / "manager.log"
 
     def get(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> Any:
-        return self._ask("GET", path + (f"?{urlencode(query)}" if query else ""), None, timeout)
+        return self._request("GET", path + (f"?{urlencode(query)}" if query else ""), None, timeout)
 
     def post(self, path: str, document: Document | None = None, timeout: float | None = None) -> Any:
-        return self._ask("POST", path, document, timeout)
+        return self._request("POST", path, document, timeout)
 
-    def service(self) -> Document | None:
-        """Who answers, or None where nobody does."""
+    def service(self, timeout: float = 2.0) -> Document | None:
+        """The manager's description of itself; None where no manager answers in time."""
         try:
-            found: Document = self.get("", timeout=2.0)
+            found: Document = self.get("", timeout=timeout)
             return found
         except errors.ManagerError:
             return None
 
     def events(self, since: int = 0) -> Iterator[Event]:
-        """The events after number ``since`` and each new one, until the manager ends the stream or itself."""
-        connection = _OverSocket(self._socket, None)
+        """The events after number ``since`` and each new one, until the manager closes the stream or exits."""
+        connection = _UnixConnection(self._socket, None)
         try:
             response = self._send(connection, "GET", f"/events?since={since}", None)
             while line := response.readline():
                 if line.startswith(b"data: "):
                     yield json.loads(line[len(b"data: ") :])
-        except (OSError, http.client.HTTPException):  # the manager was killed: the stream is over
+        except (OSError, http.client.HTTPException):  # the manager was killed
             return
         finally:
             connection.close()
 
-    def _ask(self, method: str, path: str, document: Document | None, timeout: float | None) -> Any:
-        connection = _OverSocket(self._socket, timeout)
+    def _request(self, method: str, path: str, document: Document | None, timeout: float | None) -> Any:
+        connection = _UnixConnection(self._socket, timeout)
         try:
             response = self._send(connection, method, path, document)
             return json.loads(response.read())
@@ -78,12 +81,14 @@ class Client:
             raise errors.ManagerError(f"the manager did not answer within {timeout:g} s") from None
         except (OSError, http.client.HTTPException, ValueError) as error:
             reason = str(error) or type(error).__name__
-            raise errors.ManagerError(f"the manager ended before it answered ({reason}); see {self.log_file}") from None
+            raise errors.ManagerError(
+                f"the manager exited before it answered ({reason}); see {self.log_file}"
+            ) from None
         finally:
             connection.close()
 
     def _send(
-        self, connection: _OverSocket, method: str, path: str, document: Document | None
+        self, connection: _UnixConnection, method: str, path: str, document: Document | None
     ) -> http.client.HTTPResponse:
         try:
             connection.connect()
@@ -98,7 +103,7 @@ class Client:
         return response
 
 
-# Those whose only argument is their message.
+# Errors that are constructed from their message alone.
 _KINDS = (
     errors.PlanRefused,
     errors.StepFailed,
@@ -113,11 +118,12 @@ _KINDS = (
 
 
 def _error(body: bytes) -> errors.MidstrideError:
+    """The error in an answer of the manager."""
     try:
-        told = json.loads(body)["error"]
-        kind, message = str(told["kind"]), str(told["message"])
+        document = json.loads(body)["error"]
+        kind, message = str(document["kind"]), str(document["message"])
     except (ValueError, KeyError, TypeError):
-        return errors.ManagerError(f"the manager answered something unforeseen: {body[:200]!r}")
+        return errors.ManagerError(f"unexpected answer from the manager: {body[:200]!r}")
     if kind == "SpecificationError":
-        return errors.SpecificationError(told.get("problems") or [message])
-    return next((found(message) for found in _KINDS if found.__name__ == kind), errors.ManagerError(message))
+        return errors.SpecificationError(document.get("problems") or [message])
+    return next((error(message) for error in _KINDS if error.__name__ == kind), errors.ManagerError(message))

@@ -1,7 +1,7 @@
-"""What ``demo`` runs on: a folder, a network and a guardian of its own, so that nothing is left behind.
+"""What ``demo`` runs in: a private folder and ROS network, and a reaper, so that nothing is left behind.
 
-However the demo ends, its processes end: in order at its end and on Ctrl-C, by the guardian where it
-was killed. Its files are in the repository it runs from (else in the temporary folder), and go with it.
+The manager stops the processes at the end and on Ctrl-C; the reaper stops them if the demo is killed. The files are in
+the repository that the demo runs from (else in the temporary folder) and are removed at the end.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
 
-# What a real process of ROS 2 takes to start and to be found (s): the simulated ones shall not look better.
+# How long a real ROS 2 process takes to start and be discovered (s); the simulator must not look faster.
 COLD_START = 0.6
 _MARK = "MIDSTRIDE_DEMO"
 
@@ -40,23 +40,23 @@ class DemoEnvironment:
 
 @contextmanager
 def demo_environment(example: Demo, backend: str) -> Iterator[DemoEnvironment]:
-    """Everything an example needs to run under a manager in this process. What is left at the end is ended."""
+    """Everything an example needs to run under a manager in this process."""
     token = secrets.token_hex(16)
     with ExitStack() as stack:
         folder = stack.enter_context(_folder())
         workspace = Workspace(folder)
-        _own_network(folder, backend)
+        _isolate_network(folder, backend)
         os.environ[_MARK] = token
-        guardian = stack.enter_context(Reaper(_MARK, token)) if backend != "sim" else None
+        reaper = stack.enter_context(Reaper(_MARK, token)) if backend != "sim" else None
         platform: Backend = (
-            Simulator(starting=COLD_START) if backend == "sim" else backends.make(backend, workspace, guardian=guardian)
+            Simulator(starting=COLD_START) if backend == "sim" else backends.make(backend, workspace, guardian=reaper)
         )
         yield DemoEnvironment(Manager(example.specification, platform, workspace, example.folder), platform, workspace)
 
 
 @contextmanager
 def _folder() -> Iterator[Path]:
-    """A folder for the demo's files; those of demos that were killed are swept up."""
+    """A folder for the demo's files. Removes the folders of demos that were killed."""
     checkout = repository()
     root = None if checkout is None else checkout / ".midstride"
     try:
@@ -66,10 +66,10 @@ def _folder() -> Iterator[Path]:
         folder = root / f"demo-{os.getpid()}"
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(mode=0o700)
-    except OSError:  # no repository around, or one that may not be written to
+    except OSError:  # no repository, or a read-only one
         root, folder = None, Path(tempfile.mkdtemp(prefix="midstride-demo-"))
     if root is not None:
-        _sweep(root)
+        _remove_stale(root)
     try:
         yield folder
     finally:
@@ -79,18 +79,18 @@ def _folder() -> Iterator[Path]:
                 root.rmdir()
 
 
-def _sweep(root: Path) -> None:
-    for left in root.glob("demo-*"):
-        pid = left.name.removeprefix("demo-")
+def _remove_stale(root: Path) -> None:
+    for folder in root.glob("demo-*"):
+        pid = folder.name.removeprefix("demo-")
         if not (pid.isdigit() and psutil.pid_exists(int(pid))):
-            shutil.rmtree(left, ignore_errors=True)
+            shutil.rmtree(folder, ignore_errors=True)
 
 
-def _own_network(folder: Path, backend: str) -> None:
-    """A ROS network apart from whatever runs on this machine, unless the user has chosen one."""
+def _isolate_network(folder: Path, backend: str) -> None:
+    """A ROS network apart from everything else on this machine, unless the user has chosen one."""
     if backend == "ros1" and "ROS_MASTER_URI" not in os.environ:
-        with socket.create_server(("127.0.0.1", 0)) as door:
-            os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{door.getsockname()[1]}"
+        with socket.create_server(("127.0.0.1", 0)) as server:
+            os.environ["ROS_MASTER_URI"] = f"http://127.0.0.1:{server.getsockname()[1]}"
     os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_LOG_DIR", str(folder / "ros-log"))

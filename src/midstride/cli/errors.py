@@ -1,4 +1,4 @@
-"""How a command ends that cannot do what it was asked: one clear line on standard error, and the exit status."""
+"""How a command that fails reports it: one clear line on standard error, and the exit status."""
 
 from __future__ import annotations
 
@@ -8,50 +8,46 @@ from collections.abc import Sequence
 import click
 
 from midstride.cli.app import COMMANDS
+from midstride.cli.output import NO, USAGE, print_json
 from midstride.errors import MidstrideError, SpecificationError
 
-NO = 1
-USAGE = 2
-
-# Commands whose JSON document is an outcome: it says `refused` where others say `error` (interfaces.md).
+# Commands whose JSON document is an outcome, which has `refused` beside `error` (interfaces.md).
 _CHANGES = ("plan", "replace", "add", "remove", "apply", "demo")
 
 
-def usage(error: click.UsageError, words: Sequence[str]) -> int:
-    """Wrong usage: what, and where to read how it is meant."""
+def report_usage(error: click.UsageError, words: Sequence[str]) -> int:
+    """Wrong usage: what is wrong, and where the help is."""
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         print(error.format_message(), file=sys.stderr)
         return USAGE
     path = error.ctx.command_path if error.ctx is not None else "midstride"
     message = error.format_message().rstrip(".")
-    _say(f"{path}: {_lower_first(message)}\ntry `{path} --help`", "UsageError", message, words)
+    _report(f"{path}: {_lower_first(message)}\ntry `{path} --help`", "UsageError", message, words)
     return USAGE
 
 
-def refused(error: MidstrideError, words: Sequence[str]) -> int:
-    """The answer is no, and why."""
+def report_refusal(error: MidstrideError, words: Sequence[str]) -> int:
+    """The answer is no, with the reason."""
     if isinstance(error, SpecificationError):
         lines = [str(problem) for problem in error.problems]
     else:
         lines = [str(error.args[0]) if error.args else type(error).__name__]
     command = next((word for word in words if word in COMMANDS), None)
     path = f"midstride {command}" if command else "midstride"
-    _say("\n".join(f"{path}: {line}" for line in lines), type(error).__name__, "\n".join(lines), words)
+    _report("\n".join(f"{path}: {line}" for line in lines), type(error).__name__, "\n".join(lines), words)
     return NO
 
 
-def refused_by_the_system(error: OSError, words: Sequence[str]) -> int:
-    """The operating system says no: to a file, which it names, else to our output."""
+def report_os_error(error: OSError, words: Sequence[str]) -> int:
+    """The operating system refused a file, which the error names, or else our output."""
     reason = error.strerror or str(error)
-    where = "the output cannot be written" if error.filename is None else f"{error.filename} cannot be used"
-    return refused(MidstrideError(f"{where}: {reason}"), words)
+    subject = "cannot write the output" if error.filename is None else f"cannot use {error.filename}"
+    return report_refusal(MidstrideError(f"{subject}: {reason}"), words)
 
 
-def _say(text: str, kind: str, message: str, words: Sequence[str]) -> None:
+def _report(text: str, kind: str, message: str, words: Sequence[str]) -> None:
     print(text, file=sys.stderr)
     if "--json" in words:
-        from midstride.cli.output import print_json
-
         command = next((word for word in words if word in COMMANDS), "")
         document: dict[str, object] = {"error": {"kind": kind, "message": message}}
         if command in _CHANGES and kind != "UsageError":
@@ -60,6 +56,6 @@ def _say(text: str, kind: str, message: str, words: Sequence[str]) -> None:
 
 
 def _lower_first(message: str) -> str:
-    """Click begins its sentences with a capital; after a colon they go on."""
+    """Click capitalises its messages; ours follow a colon."""
     head, _, rest = message.partition(" ")
     return f"{head.lower()} {rest}" if head.istitle() else message

@@ -1,4 +1,4 @@
-"""The examples that ``demo`` runs: a folder with a specification, its programs, and what to do with them."""
+"""The examples that ``demo`` runs: a folder with a specification, its programs, and the changes to make."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from midstride.codec.reading import parse_json
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.plan.request_form import decode_request
 
 _PACKAGE = Path(midstride.__file__).resolve().parent
@@ -22,28 +22,33 @@ _PACKAGE = Path(midstride.__file__).resolve().parent
 
 @dataclass(frozen=True, slots=True)
 class DemoStep:
-    """One change of an example: what it is called, what is said of it, what is asked for."""
+    """One change of an example, with its heading and summary."""
 
     name: str
-    says: str
-    request: Request
+    summary: str
+    request: PlanRequest
 
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """``listen_to`` is the role whose log shows what the change looks like from a subscriber's side."""
+    """An example. ``subscriber`` is the role whose log shows the change from a subscriber's side."""
 
     name: str
     folder: Path
     title: str
     specification: Specification
-    listen_to: str
-    acts: tuple[DemoStep, ...]
+    subscriber: str
+    steps: tuple[DemoStep, ...]
+
+
+def known_examples() -> dict[str, Path]:
+    """The examples of this Midstride: name -> folder."""
+    return {file.parent.name: file.parent for file in sorted(examples_folder().glob("*/demo.json"))}
 
 
 def find(name: str) -> Demo:
     """The example called ``name``, or in the folder ``name``. Raises UsageError where there is none."""
-    known = {file.parent.name: file.parent for file in sorted(examples_folder().glob("*/demo.json"))}
+    known = known_examples()
     folder = known.get(name) or Path(name)
     if not (folder / "demo.json").is_file():
         raise click.UsageError(f"there is no example `{name}`; {suggestion(name, known)}")
@@ -63,7 +68,7 @@ def repository() -> Path | None:
 
 
 def read(folder: Path) -> Demo:
-    """The example in ``folder``. Raises SpecificationError where its ``demo.json`` is none."""
+    """The example in ``folder``. Raises SpecificationError where its ``demo.json`` is invalid."""
     file = folder / "demo.json"
     document: Any = parse_json(file.read_text(encoding="utf-8"))
     try:
@@ -72,10 +77,10 @@ def read(folder: Path) -> Demo:
             folder=folder.resolve(),
             title=str(document["title"]),
             specification=load(folder / document["specification"]),
-            listen_to=str(document["listen_to"]),
-            acts=tuple(
+            subscriber=str(document["listen_to"]),
+            steps=tuple(
                 DemoStep(str(act["name"]), str(act["says"]), decode_request(act["request"])) for act in document["acts"]
             ),
         )
     except (KeyError, TypeError) as error:
-        raise SpecificationError(f"{file}: not the description of an example ({error!r})") from None
+        raise SpecificationError(f"{file}: invalid description of an example ({error!r})") from None

@@ -1,4 +1,4 @@
-"""Reading specifications from files, in the Stride language or in JSON; whatever is wrong with one names the file."""
+"""Reads specifications from files, in the Stride language or in JSON. Errors name the file."""
 
 from __future__ import annotations
 
@@ -13,41 +13,48 @@ from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification
 
-# No specification and no plan is as long (characters); a device that never ends would fill the memory.
-MOST: Final = 64_000_000
+# Longer than any specification or plan. A device that never ends, such as /dev/zero, would fill the memory.
+MAX_CHARACTERS: Final = 64_000_000
 
 
 def read(path: Path) -> Specification:
-    """The specification in a file. Raises SpecificationError with every fault of form and of names."""
+    """The specification in a file. Raises SpecificationError with every error of form and of names."""
     text = _text(path)
     if _is_stride(path):
         return _stride(path)
     try:
-        return _parsed(text)
+        return decode_specification(parse_json(text))
     except SpecificationError as error:
-        raise _named(path, error.problems) from None
+        raise _in_file(path, error.problems) from None
 
 
 def read_json(path: Path) -> Any:
     """The value in a JSON file; ``-`` is standard input. Raises SpecificationError where it cannot be read."""
     try:
-        return parse_json(_bounded("standard input", sys.stdin.read(MOST + 1)) if str(path) == "-" else _text(path))
+        if str(path) == "-":
+            return parse_json(_bounded("standard input", sys.stdin.read(MAX_CHARACTERS + 1)))
+        return parse_json(_text(path))
     except UnicodeDecodeError as error:
-        raise SpecificationError(f"standard input cannot be read: {error}") from None
+        raise SpecificationError(f"cannot read standard input: {error}") from None
     except SpecificationError as error:
-        raise _named(path, error.problems) from None
+        raise _in_file(path, error.problems) from None
 
 
 def load(path: Path) -> Specification:
-    """A specification that may be run or planned with. Raises SpecificationError with every error there is."""
+    """A specification that can be run or planned with. Raises SpecificationError with every error found."""
     from midstride.model.specification_checks import check, errors
 
     specification = read(path)
     if _is_stride(path):
-        return specification  # the language tells every error at its place
+        return specification  # the language has checked it, with the place of each error
     if found := errors(check(specification)):
-        raise _named(path, found)
+        raise _in_file(path, found)
     return specification
+
+
+def require_file(path: Path) -> None:
+    """Raises SpecificationError where the file cannot be read, with the name that was probably meant."""
+    _text(path)
 
 
 def _is_stride(path: Path) -> bool:
@@ -61,19 +68,10 @@ def _stride(path: Path) -> Specification:
     return load_stride(path, messages=installed()).require()
 
 
-def must_exist(path: Path) -> None:
-    """Raises SpecificationError, with a near miss where there is one, where there is no such file."""
-    _text(path)
-
-
-def _parsed(text: str) -> Specification:
-    return decode_specification(parse_json(text))
-
-
 def _text(path: Path) -> str:
     try:
         with path.open(encoding="utf-8") as file:
-            return _bounded(str(path), file.read(MOST + 1))
+            return _bounded(str(path), file.read(MAX_CHARACTERS + 1))
     except FileNotFoundError:
         folder = path.parent
         files = [entry.name for entry in _candidates(folder)] if folder.is_dir() else []
@@ -84,15 +82,15 @@ def _text(path: Path) -> str:
         raise SpecificationError(f"{path} is a folder" + (f"; give a file in it: {inside}" if inside else "")) from None
     except UnicodeDecodeError as error:
         if _is_stride(path):
-            return ""  # the language says where
-        raise SpecificationError(f"{path} cannot be read: {error}") from None
+            return ""  # the language reports the place
+        raise SpecificationError(f"cannot read {path}: {error}") from None
     except OSError as error:
-        raise SpecificationError(f"{path} cannot be read: {error}") from None
+        raise SpecificationError(f"cannot read {path}: {error}") from None
 
 
 def _bounded(name: str, text: str) -> str:
-    if len(text) > MOST:
-        raise SpecificationError(f"{name} has more than {MOST // 1_000_000} million characters: is it what you meant?")
+    if len(text) > MAX_CHARACTERS:
+        raise SpecificationError(f"{name} has more than {MAX_CHARACTERS // 1_000_000} million characters: wrong file?")
     return text
 
 
@@ -100,5 +98,5 @@ def _candidates(folder: Path) -> list[Path]:
     return sorted([*folder.glob("*.stride"), *folder.glob("*.json")])
 
 
-def _named(path: Path, problems: Iterable[object]) -> SpecificationError:
+def _in_file(path: Path, problems: Iterable[object]) -> SpecificationError:
     return SpecificationError([f"{path}: {problem}" for problem in problems])

@@ -1,4 +1,4 @@
-"""What a component has said, from its log: the change as it looks from a subscriber's side."""
+"""Excerpts of a component's log: how a change looks from a subscriber's side."""
 
 from __future__ import annotations
 
@@ -8,27 +8,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
-# As ROS writes it: [INFO] [1795230947.628793895] [listener]: I heard: …; the simulator's has no time.
-_LINE = re.compile(r"\[(?P<level>[A-Z]+)\] (?:\[(?P<at>\d+\.\d+)\] )?\[[^\]]*\]: (?P<words>.*)")
-# Lines shown before and after each change of what is said.
-AROUND = 2
+# ROS's format: [INFO] [1795230947.628793895] [listener]: I heard: …; the simulator's has no time.
+_LINE = re.compile(r"\[(?P<level>[A-Z]+)\] (?:\[(?P<at>\d+\.\d+)\] )?\[[^\]]*\]: (?P<text>.*)")
+# Lines shown before and after each change.
+CONTEXT = 2
 
 
 @dataclass(frozen=True, slots=True)
 class LogLine:
     at: float | None
-    words: str
+    text: str
 
     def __str__(self) -> str:
         if self.at is None:
-            return self.words
+            return self.text
         whole, millis = divmod(round(self.at * 1000), 1000)
-        return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}  {self.words}"
+        return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}  {self.text}"
 
     @property
     def kind(self) -> str:
-        """What kind of thing is said: two lines that differ in their numbers alone are of one kind."""
-        return re.sub(r"\d+", "#", self.words)
+        """The text without its numbers: lines that differ in nothing else are of one kind."""
+        return re.sub(r"\d+", "#", self.text)
 
 
 class LogSource(Protocol):
@@ -36,7 +36,7 @@ class LogSource(Protocol):
 
 
 class LogFile:
-    """The log of a process of its own."""
+    """The log file of a process."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -55,32 +55,32 @@ class LogFollower:
         self._log = log
         self._seen = 0
 
-    def new(self) -> list[LogLine]:
-        """What has been said since the last time."""
+    def new_lines(self) -> list[LogLine]:
+        """The lines since the last call."""
         lines = self._log.read().splitlines()
         fresh, self._seen = lines[self._seen :], len(lines)
-        return [said for line in fresh if (said := parse(line)) is not None]
+        return [parsed for line in fresh if (parsed := parse(line)) is not None]
 
 
 def parse(line: str) -> LogLine | None:
-    """A line of a log; None for what was not said by a logger."""
+    """A line of a log; None for one that no logger wrote."""
     found = _LINE.match(line)
     if found is None:
         return None
-    return LogLine(float(found["at"]) if found["at"] else None, found["words"])
+    return LogLine(float(found["at"]) if found["at"] else None, found["text"])
 
 
-def excerpt(said: list[LogLine]) -> list[LogLine | None]:
-    """The lines around each change of what is said; None stands for those left out."""
+def excerpt(lines: list[LogLine]) -> list[LogLine | None]:
+    """The lines around each change of kind, with None for those left out between them."""
     shown: set[int] = set()
-    for index in range(1, len(said)):
-        if said[index].kind != said[index - 1].kind:
-            shown.update(range(max(0, index - AROUND), min(len(said), index + AROUND)))
-    lines: list[LogLine | None] = []
+    for index in range(1, len(lines)):
+        if lines[index].kind != lines[index - 1].kind:
+            shown.update(range(max(0, index - CONTEXT), min(len(lines), index + CONTEXT)))
+    result: list[LogLine | None] = []
     last = -1
     for index in sorted(shown):
-        if lines and index != last + 1:
-            lines.append(None)
-        lines.append(said[index])
+        if result and index != last + 1:
+            result.append(None)
+        result.append(lines[index])
         last = index
-    return lines
+    return result

@@ -1,4 +1,4 @@
-"""The language server: :mod:`midstride.lang.service` in the words of the Language Server Protocol, by pygls."""
+"""The language server: :mod:`midstride.lang.service` over the Language Server Protocol, with pygls."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _KINDS = {
 
 
 def make_server() -> LanguageServer:
-    """A server that has not been started; ``start_io`` runs it on standard input and output."""
+    """A server, not yet started; ``start_io`` runs it on standard input and output."""
     server = LanguageServer("midstride", __version__)
     known: list[MessageTypes] = []
 
@@ -41,7 +41,7 @@ def make_server() -> LanguageServer:
         return known[0]
 
     service = LanguageService(messages=messages)
-    shown: dict[Path, set[Path]] = {}  # the files that diagnostics were last shown in, by the file that asked for them
+    shown: dict[Path, set[Path]] = {}  # file -> the files for which its diagnostics were last published
 
     def publish(path: Path) -> None:
         found = service.diagnostics(path)
@@ -89,8 +89,8 @@ def make_server() -> LanguageServer:
 
     @server.feature(types.TEXT_DOCUMENT_HOVER)
     def hover(parameters: types.HoverParams) -> types.Hover | None:
-        told = service.hover(*place(parameters))
-        return None if told is None else types.Hover(types.MarkupContent(types.MarkupKind.Markdown, told))
+        text = service.hover(*place(parameters))
+        return None if text is None else types.Hover(types.MarkupContent(types.MarkupKind.Markdown, text))
 
     @server.feature(types.TEXT_DOCUMENT_DEFINITION)
     def definition(parameters: types.DefinitionParams) -> types.Location | None:
@@ -149,7 +149,7 @@ def _units(text: str) -> int:
 
 
 def _column(line: str, units: int) -> int:
-    """How many characters of ``line`` come before a column that is given in code units."""
+    """How many characters of ``line`` precede a column given in UTF-16 code units."""
     encoded = line.encode("utf-16-le", "surrogatepass")[: 2 * units]
     return len(encoded.decode("utf-16-le", "ignore"))
 

@@ -1,24 +1,45 @@
-"""Where output goes: a console for people, one JSON document for programs."""
+"""The results of a command: a console for people, one JSON document for programs, the exit status."""
 
 from __future__ import annotations
 
 import json
 import sys
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
 
 import click
-
-from midstride.cli.app import Settings
 
 if TYPE_CHECKING:
     from rich.console import Console
 
 
-UNFOLDED = 1000
+NO: Final = 1
+USAGE: Final = 2
+INTERRUPTED: Final = 130
+# The width of output that is not a terminal: wide enough that nothing is folded, for programs and `grep`.
+PIPE_WIDTH: Final = 1000
+
+
+@dataclass(slots=True)
+class Settings:
+    """Options that apply to the whole command line."""
+
+    json: bool = False
+
+
+def json_option(function: Any) -> Any:
+    """``--json``, accepted before and after the command's name."""
+    summary = "Print one JSON document, and nothing else."
+    return click.option("--json", is_flag=True, expose_value=False, callback=_set_json, help=summary)(function)
+
+
+def _set_json(ctx: click.Context, _: click.Parameter, value: bool) -> None:
+    settings = ctx.ensure_object(Settings)
+    settings.json = settings.json or value
 
 
 def wants_json() -> bool:
-    """Whether ``--json`` stands on the command line."""
+    """Whether the command line has ``--json``."""
     settings = click.get_current_context().find_object(Settings)
     return settings is not None and settings.json
 
@@ -35,18 +56,17 @@ def _plain(form: Any) -> Any:
 
 
 def console(stderr: bool = False) -> Console:
-    """A console on standard output or standard error. What its encoding cannot show becomes a question mark."""
+    """A console on standard output or standard error. Characters that its encoding lacks become question marks."""
     from rich.console import Console
 
     stream = sys.stderr if stderr else sys.stdout
     reconfigure = getattr(stream, "reconfigure", None)
     if reconfigure is not None:
         reconfigure(errors="replace")
-    # Piped output is not folded at 80 columns: programs and `grep` read it.
-    width = None if stream.isatty() else UNFOLDED
+    width = None if stream.isatty() else PIPE_WIDTH
     return Console(file=stream, highlight=False, emoji=False, width=width)
 
 
 def is_interactive() -> bool:
-    """Whether a person can be asked."""
+    """Whether the command can ask the user."""
     return sys.stdin.isatty() and sys.stderr.isatty()

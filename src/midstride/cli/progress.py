@@ -1,4 +1,4 @@
-"""Events as they come: a line each, and on a terminal the step under way with the time it has taken."""
+"""Events as they come: one line each, and on a terminal the current step and how long it has taken."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from rich.console import Console
 from rich.markup import escape
 
 from midstride.cli.render import event as event_line
-from midstride.cli.render import seconds, step_words
+from midstride.cli.render import seconds, step_text
 
-# Told at the end, or of no interest to people while it runs.
-_QUIET = frozenset({"plan", "outcome", "measured", "command", "up_failed"})
+# Shown at the end of the command, or not worth a line while it runs.
+_HIDDEN = frozenset({"plan", "outcome", "measured", "command", "up_failed"})
 
 
 class Progress:
-    """Shows a command's progress on a console. Use as a context; feed it the events."""
+    """Shows a command's progress on a console. Use it as a context and pass it the events."""
 
     def __init__(self, console: Console) -> None:
         self._console = console
         self._status = console.status("") if console.is_terminal else None
-        self._begun: dict[int, float] = {}
-        self._words = self._aside = ""
+        self._started: dict[int, float] = {}
+        self._current = self._note = ""
 
     def __enter__(self) -> Progress:
         if self._status is not None:
@@ -38,34 +38,37 @@ class Progress:
     def show(self, event: dict[str, Any]) -> None:
         kind = event["kind"]
         if kind == "step":
-            self._begun[event["index"]] = event["at"]
-            self._doing(f"{event['index'] + 1}/{event['of']} {_words(event)}")
+            self._started[event["index"]] = event["at"]
+            self._set_current(f"{event['index'] + 1}/{event['of']} {_step(event)}")
         elif kind == "step_done":
-            took = event["at"] - self._begun.get(event["index"], event["at"])
+            took = event["at"] - self._started.get(event["index"], event["at"])
             done = f"  [green]✓[/green] [dim]{event['index'] + 1}/{event['of']}[/dim]"
-            self._console.print(f"{done} {escape(_words(event))} [dim]{seconds(took)}[/dim]")
+            self._console.print(f"{done} {escape(_step(event))} [dim]{seconds(took)}[/dim]")
         elif kind == "step_failed":
-            place = f"[dim]{event['index'] + 1}/{event['of']}[/dim]"
-            self._console.print(f"  [red]✗[/red] {place} {escape(_words(event))}")
+            number = f"[dim]{event['index'] + 1}/{event['of']}[/dim]"
+            self._console.print(f"  [red]✗[/red] {number} {escape(_step(event))}")
         elif kind in {"measuring", "verifying", "waiting"}:
-            self._doing(event["words"])
+            self._set_current(event["words"])
             if self._status is None:
                 self._console.print(f"  {escape(event['words'])}")
-        elif kind not in _QUIET:
+        elif kind not in _HIDDEN:
             self._console.print("  ", event_line(event), sep="")
 
-    def aside(self, words: str) -> None:
-        """Something to stand beside the step under way, on a terminal: what a component has just said."""
-        self._aside = words
-        self._doing(self._words)
+    def set_note(self, note: str) -> None:
+        """Show a note beside the current step, on a terminal: the latest log line of a component."""
+        self._note = note
+        self._update()
 
-    def _doing(self, words: str) -> None:
-        self._words = words
+    def _set_current(self, step: str) -> None:
+        self._current = step
+        self._update()
+
+    def _update(self) -> None:
         if self._status is not None:
-            beside = f"   [dim]{escape(self._aside)}[/dim]" if self._aside else ""
-            self._status.update(escape(words) + beside)
+            note = f"   [dim]{escape(self._note)}[/dim]" if self._note else ""
+            self._status.update(escape(self._current) + note)
 
 
-def _words(event: dict[str, Any]) -> str:
+def _step(event: dict[str, Any]) -> str:
     step = event.get("step")
-    return step_words(step) if step else str(event["words"]).partition(" ")[2]
+    return step_text(step) if step else str(event["words"]).partition(" ")[2]

@@ -1,4 +1,4 @@
-"""``down``: through the manager where there is one, else directly, by what a killed one left written."""
+"""``down``: through the manager where one is running, else directly, from the state that a killed manager left."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from midstride.runtime.orphans import end_orphans
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 
-# How long a manager may take to end once its system is down (s).
-LAST_BREATH = 10.0
+# How long a manager may take to exit once its system is down (s).
+MANAGER_EXIT_TIMEOUT = 10.0
 POLL = 0.02
 
 
-def take_down(system: str | None) -> str:
-    """End a system; its name. Raises NoManager where none is running, ManagerError where something would not end."""
+def shut_down(system: str | None) -> str:
+    """Stop a system and return its name. Raises NoManager where none is running, ManagerError where parts remain."""
     try:
         client, workspace = find(system)
     except NoManager:
@@ -31,58 +31,55 @@ def take_down(system: str | None) -> str:
         if len(left) != 1:
             raise
         with left[0].lock():
-            _end_what_is_left(left[0])
+            _stop_left_components(left[0])
         return left[0].name
     if (running := client.get("/status")["running"]) is not None:
-        click.echo(f"{workspace.name} is carrying out `{running['command']}`: it goes down after that …", err=True)
+        click.echo(f"{workspace.name} is carrying out `{running['command']}` and will stop afterwards …", err=True)
     client.post("/down")
-    until_free(workspace)
+    wait_for_manager_exit(workspace)
     return workspace.name
 
 
-def until_free(workspace: Workspace) -> None:
-    """The system is down; its manager is about to end. Then the next `up` finds nobody in its way.
-
-    Raises ManagerError where it does not end.
-    """
-    end = time.monotonic() + LAST_BREATH
+def wait_for_manager_exit(workspace: Workspace) -> None:
+    """Wait until the next `up` can take the workspace. Raises ManagerError where the manager does not exit."""
+    end = time.monotonic() + MANAGER_EXIT_TIMEOUT
     while time.monotonic() < end:
         try:
             with workspace.lock():
                 return
         except ManagerBusy:
             time.sleep(POLL)
-    raise ManagerError(f"{workspace.name} is down, but its manager has not ended within {LAST_BREATH:g} s")
+    raise ManagerError(f"{workspace.name} is down, but its manager has not exited within {MANAGER_EXIT_TIMEOUT:g} s")
 
 
-def _end_what_is_left(workspace: Workspace) -> None:
+def _stop_left_components(workspace: Workspace) -> None:
     store = StateStore(workspace.state)
     saved = store.load()
     if saved is None:
         return
     handles = [entry.handle for entry in saved.instances if entry.handle is not None]
     backend = backends.make(saved.backend, workspace)
-    if faults := asyncio.run(_end(backend, handles, saved.token)):
-        raise ManagerError("; ".join(faults))
+    if failures := asyncio.run(_stop(backend, handles, saved.token)):
+        raise ManagerError("; ".join(failures))
     store.forget()
 
 
-async def _end(backend: Backend, handles: list[Handle], token: str) -> list[str]:
+async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str]:
     def ignore(_: Any) -> None: ...
 
     await backend.open(ignore)
-    faults = []
+    failures = []
     try:
         for handle in handles:
             try:
                 if await backend.adopt(handle):
                     await backend.end(handle.instance, STOP_GRACE)
             except MidstrideError as error:
-                faults.append(f"{handle.instance}: {error}")
+                failures.append(f"{handle.instance}: {error}")
         try:
             await end_orphans(token, {handle.instance for handle in handles}, STOP_GRACE)
         except BackendError as error:
-            faults.append(str(error))
+            failures.append(str(error))
     finally:
         await backend.close()
-    return faults
+    return failures

@@ -1,4 +1,4 @@
-"""Which running system is meant."""
+"""Finds the running system that a command is about."""
 
 from __future__ import annotations
 
@@ -7,28 +7,31 @@ from typing import Any, Final
 
 import click
 
+from midstride.cli import completion
 from midstride.cli.client import Client
 from midstride.errors import ManagerError, NoManager
 from midstride.model.diagnostics import suggestion
 from midstride.runtime.workspace import Workspace
 
-# How long a manager that does not answer may be about to begin, or to end (s).
-PATIENCE: Final = 3.0
+# How long to wait for a manager that does not answer: it may be starting or exiting (s).
+ANSWER_TIMEOUT: Final = 3.0
 POLL: Final = 0.02
 
 
 def system_option(function: Any) -> Any:
     """``--system``: needed only where several run."""
     return click.option(
-        "--system", metavar="NAME", help="Which running system is meant; needed only where several run."
+        "--system",
+        metavar="NAME",
+        shell_complete=completion.systems,
+        help="The running system; needed only if several are running.",
     )(function)
 
 
 def find(system: str | None) -> tuple[Client, Workspace]:
-    """The manager of ``system``, or of the one that runs.
+    """The manager of ``system``, or of the only running system.
 
-    Raises NoManager where none does, ManagerError where it runs but does not answer, UsageError where it is not clear
-    which is meant.
+    Raises NoManager where none is running, ManagerError where it does not answer, UsageError where several are running.
     """
     known = {workspace.name: workspace for workspace in Workspace.all()}
     if system is not None:
@@ -36,40 +39,37 @@ def find(system: str | None) -> tuple[Client, Workspace]:
             hint = suggestion(system, known) or "start it with `midstride up FILE`"
             raise NoManager(f"no system {system} is running; {hint}")
         return _answering(known[system]), known[system]
+    if len(known) == 1:
+        (only,) = known.values()
+        return _answering(only), only
     running = [workspace for workspace in known.values() if Client(workspace.socket).service() is not None]
     if len(running) > 1:
         names = ", ".join(workspace.name for workspace in running)
-        raise click.UsageError(f"several systems are running ({names}): say which with --system NAME")
+        raise click.UsageError(f"several systems are running ({names}); choose one with --system NAME")
     if running:
         return Client(running[0].socket), running[0]
-    if len(known) > 1:
-        raise NoManager(
-            f"no manager answers; components of these systems may still run: {', '.join(known)}. "
-            "Say which is meant with --system NAME"
-        )
     if known:
-        (left,) = known.values()
-        return _answering(left), left
+        raise NoManager(
+            f"no manager answers; components of these systems may still be running: {', '.join(known)}. "
+            "Choose one with --system NAME"
+        )
     raise NoManager("no system is running; start one with `midstride up FILE`")
 
 
 def _answering(workspace: Workspace) -> Client:
     client = Client(workspace.socket)
-    end = time.monotonic() + PATIENCE
-    while client.service() is None:
+    end = time.monotonic() + ANSWER_TIMEOUT
+    while client.service(max(POLL, end - time.monotonic())) is None:
         if (manager := workspace.manager()) is None:
-            raise _ended(workspace)
+            raise NoManager(
+                f"the manager of {workspace.name} has exited; its components may still be running: "
+                "`midstride up FILE` reattaches to them, `midstride down` stops them"
+            )
         if time.monotonic() > end:
             raise ManagerError(
-                f"the manager of {workspace.name} (process {manager}) runs, but does not answer. Should that last, "
-                f"`kill -9 {manager}` ends it alone: its components go on, and `midstride up FILE` finds them again"
+                f"the manager of {workspace.name} (process {manager}) is running but does not answer. If this "
+                f"persists, `kill -9 {manager}` ends the manager alone: its components keep running, and "
+                "`midstride up FILE` reattaches to them"
             )
         time.sleep(POLL)
     return client
-
-
-def _ended(workspace: Workspace) -> NoManager:
-    return NoManager(
-        f"the manager of {workspace.name} has ended, its components may still run: "
-        "`midstride up` with its file finds them again, `midstride down` ends them"
-    )

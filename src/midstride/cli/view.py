@@ -1,4 +1,4 @@
-"""The live view: what is live and what happens, until Ctrl-C. The system does not depend on it."""
+"""The live view: status and latest events, until Ctrl-C. The system does not depend on it."""
 
 from __future__ import annotations
 
@@ -15,60 +15,60 @@ from midstride.cli.client import Client, Event
 from midstride.cli.output import console
 from midstride.errors import MidstrideError
 
-# How often the state is asked for again (s), and how many events stand below it.
+# How often the status is refreshed (s), and how many events are shown below it.
 REFRESH = 0.5
 EVENTS_SHOWN = 12
-# The next step begins when the one before it is done.
-UNINTERESTING = frozenset({"step_done"})
+# The start of the next step shows that the one before is done.
+HIDDEN = frozenset({"step_done"})
 
 
 def watch(client: Client, system: str) -> int:
-    """Show the system until it is down, its manager ends, or Ctrl-C. The exit status."""
+    """Show the system until it is down, its manager exits, or Ctrl-C. The exit status."""
     out = console()
-    seen: deque[Event] = deque(maxlen=EVENTS_SHOWN)
+    shown: deque[Event] = deque(maxlen=EVENTS_SHOWN)
     try:
         if out.is_terminal:
-            _live(client, out, seen)
+            _live(client, out, shown)
         else:
             for event in client.events():
-                seen.append(event)
+                shown.append(event)
                 out.print(render.event(event))
     except KeyboardInterrupt:
         click.echo(
-            f"\n{system} goes on running. `midstride status` shows it, `midstride watch` this view, "
-            "`midstride down` ends it."
+            f"\n{system} keeps running: `midstride status` shows it, `midstride watch` opens this view again, "
+            "`midstride down` stops it."
         )
         return 0
-    if seen and seen[-1]["kind"] == "down":
+    if shown and shown[-1]["kind"] == "down":
         click.echo(f"{system} is down.")
         return 0
-    click.echo(f"The manager of {system} has ended; its components go on.", err=True)
+    click.echo(f"The manager of {system} has exited; its components keep running.", err=True)
     return 1
 
 
-def _live(client: Client, out: Console, seen: deque[Event]) -> None:
+def _live(client: Client, out: Console, shown: deque[Event]) -> None:
     changed, over = threading.Event(), threading.Event()
 
-    def listen() -> None:
+    def read_events() -> None:
         try:
             for event in client.events():
-                if event["kind"] not in UNINTERESTING:
-                    seen.append(event)
+                if event["kind"] not in HIDDEN:
+                    shown.append(event)
                 changed.set()
-        except MidstrideError:  # it ended meanwhile
+        except MidstrideError:  # the manager has exited
             pass
         over.set()
         changed.set()
 
-    threading.Thread(target=listen, daemon=True).start()
+    threading.Thread(target=read_events, daemon=True).start()
     with Live(console=out, auto_refresh=False, transient=False) as live:
         while not over.is_set():
             try:
                 status = render.status(client.get("/status"))
             except MidstrideError:
                 break
-            hint = Text("Ctrl-C leaves the view; the system goes on.", style="dim")
-            live.update(Group(status, Text(""), *map(render.event, list(seen)), hint), refresh=True)
+            hint = Text("Ctrl-C leaves the view; the system keeps running.", style="dim")
+            live.update(Group(status, Text(""), *map(render.event, list(shown)), hint), refresh=True)
             changed.wait(REFRESH)
             changed.clear()
     over.wait(REFRESH)

@@ -54,10 +54,10 @@ from midstride.errors import SpecificationError
 from midstride.model.component import (
     Assumption,
     ComponentSpec,
-    Endpoint,
     FunctionalitySpec,
     InputAlternatives,
     Mode,
+    NodeEndpoint,
     ParameterSpec,
     ParameterValue,
 )
@@ -256,7 +256,7 @@ class ComponentForm(Form, frozen=True):
             parameters={
                 key: ParameterSpec(value_of(form.value), form.changeable) for key, form in self.parameters.items()
             },
-            allows=tuple(Endpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
+            allows=tuple(NodeEndpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
             run=None if self.run is UNSET else self.run,
             takes=None if self.takes_seconds is UNSET else self.takes_seconds,
         )

@@ -28,10 +28,10 @@ from midstride.lang.token_stream import RESERVED
 from midstride.model.component import (
     Assumption,
     ComponentSpec,
-    Endpoint,
     FunctionalitySpec,
     InputAlternatives,
     Mode,
+    NodeEndpoint,
     ParameterSpec,
 )
 from midstride.model.contract import NOTHING, Predicate
@@ -304,8 +304,8 @@ class ComponentBuilder:
         return None
 
 
-def _endpoint(allowed: AllowedEndpoint) -> Endpoint:
-    return Endpoint(ENDPOINT_KINDS[allowed.kind], allowed.name.text)
+def _endpoint(allowed: AllowedEndpoint) -> NodeEndpoint:
+    return NodeEndpoint(ENDPOINT_KINDS[allowed.kind], allowed.name.text)
 
 
 def _inherited(base: ComponentDeclaration, own: ComponentDeclaration) -> ComponentDeclaration:

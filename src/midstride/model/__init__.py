@@ -1,8 +1,11 @@
-"""The model: what there is, what must hold, and what may be done to it. Pure: no I/O, no clock.
+"""The model of a robot's software and of safe changes to it. Pure: no I/O, no clock.
 
-`contract` (predicates and their satisfaction), `component` (declarations), `configuration` (what is
-live, attached, in which mode), `rules` (validity), `best` (the best modes of a structure), `action`
-(the reconfiguration actions), `diagnosis` (chains of reasons), `specification` (a whole system as declared),
-`specification_checks` (its design-time check, with `name_checks` and `component_rules`), `diagnostics` (the
-catalogue of what can be wrong). Their JSON forms are in :mod:`midstride.codec`.
+Start with these five modules, in this order: `contract` (what messages are like, and when one promise is good enough
+for another), `component` (what a component type declares), `configuration` (what runs right now), `rules` (when that
+is valid) and `action` (the steps that change it safely).
+
+Beyond them: `specification` (a whole system as its author declares it) and its design-time check
+`specification_checks` (with `name_checks`, `component_rules` and the catalogue `diagnostics`); `best` (the best modes
+that a structure allows), `diagnosis` (why a mode is out of reach), `wording` (actions in words).
+The JSON forms are in :mod:`midstride.codec`.
 """

@@ -1,9 +1,11 @@
-"""The reconfiguration actions: values with a precondition, an effect, an undo and a description.
+"""The reconfiguration actions: what can be done to a running system, one small step at a time.
 
-Semantics.md section 4; the paper's section 4.3. Every action takes a valid configuration to a
-valid one (F1). ``check`` names what breaks the precondition, ``apply`` refuses with just that and
-otherwise yields the new configuration, ``undo(before)`` is a short valid sequence that takes the
-result back to ``before`` (F6). The cost of each follows the neighbourhood of what it touches.
+Create and remove components, attach and detach their ports, degrade and upgrade their functionalities, hand a
+topic over from one output to another, set parameters. An action is a value: ``check`` lists the preconditions that
+fail, ``apply`` yields the next configuration or refuses with that list, ``undo(before)`` is a short valid sequence
+that leads back to ``before``. Every action takes a valid configuration to a valid one, so a system that is changed
+by actions alone is valid all the way (docs/semantics.md section 4; the paper's section 4.3). The cost of an action
+follows the neighbourhood of what it touches, not the size of the system.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ from typing import ClassVar, Literal
 from immutables import Map
 
 from midstride.errors import ActionRefused
+from midstride.model import wording
 from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef, value_fits, value_kind
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import explain, satisfies
@@ -43,18 +46,24 @@ class Swap:
     new: PortRef
 
     def __str__(self) -> str:
-        return f"{self.connector}: {self.old} -> {self.new}"
+        return wording.swap(self.connector, str(self.old), str(self.new))
 
 
 class Action(ABC):
-    """What every action offers. Instances are frozen values."""
+    """What every action offers. Actions are frozen values."""
 
     __slots__ = ()
     kind: ClassVar[str]
+    is_structural: ClassVar[bool] = True
+    """Whether it changes what is live or attached, rather than modes or parameters."""
+
+    @abstractmethod
+    def instances(self) -> tuple[str, ...]:
+        """The instances that the action changes, in a stable order."""
 
     @abstractmethod
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
-        """The preconditions that fail in ``configuration``; empty iff the action may be taken. Changes nothing."""
+        """The preconditions that fail in ``configuration``; empty iff the action is allowed. Changes nothing."""
 
     @abstractmethod
     def effect(self, configuration: Configuration) -> Configuration:
@@ -62,11 +71,11 @@ class Action(ABC):
 
     @abstractmethod
     def undo(self, before: Configuration) -> tuple[Action, ...]:
-        """The actions that take ``apply(before)`` back to ``before``, each valid in its turn."""
+        """The actions that take ``apply(before)`` back to ``before``, each of them valid."""
 
     @abstractmethod
     def describe(self, configuration: Configuration | None = None) -> str:
-        """The action in words; with the configuration it is taken in, modes are called by their names."""
+        """The action in words; modes appear by name where the configuration before the action is given."""
 
     def apply(self, configuration: Configuration) -> Configuration:
         """The configuration after the action. Raises ActionRefused where the precondition fails."""
@@ -85,10 +94,13 @@ class Create(Action):
     kind: ClassVar[str] = "create"
     instance: Instance
 
+    def instances(self) -> tuple[str, ...]:
+        return (self.instance.name,)
+
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         name = self.instance.name
         if name in configuration.instances:
-            return (Reason("not live", (name,), f"{name} is live already"),)
+            return (Reason("not live", (name,), f"{name} is already live"),)
         after = self.effect(configuration)
         return tuple(
             Reason("capacity", (resource,), str(violation))
@@ -103,7 +115,7 @@ class Create(Action):
         return (Remove(self.instance.name),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return f"create {self.instance.name} ({self.instance.component.name})"
+        return wording.creation(self.instance.name, self.instance.component.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,6 +124,9 @@ class Remove(Action):
 
     kind: ClassVar[str] = "remove"
     instance: str
+
+    def instances(self) -> tuple[str, ...]:
+        return (self.instance,)
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if self.instance not in configuration.instances:
@@ -134,7 +149,7 @@ class Remove(Action):
         return (Create(instance), *raised)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return f"remove {self.instance}"
+        return wording.removal(self.instance)
 
 
 def _port_reasons(configuration: Configuration, port: PortRef, connector: str) -> tuple[Reason, ...]:
@@ -155,12 +170,15 @@ class Attach(Action):
     port: PortRef
     connector: str
 
+    def instances(self) -> tuple[str, ...]:
+        return (self.port.instance,)
+
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := _port_reasons(configuration, self.port, self.connector):
             return reasons
         port, name = str(self.port), self.connector
         if configuration.is_attached(self.port, name):
-            return (Reason("not attached", (port, name), f"{port} is attached to {name} already"),)
+            return (Reason("not attached", (port, name), f"{port} is already attached to {name}"),)
         reasons = contract_reasons(configuration, self.port, configuration.context.connectors[name])
         if reasons or not configuration.is_output(self.port):
             return reasons
@@ -174,7 +192,7 @@ class Attach(Action):
         return (Detach(self.port, self.connector),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return f"attach {self.port} to {self.connector}"
+        return wording.attachment(str(self.port), self.connector)
 
 
 def contract_reasons(configuration: Configuration, port: PortRef, connector: Connector) -> tuple[Reason, ...]:
@@ -183,13 +201,13 @@ def contract_reasons(configuration: Configuration, port: PortRef, connector: Con
     if port.port in component.outputs:
         mode = component.owner(port.port).modes[0]
         clauses = explain(normal_guarantee(component, port.port), connector.guarantee)
-        told = f"{port} in mode {mode.name} does not satisfy {connector.name}"
+        shortfall = f"{port} in mode {mode.name} does not satisfy {connector.name}"
     else:
         clauses = explain(connector.guarantee, component.inputs[port.port])
-        told = f"{connector.name} does not satisfy what {port} assumes"
+        shortfall = f"{connector.name} does not satisfy what {port} assumes"
     if not clauses:
         return ()
-    return (Reason("contract", (str(port), connector.name), f"{told} ({', '.join(clauses)})"),)
+    return (Reason("contract", (str(port), connector.name), f"{shortfall} ({', '.join(clauses)})"),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +218,9 @@ class Detach(Action):
     port: PortRef
     connector: str
 
+    def instances(self) -> tuple[str, ...]:
+        return (self.port.instance,)
+
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := _port_reasons(configuration, self.port, self.connector):
             return reasons
@@ -208,13 +229,13 @@ class Detach(Action):
             return (Reason("attached", (str(self.port), self.connector), because),)
         after = self.effect(configuration)
         if configuration.is_output(self.port):
-            # Only a topic that this output alone satisfied can be missed by anyone.
+            # While another publisher satisfies the topic, no consumer loses anything.
             if Evaluator(after).connector_satisfied(self.connector):
                 return ()
             affected: Iterable[FunctionalityRef] = configuration.consumers(self.connector)
         else:
             affected = configuration.users(self.port)
-        return _unsatisfied(after, affected, f"without {self.port} on {self.connector}", str(self.port), self.connector)
+        return _unsatisfied(after, affected, str(self.port), self.connector)
 
     def effect(self, configuration: Configuration) -> Configuration:
         return configuration.without_attachment(self.port, self.connector)
@@ -223,13 +244,17 @@ class Detach(Action):
         return (Attach(self.port, self.connector),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return f"detach {self.port} from {self.connector}"
+        return wording.detachment(str(self.port), self.connector)
 
 
-def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], when: str, *others: str) -> tuple[Reason, ...]:
-    """One reason for each assumption of ``refs`` that would not hold; ``others`` are subjects besides them."""
+def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], *others: str) -> tuple[Reason, ...]:
+    """One reason for each assumption of ``refs`` that would not hold; ``others`` are further subjects."""
     return tuple(
-        Reason("satisfied", tuple(dict.fromkeys((*violation.names, *others))), f"{when}, {violation}")
+        Reason(
+            "satisfied",
+            tuple(dict.fromkeys((*violation.names, *others))),
+            f"{violation.subject} would be unsatisfied: it {violation.because}",
+        )
         for violation in Evaluator(after).violations_of(refs)
     )
 
@@ -238,7 +263,7 @@ def _mode_reasons(
     configuration: Configuration, modes: Mapping[FunctionalityRef, int], direction: Literal["better", "worse"]
 ) -> Iterator[Reason]:
     if not modes:
-        yield Reason("named", (), "no functionality is named")
+        yield Reason("named", (), "no functionality is given")
     for ref, index in sorted(modes.items()):
         instance = configuration.instances.get(ref.instance)
         functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
@@ -248,41 +273,46 @@ def _mode_reasons(
             yield Reason("mode", (str(ref),), f"{ref} has no mode number {index}")
         elif not (index < configuration.modes[ref] if direction == "better" else index > configuration.modes[ref]):
             now, then = functionality.modes[configuration.modes[ref]].name, functionality.modes[index].name
-            yield Reason("mode", (str(ref),), f"{then} is not a {direction} mode of {ref} than {now}, which it is in")
+            yield Reason("mode", (str(ref),), f"mode {then} of {ref} is not {direction} than its current mode, {now}")
 
 
-def _told_modes(modes: Mapping[FunctionalityRef, int], configuration: Configuration | None) -> str:
-    return ", ".join(f"{ref} to {_mode_name(ref, index, configuration)}" for ref, index in sorted(modes.items()))
-
-
-def _mode_name(ref: FunctionalityRef, index: int, configuration: Configuration | None) -> str:
-    instance = None if configuration is None else configuration.instances.get(ref.instance)
-    functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
-    if functionality is None or not 0 <= index <= functionality.last_mode:
-        return f"mode {index}"
-    return functionality.modes[index].name
+def _mode_names(
+    modes: Mapping[FunctionalityRef, int], configuration: Configuration | None
+) -> Iterator[tuple[str, str | None, str]]:
+    """Each functionality with the mode it leaves, where that is known, and the mode it enters."""
+    for ref, index in sorted(modes.items()):
+        instance = None if configuration is None else configuration.instances.get(ref.instance)
+        functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
+        if configuration is None or functionality is None or not 0 <= index <= functionality.last_mode:
+            yield str(ref), None, f"mode {index}"
+        else:
+            yield str(ref), configuration.mode(ref).name, functionality.modes[index].name
 
 
 @dataclass(frozen=True, slots=True)
 class Degrade(Action):
-    """``degrade F``: to strictly worse modes; everyone outside F, and F in its new modes, is satisfied."""
+    """``degrade F``: to strictly worse modes. F in its new modes, and every other functionality, stays satisfied."""
 
     kind: ClassVar[str] = "degrade"
+    is_structural: ClassVar[bool] = False
     modes: Map[FunctionalityRef, int]
+
+    def instances(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(ref.instance for ref in sorted(self.modes)))
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := tuple(_mode_reasons(configuration, self.modes, "worse")):
             return reasons
         after = self.effect(configuration)
-        judge, was = Evaluator(after), Evaluator(configuration)
+        now, was = Evaluator(after), Evaluator(configuration)
         affected: dict[FunctionalityRef, None] = dict.fromkeys(self.modes)
         for ref in self.modes:
             for output in configuration.functionality(ref).outputs:
                 port = PortRef(ref.instance, output)
                 for name in configuration.connectors_of.get(port, ()):
-                    if was.connector_satisfied(name) and not judge.connector_satisfied(name):
+                    if was.connector_satisfied(name) and not now.connector_satisfied(name):
                         affected.update(dict.fromkeys(configuration.consumers(name)))
-        return _unsatisfied(after, affected, f"after {self.describe(configuration)}")
+        return _unsatisfied(after, affected)
 
     def effect(self, configuration: Configuration) -> Configuration:
         return configuration.with_modes(self.modes)
@@ -291,7 +321,7 @@ class Degrade(Action):
         return (Upgrade(Map({ref: before.modes[ref] for ref in self.modes})),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return f"degrade {_told_modes(self.modes, configuration)}"
+        return wording.mode_changes("degrade", _mode_names(self.modes, configuration))
 
 
 @dataclass(frozen=True, slots=True)
@@ -299,12 +329,16 @@ class Upgrade(Action):
     """``upgrade F``: to strictly better modes, in which each of F is satisfied afterwards."""
 
     kind: ClassVar[str] = "upgrade"
+    is_structural: ClassVar[bool] = False
     modes: Map[FunctionalityRef, int]
+
+    def instances(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(ref.instance for ref in sorted(self.modes)))
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := tuple(_mode_reasons(configuration, self.modes, "better")):
             return reasons
-        return _unsatisfied(self.effect(configuration), self.modes, f"after {self.describe(configuration)}")
+        return _unsatisfied(self.effect(configuration), self.modes)
 
     def effect(self, configuration: Configuration) -> Configuration:
         return configuration.with_modes(self.modes)
@@ -313,7 +347,7 @@ class Upgrade(Action):
         return (Degrade(Map({ref: before.modes[ref] for ref in self.modes})),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return f"upgrade {_told_modes(self.modes, configuration)}"
+        return wording.mode_changes("upgrade", _mode_names(self.modes, configuration))
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,9 +357,12 @@ class Handover(Action):
     kind: ClassVar[str] = "handover"
     swaps: tuple[Swap, ...]
 
+    def instances(self) -> tuple[str, ...]:
+        return tuple(dict.fromkeys(port.instance for swap in self.swaps for port in (swap.old, swap.new)))
+
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if not self.swaps:
-            return (Reason("named", (), "no swap is named"),)
+            return (Reason("named", (), "no swap is given"),)
         reasons = [reason for swap in self.swaps for reason in _swap_reasons(configuration, swap)]
         seen: set[tuple[PortRef, str]] = set()
         for swap in self.swaps:
@@ -349,19 +386,19 @@ class Handover(Action):
         return configuration
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
-        back, apart = [], []
+        back, separate = [], []
         for swap in self.swaps:
             if satisfies(before.guarantee(swap.old), before.context.connectors[swap.connector].guarantee):
                 back.append(Swap(swap.connector, swap.new, swap.old))
             else:
-                apart.append(swap)
+                separate.append(swap)
         steps: list[Action] = [Handover(tuple(back))] if back else []
-        for swap in apart:
+        for swap in separate:
             steps += [Detach(swap.new, swap.connector), Attach(swap.old, swap.connector)]
         return tuple(steps)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return f"hand over {', '.join(str(swap) for swap in self.swaps)}"
+        return wording.handover((swap.connector, str(swap.old), str(swap.new)) for swap in self.swaps)
 
 
 def _swap_reasons(configuration: Configuration, swap: Swap) -> Iterator[Reason]:
@@ -376,7 +413,7 @@ def _swap_reasons(configuration: Configuration, swap: Swap) -> Iterator[Reason]:
     if not configuration.is_attached(swap.old, swap.connector):
         yield Reason("old attached", subjects, f"{swap.old} is not attached to {swap.connector}")
     if configuration.is_attached(swap.new, swap.connector):
-        yield Reason("new not attached", subjects, f"{swap.new} is attached to {swap.connector} already")
+        yield Reason("new not attached", subjects, f"{swap.new} is already attached to {swap.connector}")
     guarantee = configuration.guarantee(swap.new)
     if clauses := explain(guarantee, configuration.context.connectors[swap.connector].guarantee):
         because = f"{swap.new} in its current mode does not satisfy {swap.connector} ({', '.join(clauses)})"
@@ -385,11 +422,15 @@ def _swap_reasons(configuration: Configuration, swap: Swap) -> Iterator[Reason]:
 
 @dataclass(frozen=True, slots=True)
 class SetParameters(Action):
-    """``set``: changeable parameters of a live component, in place; it touches nothing else (section 6)."""
+    """``set``: changeable parameters of a live component, in place; it affects nothing else (section 6)."""
 
     kind: ClassVar[str] = "set"
+    is_structural: ClassVar[bool] = False
     instance: str
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
+
+    def instances(self) -> tuple[str, ...]:
+        return (self.instance,)
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         instance = configuration.instances.get(self.instance)
@@ -402,7 +443,7 @@ class SetParameters(Action):
                 because = f"{self.instance} has no parameter {name}"
                 reasons.append(Reason("parameter", (f"{self.instance}.{name}",), because))
             elif not declared.changeable:
-                because = f"parameter {name} of {self.instance} is not changeable: the node must be replaced"
+                because = f"parameter {name} of {self.instance} is not changeable; replace the node instead"
                 reasons.append(Reason("changeable", (f"{self.instance}.{name}",), because))
             elif not value_fits(self.parameters[name], declared.value):
                 kind, given = value_kind(declared.value), value_kind(self.parameters[name])
@@ -418,5 +459,4 @@ class SetParameters(Action):
         return (SetParameters(self.instance, Map(old)),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        told = ", ".join(f"{name} = {value}" for name, value in sorted(self.parameters.items()))
-        return f"set {told} of {self.instance}"
+        return wording.parameters(self.instance, self.parameters)

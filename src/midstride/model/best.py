@@ -1,4 +1,4 @@
-"""``best``: the one best valid mode assignment of a structure (semantics.md section 5, F2 and F3).
+"""``best``: the one best valid mode assignment of a structure (docs/semantics.md section 5, F2 and F3).
 
 It is a greatest fixed point, so no search is needed: start every functionality at its best mode
 and lower whatever is unsatisfied until nothing changes. :func:`rebalanced` does the same after a
@@ -30,24 +30,23 @@ def rebalanced(
 ) -> dict[FunctionalityRef, int]:
     """The modes that differ between ``configuration`` and ``best`` of its structure.
 
-    ``configuration`` stands in ``best`` of a structure from which its own differs only at ``seeds``: the
-    functionalities whose inputs or connectors were touched (:func:`consumers_of` names them), and
-    those of new instances.
-    Where a ``ceiling`` is given, nobody is raised above it, and "best" means the best below it.
+    The modes of ``configuration`` are ``best`` of a structure that differs from its own only at ``seeds``: the
+    functionalities whose inputs or connectors were touched (:func:`consumers_of` lists them), and those of new
+    instances. With a ``ceiling``, no functionality is raised above it, and "best" means the best within it.
     """
     overlay: dict[FunctionalityRef, int] = {}
-    judge = Evaluator(configuration, overlay)
+    evaluator = Evaluator(configuration, overlay)
     pending = list(seeds)
     touched: dict[FunctionalityRef, None] = dict.fromkeys(pending)
-    settled: set[str] = set()  # connectors that are satisfied: a further publisher changes nothing for anyone
-    while pending:  # raise, hoping for the best: whoever could gain stands at its highest mode for a moment
+    settled: set[str] = set()  # satisfied connectors: a further publisher makes no difference to any consumer
+    while pending:  # raise optimistically: every functionality that could gain goes to its highest mode first
         ref = pending.pop()
-        before, highest = judge.mode_index(ref), 0 if ceiling is None else ceiling(ref)
+        before, highest = evaluator.mode_index(ref), 0 if ceiling is None else ceiling(ref)
         if before <= highest:
             continue
         gained = [name for name in affected_connectors(configuration, ref, before, highest) if name not in settled]
         settled.update(gained)
-        gained = [name for name in gained if not judge.connector_satisfied(name)]
+        gained = [name for name in gained if not evaluator.connector_satisfied(name)]
         overlay[ref] = highest
         for name in gained:
             for consumer in configuration.consumers(name):
@@ -58,9 +57,9 @@ def rebalanced(
 
 
 def lowered(configuration: Configuration, seeds: Iterable[FunctionalityRef]) -> dict[FunctionalityRef, int]:
-    """The modes to fall to so that everybody is satisfied, from those of ``configuration``; nobody is raised.
+    """The modes to degrade to so that every functionality is satisfied again; none is raised.
 
-    Only ``seeds`` may be unsatisfied in ``configuration``, and whoever depends on them. This is the least degradation.
+    In ``configuration`` only ``seeds``, and what depends on them, may be unsatisfied. The degradation is the least.
     """
     overlay: dict[FunctionalityRef, int] = {}
     _lower(configuration, overlay, list(dict.fromkeys(seeds)))
@@ -68,15 +67,15 @@ def lowered(configuration: Configuration, seeds: Iterable[FunctionalityRef]) -> 
 
 
 def consumers_of(configuration: Configuration, port: PortRef, connector: str) -> list[FunctionalityRef]:
-    """The functionalities that an attachment of ``port`` to ``connector`` bears on directly."""
+    """The functionalities that an attachment of ``port`` to ``connector`` affects directly."""
     return list(configuration.consumers(connector)) if configuration.is_output(port) else configuration.users(port)
 
 
 class MonotoneEvaluator(Evaluator):
-    """A judge for modes that only ever get worse.
+    """An evaluator for modes that only ever get worse.
 
-    For each connector it keeps one publisher that satisfies it and looks for the next when that one falls; it
-    never looks back. So a topic with many publishers costs one walk over them in all, not one for each that falls.
+    For each connector it remembers one publisher that satisfies it and, when that one degrades, moves on to the next
+    without looking back. So a topic with many publishers costs one walk over them, not one for each that degrades.
     """
 
     __slots__ = ("_supports",)
@@ -107,22 +106,22 @@ class MonotoneEvaluator(Evaluator):
 
 
 def _lower(configuration: Configuration, overlay: dict[FunctionalityRef, int], pending: list[FunctionalityRef]) -> None:
-    """Lower in ``overlay`` whatever is unsatisfied, and whatever is so in turn. All that may be is in ``pending``."""
-    judge = MonotoneEvaluator(configuration, overlay)
+    """Lower in ``overlay`` what is unsatisfied, and what becomes so in turn. ``pending`` holds every candidate."""
+    evaluator = MonotoneEvaluator(configuration, overlay)
     waiting = set(pending)
-    fallen: set[str] = set()
+    lost: set[str] = set()
     while pending:
         ref = pending.pop()
         waiting.discard(ref)
-        before = judge.mode_index(ref)
-        after = judge.best_satisfied_mode(ref, before)
+        before = evaluator.mode_index(ref)
+        after = evaluator.best_satisfied_mode(ref, before)
         if after == before:
             continue
         overlay[ref] = after
         for name in affected_connectors(configuration, ref, before, after):
-            if name in fallen or judge.connector_satisfied(name):
+            if name in lost or evaluator.connector_satisfied(name):
                 continue
-            fallen.add(name)
+            lost.add(name)
             for consumer in configuration.consumers(name):
                 if consumer not in waiting:
                     waiting.add(consumer)

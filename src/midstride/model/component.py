@@ -1,7 +1,11 @@
-"""What is declared of a component: ports, functionalities, chains of modes, resources.
+"""What a component declares: ports, functionalities with their modes, resources, parameters.
 
-Semantics.md section 2; the paper's sections 3.2 and 4.2. A component here is a *type*; what
-runs of it is an :class:`~midstride.model.configuration.Instance`.
+A component is a *type*, such as "a lidar driver"; what runs is an
+:class:`~midstride.model.configuration.Instance` of it. It has input and output ports, which are attached to topics
+(here: connectors), and functionalities, the computations between them. Each functionality has several modes, best
+first: a mode assumes something of the inputs and guarantees something on the outputs in return. The last mode assumes
+nothing, so a functionality that loses its inputs can always degrade to it instead of failing
+(docs/semantics.md section 2; the paper's sections 3.2 and 4.2).
 """
 
 from __future__ import annotations
@@ -12,12 +16,12 @@ from typing import Final, NamedTuple, TypeAlias
 
 from immutables import Map
 
-from midstride.model.contract import DEFAULT_QOS, NOTHING, Contract, Predicate, QoS
+from midstride.model.contract import NOTHING, Contract, Predicate, QoS
 
 ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] | list[float] | list[str]"
 
 
-_KINDS: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "real", str: "text"}
+_KINDS: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "float", str: "string"}
 
 
 def value_kind(value: ParameterValue) -> str:
@@ -29,7 +33,7 @@ def value_kind(value: ParameterValue) -> str:
 
 
 def value_fits(value: ParameterValue, declared: ParameterValue) -> bool:
-    """Whether a parameter declared with one value takes the other: a whole number serves as a real one."""
+    """Whether a parameter declared with one value accepts another: an integer is accepted for a float."""
     if isinstance(declared, list):
         return isinstance(value, list) and (not declared or all(value_fits(member, declared[0]) for member in value))
     return type(value) is type(declared) or (type(value) is int and type(declared) is float)
@@ -91,7 +95,7 @@ class Mode:
         return self.guarantees.get(output, NOTHING)
 
     def needs(self) -> frozenset[Predicate | frozenset[str]]:
-        """What it assumes, whatever the order in which it is written: predicates, and inputs that are alternatives."""
+        """What it assumes, regardless of the order of declaration: predicates, and inputs that are alternatives."""
         return frozenset(frozenset(a.inputs) if isinstance(a, InputAlternatives) else a for a in self.assumptions)
 
 
@@ -114,29 +118,29 @@ class FunctionalitySpec:
         return len(self.modes) - 1
 
     def mode_index(self, name: str) -> int:
-        """The place of the mode ``name`` in the chain (0 = normal). Raises KeyError for an unknown one."""
+        """The index of the mode ``name`` in the chain (0 = normal). Raises KeyError for an unknown one."""
         for index, mode in enumerate(self.modes):
             if mode.name == name:
                 return index
         raise KeyError(name)
 
     def meaning(self) -> tuple[object, ...]:
-        """All it says, whatever the order in which its ports and assumptions are written."""
+        """Everything it declares, regardless of the order of its ports and assumptions."""
         modes = tuple((mode.name, mode.needs(), mode.guarantees) for mode in self.modes)
         return self.name, self.weight, frozenset(self.inputs), frozenset(self.outputs), modes
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterSpec:
-    """A parameter's value, and whether it may be set in place or asks for a replacement."""
+    """A parameter's value, and whether it can be set while the component runs or only by replacing it."""
 
     value: ParameterValue
     changeable: bool = False
 
 
 @dataclass(frozen=True, slots=True)
-class Endpoint:
-    """An endpoint of a node that is not a port, known and accepted (``allows service ~/reset``)."""
+class NodeEndpoint:
+    """An endpoint of a node that is accepted although it is not a port (``allows service ~/reset``)."""
 
     kind: str
     name: str
@@ -149,8 +153,8 @@ class Endpoint:
 class ComponentSpec:
     """A component type. Two are the same implementation iff their *bodies* are equal, whatever the names.
 
-    ``run`` is the process that is this component (None: started elsewhere), ``takes`` how long its
-    creation lasts (s), where known.
+    ``run`` is the command that starts it (None: it is started elsewhere), ``startup_seconds`` how long that takes
+    (s), where known.
     """
 
     name: str
@@ -161,7 +165,7 @@ class ComponentSpec:
     functionality_order: tuple[str, ...] = ()
     resource_usage: Map[str, float] = field(default_factory=Map)
     parameters: Map[str, ParameterSpec] = field(default_factory=Map)
-    allows: tuple[Endpoint, ...] = ()
+    allows: tuple[NodeEndpoint, ...] = ()
     run: str | None = None
     startup_seconds: float | None = None
     _owners: dict[str, FunctionalitySpec] = field(init=False, compare=False, repr=False)
@@ -190,7 +194,7 @@ class ComponentSpec:
         functionalities: tuple[FunctionalitySpec, ...] = (),
         holds: Mapping[str, float] | None = None,
         parameters: Mapping[str, ParameterSpec] | None = None,
-        allows: tuple[Endpoint, ...] = (),
+        allows: tuple[NodeEndpoint, ...] = (),
         run: str | None = None,
         takes: float | None = None,
     ) -> ComponentSpec:
@@ -222,7 +226,7 @@ class ComponentSpec:
         return self._owners[output]
 
     def find_owner(self, output: str) -> FunctionalitySpec | None:
-        """The same, or None: for declarations not checked yet."""
+        """The same, or None: for declarations that have not been checked yet."""
         return self._owners.get(output)
 
     def users(self, input_name: str) -> list[FunctionalitySpec]:
@@ -245,9 +249,9 @@ class ComponentSpec:
         return [*self.outputs, *self.input_order]
 
     def same_body(self, other: ComponentSpec) -> bool:
-        """Whether both are one declaration but for the name and the parameters (semantics.md section 6).
+        """Whether the two differ at most in name and parameters (docs/semantics.md section 6).
 
-        In what order ports, assumptions and endpoints are written makes no difference; that of modes does.
+        The order of ports, assumptions and endpoints makes no difference; that of modes does.
         """
         return self._body() == other._body()
 
@@ -264,10 +268,10 @@ class ComponentSpec:
 
 @dataclass(frozen=True, slots=True)
 class Connector:
-    """A topic: one guarantee, and perhaps a cap on its publishers (semantics.md section 2).
+    """A topic: one guarantee, and perhaps a cap on its publishers (docs/semantics.md section 2).
 
-    ``name`` is the connector's identity, ``topic`` the name on the wire. They differ only while a
-    topic's contract is being changed, when the old and the new connector stand side by side.
+    ``name`` is the connector's identity, ``topic`` the name on the wire. They differ only while a topic's contract
+    is being changed, when the old and the new connector exist side by side.
     """
 
     name: str
@@ -286,7 +290,7 @@ class Connector:
 
 @dataclass(frozen=True, slots=True)
 class EnvironmentGuarantee:
-    """What the environment offers. With a topic it is a publisher out of scope on that topic alone."""
+    """What the environment offers. With a topic, it is a publisher out of scope on that topic alone."""
 
     name: str
     guarantee: Predicate
@@ -295,27 +299,7 @@ class EnvironmentGuarantee:
 
 @dataclass(frozen=True, slots=True)
 class Resource:
-    """Something of which there is only so much: 1 for a device file, MiB, percent."""
+    """Something of limited capacity that components hold: a device file (1), memory (MiB), a processor (percent)."""
 
     name: str
     capacity: float = 1.0
-
-
-__all__ = [
-    "DEFAULT_QOS",
-    "Assumption",
-    "ComponentSpec",
-    "Connector",
-    "Endpoint",
-    "EnvironmentGuarantee",
-    "FunctionalityRef",
-    "FunctionalitySpec",
-    "InputAlternatives",
-    "Mode",
-    "ParameterSpec",
-    "ParameterValue",
-    "PortRef",
-    "Resource",
-    "value_fits",
-    "value_kind",
-]

@@ -1,6 +1,6 @@
-"""What must hold of one component, one predicate, one number, by itself (semantics.md sections 1 and 2).
+"""Checks of a single component, predicate or number (docs/semantics.md sections 1 and 2).
 
-Part of :mod:`midstride.model.specification_checks`. Names that are not declared are passed over here.
+Part of :mod:`midstride.model.specification_checks`. Names without a declaration are skipped here.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ Path = tuple[str, ...]
 def number_problems(value: float | None, what: str, path: Path, *, zero: bool = False) -> Iterator[Problem]:
     """``value``, where it is stated, must be finite and positive (or zero, where that has a meaning)."""
     if value is not None and not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
-        least = "at least" if zero else "more than"
-        yield Problem("E004", path, f"{what} must be finite and {least} 0, it is {format_number(value)}")
+        least = "at least" if zero else "greater than"
+        yield Problem("E004", path, f"{what} must be finite and {least} 0, but is {format_number(value)}")
 
 
 def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
-    """A predicate must have numbers that mean something, and fields that some value meets."""
+    """A predicate needs meaningful numbers, and constraints on fields that some value meets."""
     yield from number_problems(predicate.rate, "a rate in Hz", (*path, "rate"))
     yield from _qos_problems(predicate.qos, (*path, "qos"))
     for field, values in predicate.fields:
@@ -53,8 +53,8 @@ def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     for name in component.input_order:
         yield from predicate_problems(component.inputs[name], (*path, "inputs", name))
     for resource, amount in component.resource_usage.items():
-        yield from number_problems(amount, f"what is held of {resource}", (*path, "holds", resource))
-    yield from number_problems(component.startup_seconds, "a time", (*path, "takes_seconds"), zero=True)
+        yield from number_problems(amount, f"the amount held of {resource}", (*path, "holds", resource))
+    yield from number_problems(component.startup_seconds, "a start-up time", (*path, "takes_seconds"), zero=True)
     yield from _ownership(component, path)
     for functionality in component:
         yield from _functionality_rules(functionality, (*path, "functionalities", functionality.name))
@@ -70,26 +70,26 @@ def _ownership(component: ComponentSpec, path: Path) -> Iterator[Problem]:
         where = (*path, "outputs", str(index))
         if len(owners) > 1:
             message = f"output {output} is owned by {len(owners)} functionalities: {', '.join(owners)}"
-            yield Problem("E014", where, message, "let one of them alone produce it")
-        elif not owners and not misspelt and output not in guaranteed:  # else the mode that does is told
-            help = "let one produce it: add it to what that one `produces`"
-            yield Problem("E013", where, f"output {output} is owned by no functionality", help)
+            yield Problem("E014", where, message, "let only one of them produce it")
+        elif not owners and not misspelt and output not in guaranteed:  # else the mode that guarantees it is reported
+            help = "add it to what a functionality `produces`"
+            yield Problem("E013", where, f"no functionality produces output {output}", help)
 
 
 def _functionality_rules(functionality: FunctionalitySpec, path: Path) -> Iterator[Problem]:
     name, modes = functionality.name, functionality.modes
     yield from number_problems(functionality.weight, f"the weight of {name}", (*path, "weight"), zero=True)
     if len(modes) < 2:
-        count = "one mode alone" if modes else "no mode"
-        message = f"{name} has {count}: there is nothing to degrade to"
+        count = "only one mode" if modes else "no mode"
+        message = f"{name} has {count}, so there is nothing to degrade to"
         yield Problem("E015", (*path, "modes"), message, "add a last mode that assumes nothing")
     elif modes[-1].assumptions:
         assumed = ", ".join(str(assumption) for assumption in modes[-1].assumptions)
-        message = f"M1: mode {modes[-1].name}, the last of {name}, must assume nothing, it assumes {assumed}"
+        message = f"M1: mode {modes[-1].name}, the last of {name}, must assume nothing, but assumes {assumed}"
         free = next((mode.name for mode in reversed(modes) if not mode.assumptions), None)
-        help = "take that out, or add a last mode without it"
+        help = "remove the assumption, or add a last mode without it"
         if free is not None:
-            help = f"modes are listed best first: put {free}, which assumes nothing, last; or take the assumption out"
+            help = f"modes are listed best first: put {free}, which assumes nothing, last; or remove the assumption"
         yield Problem("E010", (*path, "modes", modes[-1].name), message, help)
     for mode in modes:
         where = (*path, "modes", mode.name)
@@ -104,11 +104,11 @@ def _functionality_rules(functionality: FunctionalitySpec, path: Path) -> Iterat
     for output in dict.fromkeys(functionality.outputs):
         split = yield from _one_endpoint(functionality, output, path)
         for better, worse in pairwise(modes):
-            yield from _no_better(functionality, output, better, worse, split, path)
+            yield from _monotone(functionality, output, better, worse, split, path)
 
 
 def _one_endpoint(functionality: FunctionalitySpec, output: str, path: Path) -> Generator[Problem, None, bool]:
-    """M3, told at the first mode that disagrees. Returns whether there is one."""
+    """M3, reported for the first mode that disagrees. Returns whether there is one."""
     first: tuple[Mode, Predicate] | None = None
     for mode in functionality.modes:
         guarantee = mode.guarantee(output)
@@ -120,32 +120,32 @@ def _one_endpoint(functionality: FunctionalitySpec, output: str, path: Path) -> 
         where = (*path, "modes", mode.name, "guarantees", output)
         if guarantee.type != first[1].type:
             message = (
-                f"M3: output {output} is one endpoint, but is {first[1].type} in mode {first[0].name}"
+                f"M3: output {output} is one endpoint, but has type {first[1].type} in mode {first[0].name}"
                 f" and {guarantee.type} in mode {mode.name}"
             )
             yield Problem("E012", where, message, f"write {first[1].type} in both, or use two outputs")
             return True
         if not guarantee.qos.same_endpoint(first[1].qos):
             message = (
-                f"M3: output {output} is one endpoint, but has {_told(first[1].qos)} in mode {first[0].name}"
-                f" and {_told(guarantee.qos)} in mode {mode.name}"
+                f"M3: output {output} is one endpoint, but has {_in_words(first[1].qos)} in mode {first[0].name}"
+                f" and {_in_words(guarantee.qos)} in mode {mode.name}"
             )
             yield Problem("E012", where, message, "state one QoS in both, or use two outputs")
             return True
     return False
 
 
-def _told(qos: QoS) -> str:
+def _in_words(qos: QoS) -> str:
     return str(qos) or "the default QoS"
 
 
-def _no_better(
+def _monotone(
     functionality: FunctionalitySpec, output: str, better: Mode, worse: Mode, split: bool, path: Path
 ) -> Iterator[Problem]:
     """M2 for two neighbours of the chain; for all pairs it follows, since ⊨ is transitive.
 
-    For every q, worse ⊨ q must imply better ⊨ q. That is so iff worse is nothing, or better ⊨ worse: take
-    worse itself for q. Type and QoS are left to M3 where the modes are ``split`` over them.
+    For every q, worse ⊨ q must imply better ⊨ q. That holds iff worse is nothing or better ⊨ worse (take worse itself
+    for q). Where the modes are ``split`` over type or QoS, that is reported as M3 alone.
     """
     least, most = worse.guarantee(output), better.guarantee(output)
     if not isinstance(least, Predicate):

@@ -1,8 +1,8 @@
-"""Configurations: what is live, what is attached to what, and which mode each functionality is in.
+"""A configuration: what runs, which port is attached to which topic, and which mode each functionality is in.
 
-Semantics.md section 2. A configuration is a value: it is never mutated, every change yields a
-new one that shares what did not change (``immutables.Map``), so the cost of a change does not
-depend on the size of the system. Nothing here judges: see :mod:`midstride.model.rules`.
+A snapshot of a system, as a value: it is never mutated, and every change yields a new one that shares what did not
+change (``immutables.Map``), so the cost of a change does not depend on the size of the system. Whether a
+configuration is valid is not decided here but in :mod:`midstride.model.rules` (docs/semantics.md section 2).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _NONE_HELD = Fraction()
 
 @dataclass(frozen=True, slots=True)
 class SystemContext:
-    """What a configuration lives in: the connectors, the environment, the resources."""
+    """What surrounds the components: the connectors, the environment, the resources."""
 
     connectors: Map[str, Connector] = field(default_factory=Map)
     environment: tuple[EnvironmentGuarantee, ...] = ()
@@ -54,24 +54,24 @@ class SystemContext:
         return self._by_topic.get(connector.topic, ())
 
     def offers(self) -> tuple[EnvironmentGuarantee, ...]:
-        """The environment's guarantees that no one has to attach to."""
+        """The environment's guarantees that hold without any attachment."""
         return self._by_topic.get(None, ())
 
     def capacity(self, resource: str) -> float:
-        """How much there is of ``resource``; 1 for one that is not declared."""
+        """The capacity of ``resource``; 1 for one that is not declared."""
         declared = self.resources.get(resource)
         return 1.0 if declared is None else declared.capacity
 
 
 @lru_cache(maxsize=4096)
 def to_fraction(amount: float) -> Fraction:
-    """The number as it is written: sums of such do not depend on their order, and 0.1 + 0.2 is 0.3."""
+    """The number exactly as written, so that 0.1 + 0.2 is 0.3 and a sum does not depend on its order."""
     return Fraction(repr(amount))
 
 
 @dataclass(frozen=True, slots=True)
 class Instance:
-    """What runs: an instance of a role's component. The first bears the role's name (section 6).
+    """What runs: an instance of a role's component. The first one has the role's name (docs/semantics.md section 6).
 
     ``parameters`` holds the value of every parameter: its component's where none is given.
     """
@@ -95,11 +95,11 @@ class Instance:
 class Configuration:
     """The live components, the attachments, and the current mode of each functionality.
 
-    ``connectors_of`` maps an attached port to its connectors; ``publishers`` and ``subscribers``
-    are the same relation seen from a connector; ``held`` is how much live components hold of each
-    resource together, ``holders`` which of them do; ``players`` the names of a role's live instances.
-    The last five are derived, kept so that a change costs no walk over the system. Nothing empty is
-    kept, so that equal configurations are equal values, by whatever way they were reached.
+    ``connectors_of`` maps an attached port to its connectors; ``publishers`` and ``subscribers`` are the same
+    relation seen from a connector; ``held`` is how much of each resource the live components hold together,
+    ``holders`` which of them do; ``instances_by_role`` names the live instances of each role. The last five are
+    derived, kept so that a change does not walk the system. Empty entries are dropped, so that configurations
+    reached in different ways are equal values.
     """
 
     context: SystemContext = field(default_factory=SystemContext)
@@ -115,7 +115,7 @@ class Configuration:
     # -- reading ---------------------------------------------------------------------------------
 
     def component(self, instance: str) -> ComponentSpec:
-        """The component that ``instance`` is one of. Raises KeyError where it is not live."""
+        """The component of ``instance``. Raises KeyError where it is not live."""
         return self.instances[instance].component
 
     def functionality(self, ref: FunctionalityRef) -> FunctionalitySpec:
@@ -170,7 +170,7 @@ class Configuration:
         return [FunctionalityRef(input_port.instance, f.name) for f in component.users(input_port.port)]
 
     def consumers(self, connector: str) -> Iterator[FunctionalityRef]:
-        """The functionalities that use an input attached to ``connector`` (some perhaps twice)."""
+        """The functionalities that use an input attached to ``connector``; one may occur several times."""
         for port in self.subscribers_on(connector):
             yield from self.users(port)
 
@@ -178,7 +178,7 @@ class Configuration:
         """The live instances of a role, sorted by name."""
         return [self.instances[name] for name in sorted(self.instances_by_role.get(role, _NO_NAMES))]
 
-    # -- changing: each yields a new configuration, and judges nothing ------------------------------
+    # -- changing: each yields a new configuration, valid or not ------------------------------------
 
     def with_instance(self, instance: Instance) -> Configuration:
         """``instance`` live and isolated, every functionality in its last mode."""
@@ -198,10 +198,10 @@ class Configuration:
     def without_instance(self, name: str) -> Configuration:
         """``name`` no longer live, nor any of its attachments."""
         instance = self.instances[name]
-        bare = self
+        isolated = self
         for port, connector in self.attached_ports(name):
-            bare = bare.without_attachment(port, connector)
-        held, holders = bare.held, bare.holders
+            isolated = isolated.without_attachment(port, connector)
+        held, holders = isolated.held, isolated.holders
         for resource, amount in instance.component.resource_usage.items():
             rest = holders[resource].delete(name)
             if rest:
@@ -209,18 +209,18 @@ class Configuration:
                 holders = holders.set(resource, rest)
             else:
                 held, holders = held.delete(resource), holders.delete(resource)
-        modes = bare.modes
+        modes = isolated.modes
         for ref in instance.functionality_refs():
             modes = modes.delete(ref)
-        others = bare.instances_by_role[instance.role].delete(name)
+        others = isolated.instances_by_role[instance.role].delete(name)
         instances_by_role = (
-            bare.instances_by_role.set(instance.role, others)
+            isolated.instances_by_role.set(instance.role, others)
             if others
-            else bare.instances_by_role.delete(instance.role)
+            else isolated.instances_by_role.delete(instance.role)
         )
-        instances = bare.instances.delete(name)
+        instances = isolated.instances.delete(name)
         return replace(
-            bare, instances=instances, modes=modes, held=held, holders=holders, instances_by_role=instances_by_role
+            isolated, instances=instances, modes=modes, held=held, holders=holders, instances_by_role=instances_by_role
         )
 
     def with_attachment(self, port: PortRef, connector: str) -> Configuration:
@@ -265,23 +265,23 @@ def configure(
     attachments: Iterable[tuple[PortRef, str]],
     modes: Mapping[FunctionalityRef, int] | None = None,
 ) -> Configuration:
-    """A whole configuration at once; functionalities not in ``modes`` stand in their last mode.
+    """A whole configuration at once; functionalities not in ``modes`` are in their last mode.
 
     Linear in the system, where building it change by change would copy as it goes.
     """
     live: dict[str, Instance] = {instance.name: instance for instance in instances}
-    standing: dict[FunctionalityRef, int] = {}
+    entered: dict[FunctionalityRef, int] = {}
     held: dict[str, Fraction] = {}
     holders: dict[str, dict[str, None]] = {}
     instances_by_role: dict[str, dict[str, None]] = {}
     for instance in live.values():
         instances_by_role.setdefault(instance.role, {})[instance.name] = None
         for functionality in instance.component:
-            standing[FunctionalityRef(instance.name, functionality.name)] = functionality.last_mode
+            entered[FunctionalityRef(instance.name, functionality.name)] = functionality.last_mode
         for resource, amount in instance.component.resource_usage.items():
             held[resource] = held.get(resource, _NONE_HELD) + to_fraction(amount)
             holders.setdefault(resource, {})[instance.name] = None
-    standing.update(modes or {})
+    entered.update(modes or {})
     connectors_of: dict[PortRef, dict[str, None]] = {}
     publishers: dict[str, dict[PortRef, None]] = {}
     subscribers: dict[str, dict[PortRef, None]] = {}
@@ -293,7 +293,7 @@ def configure(
         context=context,
         instances=Map(live),
         connectors_of=Map({port: Map(names) for port, names in connectors_of.items()}),
-        modes=Map(standing),
+        modes=Map(entered),
         publishers=_frozen(publishers),
         subscribers=_frozen(subscribers),
         held=Map(held),

@@ -1,8 +1,9 @@
-"""Contracts: predicates over the messages on a port, and when one satisfies another.
+"""Contracts: what the messages on a port are like, and when one contract satisfies another.
 
-Semantics.md section 1; the paper's section 5.1, with QoS and field constraints added.
-A contract is either :data:`NOTHING` or a :class:`Predicate`. ``explain`` tells clause by
-clause why one does not satisfy another; ``satisfies`` only says whether.
+A :class:`Predicate` states a message type and, optionally, a rate, a QoS profile and constraints on fields. As a
+*guarantee* it says what is produced, as an *assumption* what is needed. :data:`NOTHING` is the contract of an output
+that produces nothing. ``satisfies`` says whether a guarantee is good enough for an assumption, ``explain`` says clause
+by clause why it is not (docs/semantics.md section 1; the paper's section 5.1, with QoS and fields added).
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ def format_number(number: float) -> str:
 
 @dataclass(frozen=True, slots=True)
 class QoS:
-    """A QoS profile. None means "not stated", which stands for ROS 2's default on either side.
+    """A QoS profile. None means "not stated": ROS 2's default applies, on either side.
 
     ``deadline``, ``lease`` and ``lifespan`` are in seconds. ``depth``, ``history`` and
     ``lifespan`` shape the endpoint but play no part in satisfaction.
@@ -77,7 +78,7 @@ class QoS:
         return self.durability == "transient_local"
 
     def same_endpoint(self, other: QoS) -> bool:
-        """Whether both ask for one and the same real endpoint (rule M3), defaults written out or not."""
+        """Whether both describe the same real endpoint (rule M3), with or without the defaults written out."""
         return self.effective() == other.effective()
 
     def effective(self) -> QoS:
@@ -123,7 +124,7 @@ class Interval:
     high_open: bool = False
 
     def __post_init__(self) -> None:
-        if math.isinf(self.low):  # an infinite end is never reached: open and closed mean the same
+        if math.isinf(self.low):  # an infinite end is never reached, so open and closed mean the same
             object.__setattr__(self, "low_open", False)
         if math.isinf(self.high):
             object.__setattr__(self, "high_open", False)
@@ -234,8 +235,8 @@ class Predicate:
     """What the messages on a port are like: their type, rate (Hz), QoS, and the values of fields.
 
     As a guarantee it says what is produced (at least ``rate``), as an assumption what is needed.
-    ``fields`` holds one set of values for each constrained field, sorted by the field's path; several
-    that are given for one field are made one.
+    ``fields`` holds one set of values for each constrained field, sorted by the field's path; several constraints on
+    one field are intersected.
     """
 
     type: str
@@ -244,7 +245,7 @@ class Predicate:
     fields: tuple[tuple[str, ValueSet], ...] = field(default=())
 
     def __post_init__(self) -> None:
-        """One way of writing for what means the same: constraints on one field are one set, a point is a value."""
+        """Normalise: one set of values for each field, and a one-point interval becomes a value."""
         object.__setattr__(self, "type", canonical_type(self.type))
         if self.fields:
             sets: dict[str, ValueSet] = {}
@@ -257,7 +258,7 @@ class Predicate:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no message at all is like this: a field whose constraints contradict each other."""
+        """Whether no message can be like this, because the constraints on a field contradict each other."""
         return any(values.is_empty for _, values in self.fields)
 
     def constraint(self, path: str) -> ValueSet | None:
@@ -279,7 +280,7 @@ Contract: TypeAlias = Predicate | Nothing
 
 
 def satisfies(offered: Contract, needed: Contract) -> bool:
-    """``offered ⊨ needed`` (semantics.md section 1): transitive, and reflexive but for nothing."""
+    """``offered ⊨ needed`` (docs/semantics.md section 1): transitive, and reflexive except for ``nothing``."""
     if offered is needed:
         return offered is not NOTHING
     if isinstance(offered, _Nothing) or isinstance(needed, _Nothing):

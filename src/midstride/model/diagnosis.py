@@ -1,6 +1,6 @@
-"""Why a functionality is not in a better mode: the chain of reasons, from it to what falls short.
+"""Why a functionality cannot be in a better mode: the chain of reasons, down to the root cause.
 
-A configuration in its best modes is taken; in any other one the answer says what is unsatisfied now.
+Meant for configurations in their best modes; in any other, the answer says what is unsatisfied now.
 """
 
 from __future__ import annotations
@@ -14,99 +14,99 @@ from midstride.model.configuration import Configuration
 from midstride.model.contract import satisfies
 from midstride.model.rules import Evaluator
 
-_Aim: TypeAlias = tuple[FunctionalityRef, int]
+_Goal: TypeAlias = tuple[FunctionalityRef, int]
 
 
 def reasons_against(configuration: Configuration, ref: FunctionalityRef, mode: int = 0) -> tuple[str, ...]:
-    """Why ``ref`` cannot be in its mode number ``mode``, then why those cannot help that could; () if it can.
+    """Why ``ref`` cannot be in its mode number ``mode``, then why its suppliers cannot help; () if it can.
 
-    Each functionality on the way is told once, so a cycle ends.
+    Each functionality occurs once, so a cycle ends.
     """
-    judge = Evaluator(configuration)
-    told: list[str] = []
+    evaluator = Evaluator(configuration)
+    reasons: list[str] = []
     seen = {ref}
     waiting = deque([(ref, mode)])
     while waiting:
         current, index = waiting.popleft()
         functionality = configuration.functionality(current)
         for assumption in functionality.modes[index].assumptions:
-            if judge.assumption_satisfied(current, functionality, assumption):
+            if evaluator.assumption_satisfied(current, functionality, assumption):
                 continue
-            because = judge.why_assumption_unsatisfied(current, assumption)
-            told.append(f"{current} cannot be in mode {functionality.modes[index].name}: it {because}")
-            for other in _helpers(judge, current, functionality, assumption):
+            because = evaluator.why_assumption_unsatisfied(current, assumption)
+            reasons.append(f"{current} cannot be in mode {functionality.modes[index].name}: it {because}")
+            for other in _suppliers(evaluator, current, functionality, assumption):
                 if other[0] not in seen:
                     seen.add(other[0])
                     waiting.append(other)
-    return tuple(told)
+    return tuple(reasons)
 
 
 class Diagnosis:
-    """The same for many functionalities of one configuration: chains cut short, each with what it ends in.
+    """The same for many functionalities of one configuration, each chain shortened to its first reasons and the last.
 
-    All of them together cost no more than the configuration: each step of a chain is worked out once.
+    All chains together cost no more than a walk over the configuration: each step of a chain is worked out once.
     """
 
     def __init__(self, configuration: Configuration) -> None:
         self.configuration = configuration
-        self._judge = Evaluator(configuration)
-        self._steps: dict[_Aim, tuple[tuple[str, ...], tuple[_Aim, ...]]] = {}
-        self._ends: dict[_Aim, str] = {}
+        self._evaluator = Evaluator(configuration)
+        self._steps: dict[_Goal, tuple[tuple[str, ...], tuple[_Goal, ...]]] = {}
+        self._ends: dict[_Goal, str] = {}
 
     def chain(self, ref: FunctionalityRef, mode: int = 0, most: int = 4) -> tuple[str, ...]:
-        """As :func:`reasons_against`, but after ``most`` reasons only what the first way on ends in."""
-        told: list[str] = []
+        """As :func:`reasons_against`, but after ``most`` reasons only the root cause on the first path."""
+        found: list[str] = []
         seen = {ref}
         waiting = deque([(ref, mode)])
-        while waiting and len(told) < most:
-            reasons, helpers = self._step(waiting.popleft())
-            told += reasons
-            for other in helpers:
+        while waiting and len(found) < most:
+            reasons, suppliers = self._step(waiting.popleft())
+            found += reasons
+            for other in suppliers:
                 if other[0] not in seen:
                     seen.add(other[0])
                     waiting.append(other)
-        if waiting and (end := self._end(waiting[0])) and end not in told:
-            told.append(f"… in the end {end}")
-        return tuple(told)
+        if waiting and (end := self._end(waiting[0])) and end not in found:
+            found.append(f"… root cause: {end}")
+        return tuple(found)
 
-    def _step(self, aim: _Aim) -> tuple[tuple[str, ...], tuple[_Aim, ...]]:
-        """The reasons against one aim, and the aims that would help it."""
-        if aim not in self._steps:
-            ref, index = aim
+    def _step(self, goal: _Goal) -> tuple[tuple[str, ...], tuple[_Goal, ...]]:
+        """The reasons against one goal, and the goals that would help it."""
+        if goal not in self._steps:
+            ref, index = goal
             functionality = self.configuration.functionality(ref)
-            told: list[str] = []
-            helpers: list[_Aim] = []
+            reasons: list[str] = []
+            suppliers: list[_Goal] = []
             for assumption in functionality.modes[index].assumptions:
-                if not self._judge.assumption_satisfied(ref, functionality, assumption):
-                    because = self._judge.why_assumption_unsatisfied(ref, assumption)
-                    told.append(f"{ref} cannot be in mode {functionality.modes[index].name}: it {because}")
-                    helpers += _helpers(self._judge, ref, functionality, assumption)
-            self._steps[aim] = tuple(told), tuple(helpers)
-        return self._steps[aim]
+                if not self._evaluator.assumption_satisfied(ref, functionality, assumption):
+                    because = self._evaluator.why_assumption_unsatisfied(ref, assumption)
+                    reasons.append(f"{ref} cannot be in mode {functionality.modes[index].name}: it {because}")
+                    suppliers += _suppliers(self._evaluator, ref, functionality, assumption)
+            self._steps[goal] = tuple(reasons), tuple(suppliers)
+        return self._steps[goal]
 
-    def _end(self, aim: _Aim) -> str:
-        """The last reason on the first way on from ``aim``; a cycle ends where it comes round."""
-        way: dict[_Aim, None] = {}
+    def _end(self, goal: _Goal) -> str:
+        """The last reason on the first path from ``goal``; a cycle ends where it closes."""
+        path: dict[_Goal, None] = {}
         end = ""
-        while aim not in self._ends:
-            told, helpers = self._step(aim)
-            end = told[-1] if told else end
-            way[aim] = None
-            onward = next((other for other in helpers if other not in way), None)
-            if onward is None:
+        while goal not in self._ends:
+            reasons, suppliers = self._step(goal)
+            end = reasons[-1] if reasons else end
+            path[goal] = None
+            following = next((other for other in suppliers if other not in path), None)
+            if following is None:
                 break
-            aim = onward
+            goal = following
         else:
-            end = self._ends[aim]
-        self._ends.update(dict.fromkeys(way, end))
+            end = self._ends[goal]
+        self._ends.update(dict.fromkeys(path, end))
         return end
 
 
-def _helpers(
-    judge: Evaluator, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption
+def _suppliers(
+    evaluator: Evaluator, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption
 ) -> Iterator[tuple[FunctionalityRef, int]]:
     """The functionalities that would satisfy the assumption if they were in a better mode, and that mode."""
-    configuration, inputs = judge.configuration, judge.configuration.component(ref.instance).inputs
+    configuration, inputs = evaluator.configuration, evaluator.configuration.component(ref.instance).inputs
     if isinstance(assumption, InputAlternatives):
         names = list(assumption.inputs)
     else:
@@ -119,7 +119,7 @@ def _helpers(
             for output in sorted(configuration.publishers_on(topic)):
                 owner = configuration.component(output.instance).owner(output.port)
                 other = FunctionalityRef(output.instance, owner.name)
-                for index in range(judge.mode_index(other) - 1, -1, -1):
+                for index in range(evaluator.mode_index(other) - 1, -1, -1):
                     if satisfies(owner.modes[index].guarantee(output.port), connector.guarantee):
                         yield other, index
                         break

@@ -1,8 +1,10 @@
-"""Validity, the safety property: what is satisfied, what is not, and why not.
+"""Validity, the safety property: every functionality has what its current mode assumes.
 
-Semantics.md section 3; the paper's section 4.1. Every judgement is local: it looks at one
-connector, input or functionality and its neighbours, never at the whole system. Only
-:func:`violations` walks everything.
+A topic is satisfied while a publisher guarantees enough on it, an input while a topic it is attached to is, a
+functionality while every assumption of its current mode is. A configuration is *valid* if that holds of every
+functionality, and no publisher cap or resource capacity is exceeded (docs/semantics.md section 3; the paper's
+section 4.1). An :class:`Evaluator` looks at one connector, input or functionality and its neighbours, never at the
+whole system; only :func:`violations` walks everything.
 """
 
 from __future__ import annotations
@@ -23,14 +25,14 @@ from midstride.model.component import (
 from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import Contract, explain, format_number, satisfies
 
-_SHOWN = 8  # so many names a message lists
+_SHOWN = 8  # how many names a message lists
 
 
 @dataclass(frozen=True, slots=True)
 class Violation:
-    """One way in which a configuration is not valid, as data and (``str``) in words.
+    """One reason why a configuration is not valid, as data and (``str``) in words.
 
-    ``names`` are the functionality, ports, topics or resources on whose account it is not.
+    ``names`` are the functionalities, ports, topics or resources concerned.
     """
 
     kind: Literal["assumption", "attachment", "cap", "capacity"]
@@ -43,7 +45,7 @@ class Violation:
 
 
 class Evaluator:
-    """Judges one configuration; ``overlay`` stands for modes that are only being considered."""
+    """Evaluates one configuration; ``overlay`` holds modes to assume instead of the current ones."""
 
     __slots__ = ("configuration", "modes", "overlay")
 
@@ -57,7 +59,7 @@ class Evaluator:
         return self.modes[ref] if index is None else index
 
     def guarantee(self, output: PortRef) -> Contract:
-        """What a live output guarantees in the mode its owner stands in."""
+        """What a live output guarantees in the mode of its owner."""
         owner = self.configuration.component(output.instance).owner(output.port)
         return owner.modes[self.mode_index(FunctionalityRef(output.instance, owner.name))].guarantee(output.port)
 
@@ -99,7 +101,7 @@ class Evaluator:
         return all(self.assumption_satisfied(ref, functionality, a) for a in functionality.modes[index].assumptions)
 
     def satisfied(self, ref: FunctionalityRef) -> bool:
-        """Whether the mode ``ref`` stands in has all it assumes."""
+        """Whether every assumption of the mode that ``ref`` is in is satisfied."""
         return self.mode_satisfied(ref, self.mode_index(ref))
 
     def best_satisfied_mode(self, ref: FunctionalityRef, start: int) -> int:
@@ -107,7 +109,7 @@ class Evaluator:
         last = self.configuration.functionality(ref).last_mode
         return next((index for index in range(start, last) if self.mode_satisfied(ref, index)), last)
 
-    # -- the same, told ------------------------------------------------------------------------------
+    # -- the same, with reasons ----------------------------------------------------------------------
 
     def why_connector_unsatisfied(self, name: str) -> str:
         connector = self.configuration.context.connectors.get(name)
@@ -121,12 +123,12 @@ class Evaluator:
             shortfalls.append(f"{output} in mode {mode.name}: {', '.join(clauses)}")
         for offer in self.configuration.context.publishers_out_of_scope(connector):
             shortfalls.append(f"environment {offer.name}: {', '.join(explain(offer.guarantee, connector.guarantee))}")
-        return f"nobody satisfies {name} ({'; '.join(shortfalls) if shortfalls else 'it has no publisher'})"
+        return f"no publisher satisfies {name} ({'; '.join(shortfalls)})" if shortfalls else f"{name} has no publisher"
 
     def why_input_unsatisfied(self, port: PortRef) -> str:
         attached = self.configuration.attached_to(port)
         if not attached:
-            return f"input {port} is not attached"
+            return f"input {port} is not attached to any topic"
         assumption = self.configuration.component(port.instance).inputs[port.port]
         reasons = []
         for name in attached:
@@ -139,7 +141,7 @@ class Evaluator:
         return "; ".join(reasons)
 
     def why_assumption_unsatisfied(self, ref: FunctionalityRef, assumption: Assumption) -> str:
-        """The reasons, as a chain from the assumption to what falls short."""
+        """The reasons, from the assumption down to the contract that falls short."""
         if isinstance(assumption, InputAlternatives):
             reasons = [self.why_input_unsatisfied(PortRef(ref.instance, name)) for name in assumption.inputs]
             return f"assumes {assumption}: " + "; ".join(reasons)
@@ -151,13 +153,13 @@ class Evaluator:
                 reasons.append(self.why_input_unsatisfied(PortRef(ref.instance, name)))
             else:
                 clauses = ", ".join(explain(inputs[name], assumption))
-                reasons.append(f"input {ref.instance}.{name} does not count ({clauses})")
+                reasons.append(f"input {ref.instance}.{name} does not satisfy it ({clauses})")
         if not reasons:
-            reasons.append("it has no associated input, and the environment does not offer it")
+            reasons.append(f"{ref} uses no input, and the environment does not guarantee it")
         return f"assumes {assumption}: " + "; ".join(reasons)
 
     def violations_of(self, refs: Iterable[FunctionalityRef]) -> Iterator[Violation]:
-        """The unsatisfied assumptions of the functionalities named."""
+        """The unsatisfied assumptions of ``refs``."""
         for ref in sorted(set(refs)):
             functionality = self.configuration.functionality(ref)
             mode: Mode = functionality.modes[self.mode_index(ref)]
@@ -168,7 +170,7 @@ class Evaluator:
                     yield Violation("assumption", f"{ref} in mode {mode.name}", because, names)
 
     def _concerned(self, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption) -> list[str]:
-        """The ports and topics an assumption looks at: its inputs, their topics, and who publishes there."""
+        """The ports and topics that an assumption depends on: its inputs, their topics, and the publishers there."""
         inputs = assumption.inputs if isinstance(assumption, InputAlternatives) else functionality.inputs
         ports = [PortRef(ref.instance, name) for name in inputs]
         topics = [name for port in ports for name in self.configuration.attached_to(port)]
@@ -200,7 +202,7 @@ def capacity_violation(configuration: Configuration, resource: str) -> Violation
     if held is None or held <= to_fraction(capacity):
         return None
     holders = _listed(sorted(configuration.holders[resource]))
-    because = f"{format_number(float(held))} held by {holders}, capacity {format_number(capacity)}"
+    because = f"{format_number(float(held))} held by {holders}, but the capacity is {format_number(capacity)}"
     return Violation(
         "capacity", f"resource {resource}", because, (resource, *sorted(configuration.holders[resource])[:_SHOWN])
     )
@@ -212,7 +214,7 @@ def _listed(names: list[str]) -> str:
 
 
 def violations(configuration: Configuration) -> list[Violation]:
-    """Every way in which ``configuration`` is not valid; empty iff it is (semantics.md section 3). Walks the system."""
+    """Every reason why ``configuration`` is not valid (docs/semantics.md section 3). Walks the system."""
     found: list[Violation] = []
     for port, connector in sorted(configuration.attachments()):
         where = f"{port} on {connector}"
@@ -239,15 +241,3 @@ def is_valid(configuration: Configuration) -> bool:
 def normal_guarantee(component: ComponentSpec, output: str) -> Contract:
     """What ``output`` guarantees in the normal mode of its owner."""
     return component.owner(output).modes[0].guarantee(output)
-
-
-__all__ = [
-    "Evaluator",
-    "Violation",
-    "cap_violation",
-    "capacity_violation",
-    "is_valid",
-    "normal_guarantee",
-    "publishers_count",
-    "violations",
-]

@@ -1,7 +1,7 @@
-"""A specification: what a robot's software is made of, as a value (language.md; semantics.md sections 2 and 6).
+"""A specification: a whole system as its author declares it (docs/semantics.md sections 2 and 6).
 
-A node of a specification is a *role*. :func:`initial` gives the configuration a specification
-starts as; the planners take a configuration to a specification.
+A node of a specification is a *role*. :func:`initial` yields the configuration in which the specified system starts;
+the planners lead from a running configuration to another specification.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from midstride.model.component import (
 from midstride.model.configuration import Configuration, Instance, SystemContext, configure
 from midstride.model.contract import format_number
 
-# What a step takes where neither the file nor earlier runs say (s); platform.md measured the order of magnitude.
+# The duration of a step (s) where neither the file nor earlier runs provide one; the orders of magnitude are measured.
 DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
     {
         "create": 1.0,
@@ -42,7 +42,7 @@ DEFAULT_SECONDS: Final[Mapping[str, float]] = Map(
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A role: the component it is one of, the topics its ports are attached to, its own parameter values."""
+    """A role: its component, the topics its ports are attached to, and its own parameter values."""
 
     role: str
     component: str
@@ -56,7 +56,7 @@ class Node:
 
 @dataclass(frozen=True, slots=True)
 class Keep:
-    """``keep r.f at mode``: its level never below that mode, throughout."""
+    """``keep r.f at mode``: the functionality never falls below that mode during a plan."""
 
     functionality: FunctionalityRef
     mode: str
@@ -92,7 +92,7 @@ Constraint = Keep | Limit | Order
 
 @dataclass(frozen=True, slots=True)
 class Specification:
-    """Everything a ``.stride`` file says, resolved. ``timing`` holds seconds by kind of step, where stated."""
+    """Everything a ``.stride`` file declares. ``timing`` holds the duration (s) of each kind of step, where stated."""
 
     name: str
     connectors: Map[str, Connector] = field(default_factory=Map)
@@ -120,7 +120,7 @@ class Specification:
         return Instance(name or role, role, self.components[node.component], self.parameters_of(role))
 
     def parameters_of(self, role: str) -> Map[str, ParameterValue]:
-        """The values a node of that role runs with: its component's, and its own over them."""
+        """The parameter values of the role: its own, and its component's for the rest."""
         node = self.nodes[role]
         declared = self.components[node.component].parameters
         values: dict[str, Any] = {name: parameter.value for name, parameter in declared.items()}
@@ -128,7 +128,7 @@ class Specification:
         return Map(values)
 
     def attachments_of(self, role: str, instance: str | None = None) -> list[tuple[PortRef, str]]:
-        """The attachments a node of that role has, outputs first, in order of declaration."""
+        """The attachments of the role, outputs first, in order of declaration."""
         node, component = self.nodes[role], self.component_of(role)
         return [
             (PortRef(instance or role, port), connector)
@@ -148,22 +148,22 @@ class Specification:
     # -- changes that share everything else ------------------------------------------------------------
 
     def with_node(self, node: Node) -> Specification:
-        return self._elsewhere(nodes=self.nodes.set(node.role, node))
+        return self._with(nodes=self.nodes.set(node.role, node))
 
     def without_node(self, role: str) -> Specification:
-        """Without the role, and without the constraints that speak of it. Raises KeyError for an unknown one."""
+        """Without the role, and without the constraints that name it. Raises KeyError for an unknown one."""
         constraints = tuple(c for c in self.constraints if role not in _roles_of(c))
-        return self._elsewhere(nodes=self.nodes.delete(role), constraints=constraints)
+        return self._with(nodes=self.nodes.delete(role), constraints=constraints)
 
-    def _elsewhere(self, **changes: Any) -> Specification:
-        """With ``changes`` to anything but the context, which is shared."""
+    def _with(self, **changes: Any) -> Specification:
+        """With ``changes`` that leave the context as it is, so that it is shared."""
         context = self.context
         changed = replace(self, **changes)
         object.__setattr__(changed, "_context", context)
         return changed
 
     def with_replaced(self, role: str, component: str) -> Specification:
-        """``role`` played by another component, on the same topics. Raises KeyError for an unknown name."""
+        """``role`` with another component, on the same topics. Raises KeyError for an unknown name."""
         if component not in self.components:
             raise KeyError(component)
         return self.with_node(replace(self.nodes[role], component=component))
@@ -185,5 +185,5 @@ def structure(specification: Specification) -> Configuration:
 
 
 def initial(specification: Specification) -> Configuration:
-    """The configuration a specification starts as: its structure, in ``best`` of it."""
+    """The configuration in which the system starts: its structure, in the best modes that it allows."""
     return best(structure(specification))

@@ -23,12 +23,12 @@ from midstride.model.specification import Keep, Limit, Node, Order, Specificatio
 
 
 def check_component(component: ComponentSpec) -> tuple[Problem, ...]:
-    """The problems of one component by itself: names, numbers, ownership, M1, M2, M3."""
+    """The problems of one component alone: names, numbers, ownership, M1, M2, M3."""
     return _sorted([*component_names(component, ()), *component_rules(component, ())])
 
 
 def check_node(specification: Specification, role: str) -> tuple[Problem, ...]:
-    """The problems of one node by itself, its component's own aside: names, contracts, parameters."""
+    """The problems of one node, without those of its component: names, contracts, parameters."""
     node, path = specification.nodes[role], ("nodes", role)
     return _sorted([*node_names(specification, node, path), *_node_problems(specification, node, path)])
 
@@ -39,18 +39,18 @@ def check(specification: Specification) -> tuple[Problem, ...]:
     named = not found
     for name, component in specification.components.items():
         found += component_rules(component, ("components", name))
-    found += _world_problems(specification)
+    found += _context_problems(specification)
     for role, node in specification.nodes.items():
         found += _node_problems(specification, node, ("nodes", role))
     found += _too_many_publishers(specification)
     found += _capacities(specification)
     found += _constraint_problems(specification)
-    found += _hopeless(specification)
+    found += _unsatisfiable(specification)
     if named:
         whole = structure(specification)
         found += _unsatisfied_topics(whole)
-        if not errors(found):  # what stands in which mode means nothing before the rest is right
-            found += _at_first(specification, best(whole))
+        if not errors(found):  # the modes are meaningless before the rest is correct
+            found += _at_start(specification, best(whole))
     return _sorted(found)
 
 
@@ -67,21 +67,21 @@ def _sorted(problems: Iterable[Problem]) -> tuple[Problem, ...]:
     return tuple(sorted(dict.fromkeys(problems), key=place))
 
 
-# -- the world -----------------------------------------------------------------------------------------
+# -- the context ---------------------------------------------------------------------------------------
 
 
-def _world_problems(specification: Specification) -> Iterator[Problem]:
+def _context_problems(specification: Specification) -> Iterator[Problem]:
     for name, connector in specification.connectors.items():
         yield from predicate_problems(connector.guarantee, ("topics", name))
         yield from number_problems(
-            connector.max_publishers, "the number of publishers allowed", ("topics", name, "max_publishers"), zero=True
+            connector.max_publishers, "the number of publishers", ("topics", name, "max_publishers"), zero=True
         )
     for offer in specification.environment:
         yield from predicate_problems(offer.guarantee, ("environment", offer.name, "guarantee"))
     for name, resource in specification.resources.items():
         yield from number_problems(resource.capacity, f"the capacity of {name}", ("resources", name, "capacity"))
     for kind, seconds in specification.timing.items():
-        yield from number_problems(seconds, f"the time of a step `{kind}`", ("timing_seconds", kind), zero=True)
+        yield from number_problems(seconds, f"the duration of a step `{kind}`", ("timing_seconds", kind), zero=True)
 
 
 def _too_many_publishers(specification: Specification) -> Iterator[Problem]:
@@ -102,7 +102,7 @@ def _too_many_publishers(specification: Specification) -> Iterator[Problem]:
         if len(counted) > connector.max_publishers:
             count = f"{len(counted)} publisher{'s' if len(counted) != 1 else ''}"
             message = f"{name} has {count} ({', '.join(counted)}), at most {connector.max_publishers} allowed"
-            yield Problem("E022", ("topics", name, "max_publishers"), message, "silent publishers count as well")
+            yield Problem("E022", ("topics", name, "max_publishers"), message, "silent publishers count, too")
 
 
 def _capacities(specification: Specification) -> Iterator[Problem]:
@@ -115,10 +115,10 @@ def _capacities(specification: Specification) -> Iterator[Problem]:
     for name, declared in specification.resources.items():
         total = sum((to_fraction(amount) for _, amount in holders.get(name, [])), start=Fraction())
         if 0 < declared.capacity < math.inf and total > to_fraction(declared.capacity):
-            who = ", ".join(f"{role} {format_number(amount)}" for role, amount in holders[name])
+            holding = ", ".join(f"{role} {format_number(amount)}" for role, amount in holders[name])
             held, capacity = format_number(float(total)), format_number(declared.capacity)
-            message = f"{held} of {name} is held ({who}), its capacity is {capacity}"
-            yield Problem("E023", ("resources", name), message, "take a holder out, or raise the capacity")
+            message = f"nodes hold {held} of {name} ({holding}), but its capacity is {capacity}"
+            yield Problem("E023", ("resources", name), message, "remove a node that holds it, or raise the capacity")
 
 
 # -- nodes ---------------------------------------------------------------------------------------------
@@ -133,7 +133,7 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
         for index, topic in enumerate(topics):
             if topic in topics[:index]:
                 message = f"{node.role}.{port} is attached to {topic} twice"
-                yield Problem("E021", (*where, str(index)), message, "once is enough")
+                yield Problem("E021", (*where, str(index)), message, "attach it once")
             elif topic in specification.connectors:
                 yield from _unfit(specification, PortRef(node.role, port), component, topic, (*where, str(index)))
     if all(port in component.ports() for port in node.attachments):  # else one of them may be misspelt
@@ -142,7 +142,7 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
             if not node.attachments.get(port) and not (output and component.find_owner(port) is None):
                 kind = "output" if output else "input"
                 message = f"{kind} {node.role}.{port} is attached to no topic"
-                yield Problem("W030", (*path, "attachments", port), message, "attach it, or take it out")
+                yield Problem("W030", (*path, "attachments", port), message, "attach it, or remove it")
     for name, value in node.parameters.items():
         declared = component.parameters.get(name)
         if declared is not None and not value_fits(value, declared.value):
@@ -155,23 +155,23 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
 def _unfit(
     specification: Specification, port: PortRef, component: ComponentSpec, topic: str, path: Path
 ) -> Iterator[Problem]:
-    """An attachment is judged as ``attach`` judges it: the normal mode of an output, the assumption of an input."""
+    """As for the action ``attach``: the normal mode of an output, or the assumption of an input, must fit the topic."""
     topic_guarantee = specification.connectors[topic].guarantee
     if port.port in component.inputs:
         offered: Contract = topic_guarantee
         needed = component.inputs[port.port]
-        told = f"{topic} does not satisfy what {port} assumes"
+        shortfall = f"{topic} does not satisfy what {port} assumes"
     else:
         owner = component.find_owner(port.port)
         if owner is None or not owner.modes:
             return
         offered, needed = owner.modes[0].guarantee(port.port), topic_guarantee
-        told = f"{port} in mode {owner.modes[0].name} does not satisfy {topic}"
+        shortfall = f"{port} in mode {owner.modes[0].name} does not satisfy {topic}"
     if any(isinstance(contract, Predicate) and contract.is_empty for contract in (offered, needed)):
-        return  # told already
+        return  # reported already
     clauses = explain(offered, needed)
     if clauses:
-        message = f"{told}: {', '.join(clauses)}"
+        message = f"{shortfall}: {', '.join(clauses)}"
         yield Problem("E020", path, message, "strengthen what is offered, or weaken what is needed")
 
 
@@ -179,7 +179,7 @@ def _unfit(
 
 
 def _constraint_problems(specification: Specification) -> Iterator[Problem]:
-    """Orders that go round in a circle, told at the one that closes it; times below zero."""
+    """Orders that form a cycle, reported at the one that closes it; negative times."""
     after: dict[str, list[tuple[str, Order]]] = {}
     for index, constraint in enumerate(specification.constraints):
         path = ("constraints", str(index))
@@ -188,25 +188,25 @@ def _constraint_problems(specification: Specification) -> Iterator[Problem]:
         elif isinstance(constraint, Order) and constraint.first:
             if constraint.first == constraint.then:
                 message = f"`{constraint}`: {constraint.first} cannot come before itself"
-                yield Problem("E024", path, message, "take it out")
-            elif (circle := _way(after, constraint.then, constraint.first)) is not None:
-                others = ", ".join(f"`{other}`" for other in circle)
-                yield Problem("E024", path, f"`{constraint}` contradicts {others}", "take one of them out")
+                yield Problem("E024", path, message, "remove it")
+            elif (cycle := _path(after, constraint.then, constraint.first)) is not None:
+                others = ", ".join(f"`{other}`" for other in cycle)
+                yield Problem("E024", path, f"`{constraint}` contradicts {others}", "remove one of them")
             else:
                 after.setdefault(constraint.first, []).append((constraint.then, constraint))
 
 
-def _way(after: dict[str, list[tuple[str, Order]]], start: str, end: str) -> list[Order] | None:
+def _path(after: dict[str, list[tuple[str, Order]]], start: str, end: str) -> list[Order] | None:
     """A shortest chain of orders that puts ``start`` before ``end``, or None."""
-    came: dict[str, list[Order]] = {start: []}
+    paths: dict[str, list[Order]] = {start: []}
     waiting = deque([start])
     while waiting:
         role = waiting.popleft()
         if role == end:
-            return came[role]
+            return paths[role]
         for then, order in after.get(role, ()):
-            if then not in came:
-                came[then] = [*came[role], order]
+            if then not in paths:
+                paths[then] = [*paths[role], order]
                 waiting.append(then)
     return None
 
@@ -214,8 +214,8 @@ def _way(after: dict[str, list[tuple[str, Order]]], start: str, end: str) -> lis
 # -- what should hold ------------------------------------------------------------------------------------
 
 
-def _hopeless(specification: Specification) -> Iterator[Problem]:
-    """Assumptions by predicate that no associated input counts for, nor the environment."""
+def _unsatisfiable(specification: Specification) -> Iterator[Problem]:
+    """Assumptions by predicate that neither an associated input nor the environment can satisfy."""
     offers = specification.context.offers()
     for name, component in specification.components.items():
         for functionality in component:
@@ -229,18 +229,23 @@ def _hopeless(specification: Specification) -> Iterator[Problem]:
                     given += [(f"environment {offer.name}", offer.guarantee) for offer in offers]
                     if any(satisfies(predicate, assumption) for _, predicate in given):
                         continue
-                    near = [(who, predicate) for who, predicate in given if predicate.type == assumption.type]
-                    shortfalls = [f"{who}: {', '.join(explain(predicate, assumption))}" for who, predicate in near]
-                    because = (
-                        "; ".join(shortfalls) or f"no input of {functionality.name} and no guarantee is of that type"
+                    shortfalls = [
+                        f"{source}: {', '.join(explain(predicate, assumption))}"
+                        for source, predicate in given
+                        if predicate.type == assumption.type
+                    ]
+                    nothing = f"no input of {functionality.name} and no environment guarantee has that type"
+                    message = (
+                        f"mode {mode.name} of {functionality.name} assumes {assumption}, which nothing can satisfy"
                     )
                     where = ("components", name, "functionalities", functionality.name, "modes", mode.name)
-                    told = f"mode {mode.name} of {functionality.name} assumes {assumption}, which nothing can satisfy"
-                    yield Problem("W032", (*where, "assumes", str(index)), f"{told}: {because}")
+                    yield Problem(
+                        "W032", (*where, "assumes", str(index)), f"{message}: {'; '.join(shortfalls) or nothing}"
+                    )
 
 
 def _unsatisfied_topics(configuration: Configuration) -> Iterator[Problem]:
-    """Topics that not even the normal modes of their publishers satisfy. An unfit one among them is told as E020."""
+    """Topics without a publisher. An attached output that does not fit the topic is reported as E020."""
     for name, connector in configuration.context.connectors.items():
         offers = configuration.context.publishers_out_of_scope(connector)
         if configuration.publishers_on(name) or any(
@@ -248,26 +253,27 @@ def _unsatisfied_topics(configuration: Configuration) -> Iterator[Problem]:
         ):
             continue
         shortfalls = [f"environment {o.name}: {', '.join(explain(o.guarantee, connector.guarantee))}" for o in offers]
-        because = "; ".join(shortfalls) or "it has no publisher"
+        message = (
+            f"no publisher satisfies {name}: {'; '.join(shortfalls)}" if shortfalls else f"{name} has no publisher"
+        )
         help = "attach an output, or let the environment guarantee it"
-        yield Problem("W031", ("topics", name), f"nobody satisfies {name}: {because}", help)
+        yield Problem("W031", ("topics", name), message, help)
 
 
-def _at_first(specification: Specification, configuration: Configuration) -> Iterator[Problem]:
-    """Functionalities that cannot be at their normal mode at first, and `keep`s that so cannot hold."""
-    why = Diagnosis(configuration)
+def _at_start(specification: Specification, configuration: Configuration) -> Iterator[Problem]:
+    """Functionalities that cannot start in their normal mode, and `keep` constraints that do not hold therefore."""
+    diagnosis = Diagnosis(configuration)
     for ref in configuration.modes:
         if configuration.modes[ref] > 0:
-            reasons = why.chain(ref)
+            reasons = diagnosis.chain(ref)
             path = ("nodes", ref.instance)
-            stands = f"it will be in mode {configuration.mode(ref).name}"
-            message = "; ".join(
-                [f"{reasons[0].replace(' cannot be', ' cannot at first be', 1)} ({stands})", *reasons[1:]]
-            )
+            first = reasons[0].replace(" cannot be", " cannot start", 1)
+            message = "; ".join([f"{first} (it will start in mode {configuration.mode(ref).name})", *reasons[1:]])
             yield Problem("W033", path, message)
     for index, constraint in enumerate(specification.constraints):
         if isinstance(constraint, Keep):
             ref = constraint.functionality
             if configuration.modes[ref] > configuration.functionality(ref).mode_index(constraint.mode):
-                message = f"`{constraint}` does not hold at first: {ref} will be in mode {configuration.mode(ref).name}"
+                mode = configuration.mode(ref).name
+                message = f"`{constraint}` does not hold at the start: {ref} will start in mode {mode}"
                 yield Problem("W034", ("constraints", str(index)), message)

@@ -1,8 +1,8 @@
-"""The agent: the control thread's side of a component. It carries out commands and reports the component's state.
+"""The agent: a component's control thread. It carries out commands and reports the component's state.
 
-The rules of the envelope are here: token, revision, repeated requests (docs/semantics.md section 7). What each command
-does is in :mod:`midstride.node.command_handlers`. It never runs user code: that is handed to the data thread, in
-bounded time.
+Here are the rules that apply to every request: token, revision, repetition (docs/semantics.md section 7). What each
+command does is in :mod:`midstride.node.command_handlers`. The agent never runs user code: it has the data thread run
+it, and waits for a bounded time.
 """
 
 from __future__ import annotations
@@ -47,13 +47,13 @@ from midstride.wire.frames import (
 )
 from midstride.wire.state import ComponentState, Value
 
-# How often the state is reported while nothing changes (s): what is busy, and that the component is alive.
+# How often the state is reported while nothing changes (s): it shows that the component is alive, and what is busy.
 HEARTBEAT: Final = 0.5
 # How many replies are kept for repeated requests.
 REMEMBERED: Final = 1000
 # How long requests under way may take to be answered when the component ends (s).
-LAST_ANSWERS: Final = 1.0
-_NOT_OURS: Final = "this is not the token of the system that the component belongs to"
+CLOSE_TIMEOUT: Final = 1.0
+_FOREIGN_TOKEN: Final = "the token is not that of the system that the component belongs to"
 
 
 class Agent:
@@ -76,8 +76,8 @@ class Agent:
         self._standalone = standalone
         self._uuid = uuid.uuid4().hex
         self._revision = Revision()
-        self._answers: OrderedDict[str, asyncio.Task[Reply]] = OrderedDict()
-        self._turn = asyncio.Lock()
+        self._replies: OrderedDict[str, asyncio.Task[Reply]] = OrderedDict()
+        self._change_lock = asyncio.Lock()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._welcomed = False
         self._ready = asyncio.Event()
@@ -86,21 +86,23 @@ class Agent:
             protocol=PROTOCOL, instance=host.instance, uuid=self._uuid, pid=pid, start_token=self._start_token
         )
         self._server = CommandServer(greeting, self.serve)
-        self._handlers = CommandHandlers(parts, host, self._revision, self._degraded, self.report_state, self._caller)
+        self._handlers = CommandHandlers(
+            parts, host, self._revision, self._degraded, self.report_state, self._peer_token
+        )
 
-    def _caller(self) -> str:
-        """The token with which this component calls its peers."""
+    def _peer_token(self) -> str:
+        """The token for connections to peers."""
         return self._token
 
-    # -- life --------------------------------------------------------------------------------------
+    # -- start and end -----------------------------------------------------------------------------
 
     async def main(self) -> None:
-        """From set-up to the end in order. Cancelled by a signal, it ends in order as well."""
+        """Run from set-up to the end. Cancelled by a signal, it ends in order as well."""
         self._loop = asyncio.get_running_loop()
         handlers, host = self._handlers, self._host
         if host.transport is not None and self._standalone is None:
             await self._server.open(host.transport)
-        heartbeat = asyncio.ensure_future(self._beat())
+        heartbeat = asyncio.ensure_future(self._heartbeat())
         try:
             await host.on_data(handlers.set_up)
             try:
@@ -117,10 +119,10 @@ class Agent:
             heartbeat.cancel()
             with contextlib.suppress(asyncio.CancelledError):
                 # Requests that wait for a set-up that has failed are never answered.
-                await self._server.close(LAST_ANSWERS if self._ready.is_set() else 0.0)
+                await self._server.close(CLOSE_TIMEOUT if self._ready.is_set() else 0.0)
 
     def _register(self) -> None:
-        """Say what the component is, to whichever manager connects."""
+        """Report what the component declares to every manager that connects."""
         self._ready.set()
         self.report_state()
         declaration = NamedComponentForm.of(self._declaration)
@@ -132,7 +134,7 @@ class Agent:
                 f"to run it without a manager: {FLAG} {remappings}"
             )
 
-    async def _beat(self) -> None:
+    async def _heartbeat(self) -> None:
         while True:
             await self._host.sleep(HEARTBEAT)
             if self._ready.is_set():
@@ -144,7 +146,7 @@ class Agent:
                 await self._handlers.carry_out(AttachCommand(port=port, topic=topic), None)
         chosen = best_modes(self._declaration, attachments)
         modes = {name: self._declaration.functionalities[name].modes[index].name for name, index in chosen.items()}
-        because = "started standalone: the best mode with what is attached"
+        because = "started standalone: the best mode for what is attached"
         await self._handlers.carry_out(ModesCommand(modes=modes, because=because), None)
         listed = ", ".join(f"{name} in mode {mode}" for name, mode in modes.items())
         self._host.logger.warning(f"{self._host.instance} runs without a manager: {listed}")
@@ -152,43 +154,43 @@ class Agent:
     # -- commands ----------------------------------------------------------------------------------
 
     async def serve(self, request: Request, token: str) -> Reply:
-        """Carry out one request; whatever is wrong with it comes back as a refusal with its reason."""
+        """Carry out one request; an invalid one is refused with the reason."""
         try:
             command = decode_command(request)
             self._check_sender(command, token)
         except CommandRefused as error:
             return self._refusal(request, str(error))
-        if not isinstance(command, PingCommand):  # which says that the process has come up
+        if not isinstance(command, PingCommand):  # answered before set-up has ended
             await self._ready.wait()
         if command.kind == "changing":
-            return await self._once(request, command, token)
+            return await self._change_once(request, command, token)
         return await self._carry_out(request, command, token)
 
     def _check_sender(self, command: Command[Any], token: str) -> None:
-        """Raises CommandRefused for a sender that this component does not belong to."""
+        """Raises CommandRefused for a client of another system."""
         if not self._token and isinstance(command, (WelcomeCommand, ObserveCommand)):
-            return  # it belongs to no system yet: any of this user's managers may have it
+            return  # it belongs to no system yet: any of this user's managers may take it
         if not self._is_ours(token):
-            raise CommandRefused(_NOT_OURS)
+            raise CommandRefused(_FOREIGN_TOKEN)
 
     def _is_ours(self, token: str) -> bool:
         return bool(self._token) and hmac.compare_digest(token.encode(), self._token.encode())
 
-    async def _once(self, request: Request, command: Command[Any], token: str) -> Reply:
-        """A changing command: in turn, at the expected revision; a repeated request gets the first reply."""
+    async def _change_once(self, request: Request, command: Command[Any], token: str) -> Reply:
+        """Carry out a changing command once; a repeated request gets the first reply."""
         if not request.id:
-            return self._refusal(request, f"`{command.name}` changes something, so its request must have an id")
-        answer = self._answers.get(request.id)
+            return self._refusal(request, f"`{command.name}` changes the component, so its request must have an id")
+        answer = self._replies.get(request.id)
         if answer is None:
-            # A task of its own: the sender may give up, and the command must not end half-way.
-            answer = asyncio.get_running_loop().create_task(self._changing(request, command, token))
-            self._answers[request.id] = answer
-            while len(self._answers) > REMEMBERED:
-                self._answers.popitem(last=False)
+            # In a separate task: if the client disconnects, the command must not end half-way.
+            answer = asyncio.get_running_loop().create_task(self._change(request, command, token))
+            self._replies[request.id] = answer
+            while len(self._replies) > REMEMBERED:
+                self._replies.popitem(last=False)
         return await asyncio.shield(answer)
 
-    async def _changing(self, request: Request, command: Command[Any], token: str) -> Reply:
-        async with self._turn:
+    async def _change(self, request: Request, command: Command[Any], token: str) -> Reply:
+        async with self._change_lock:
             if self._stopping.is_set():
                 return self._refusal(request, "the component is ending")
             expected, actual = request.revision, self._revision.value
@@ -223,7 +225,7 @@ class Agent:
             return self._refusal(request, f"`{command.name}` failed: {type(error).__name__}: {error}")
         if command.kind == "changing":
             self._revision.bump()
-            self.report_state()  # before the reply: whoever has that knows the state that it led to
+            self.report_state()  # before the reply: a client that has the reply also has the state
             if isinstance(command, WelcomeCommand):
                 result = self.state()
         return Reply(id=request.id, revision=self._revision.value, result=encode_value(result))
@@ -234,15 +236,15 @@ class Agent:
     def _welcome(self, manager: str, token: str) -> None:
         if not self._token:
             self._token = token
-        elif not self._is_ours(token):  # of two managers that came at once the first has it
-            raise CommandRefused(_NOT_OURS)
+        elif not self._is_ours(token):  # of two managers that welcome it at once the first wins
+            raise CommandRefused(_FOREIGN_TOKEN)
         if not self._welcomed:
             self._host.logger.info(f"{self._host.instance} is managed by {manager}")
         self._welcomed = True
 
     async def _release(self, command: ReleaseCommand) -> None:
         if self._start_token:
-            raise CommandRefused("its manager started it, so it is the manager's to end")
+            raise CommandRefused("its manager started it and must end it: `release` is for components started by hand")
         await self._handlers.release(command.timeout)
         self._token = ""
         self._welcomed = False
@@ -257,11 +259,11 @@ class Agent:
         if self._standalone is None and not self._welcomed:
             return "no manager has welcomed it yet"
         if self._host.now() == 0:
-            return "use_sim_time is on, and nothing has come on /clock yet: nothing that has a rate is called"
+            return "use_sim_time is on, and nothing has arrived on /clock yet: modes with a rate are not called"
         return None
 
     def report_state(self) -> None:
-        """The state has changed: to every client, and where the platform's own tools look."""
+        """The state has changed: report it to every client and to the platform's own tools."""
         self._host.publish_state(self._report())
 
     def _report(self) -> ComponentState:
@@ -270,7 +272,7 @@ class Agent:
         return state
 
     def _degraded(self, runner: FunctionalityRunner) -> None:
-        """On the data thread: a functionality has degraded by itself. The revision changes now, the rest follows."""
+        """On the data thread: a functionality has degraded by itself. The revision changes at once."""
         self._revision.bump()
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._report_degraded, runner)

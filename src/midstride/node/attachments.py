@@ -1,8 +1,8 @@
-"""Attaching and detaching ports at run time, and the gates of what is attached. Control side.
+"""Attaching and detaching ports at run time, and the gates of attachments. Control thread.
 
-Platform.md: an output is created behind a closed gate, and the gate opens only once its endpoint
-is matched and has settled; before an endpoint goes, its gate is closed and its readers have
-acknowledged, since destroying one right after publishing loses messages.
+The middleware loses messages of an endpoint that is not matched yet, and those of one that is destroyed right after
+publishing. So an output is created behind a closed gate, which opens once its endpoint is matched and has settled;
+before an endpoint is destroyed, its gate is closed and its readers have acknowledged.
 """
 
 from __future__ import annotations
@@ -34,13 +34,15 @@ TICK: Final = 0.005
 
 
 class Attachments:
+    """The attachments of a component's ports. Raises CommandRefused for names that do not exist."""
+
     def __init__(self, inputs: dict[str, Input], outputs: dict[str, Output], host: Host, data: DataExecutor) -> None:
         self._inputs = inputs
         self._outputs = outputs
         self._host = host
         self._data = data
 
-    # -- finding -----------------------------------------------------------------------------------
+    # -- lookup ------------------------------------------------------------------------------------
 
     def port(self, name: str) -> Input | Output:
         found = self._outputs.get(name) or self._inputs.get(name)
@@ -74,7 +76,7 @@ class Attachments:
         topic, timeout = command.topic, command.timeout
         port = self.port(command.port)
         if port.link(topic) is not None:
-            raise CommandRefused(f"{port.name} is attached to {topic} already")
+            raise CommandRefused(f"{port.name} is already attached to {topic}")
         opened = isinstance(port, Output) and command.gate == "open"
         if isinstance(port, Output):
             link = await self._data.run(lambda: self._publish(port, topic), timeout)
@@ -91,7 +93,7 @@ class Attachments:
             if opened:
                 await self._data.run(lambda: self._open(link), timeout)
         except CommandRefused:
-            # As soon as user code returns, however long that takes: a refused command has changed nothing.
+            # Undone as soon as user code returns, however long that takes: a refused command must change nothing.
             await within(self._host, self._host.on_data(undo), timeout)
             raise
         return Attached(matched=matched)
@@ -129,25 +131,22 @@ class Attachments:
         owner = link.output.owner
         while not link.gated and link.output.wrong_type is None and self._host.steady() < deadline:
             if owner is not None and owner.failed:
-                break  # it will not write any more
+                break  # it will not write
             await self._host.sleep(TICK)
         return GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
 
     async def close_all(self, timeout: float) -> None:
-        """The end of the component: every reader has what was written, then the endpoints go.
-
-        One that does not acknowledge costs ``timeout`` (s), and so do many.
-        """
+        """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""
         links = [link for output in self._outputs.values() for link in output.links]
         await asyncio.gather(*(link.publisher.acknowledged(timeout) for link in links))
         await self._data.run(self._destroy_all, timeout)
 
-    # -- data side ---------------------------------------------------------------------------------
+    # -- data thread -------------------------------------------------------------------------------
 
     def _publish(self, port: Output, topic: str) -> OutputLink:
         link = OutputLink(port, topic, self._host.create_publisher(topic, port.type, port.qos))
         if port.last is not None and (port.latched or (port.owner is not None and port.owner.driven == "none")):
-            link.write_gated(port.last)  # what is written once was written before, attached to nothing: it is not lost
+            link.write_gated(port.last)  # a mode that writes once, on entry, may have written while unattached
         port.wrong_type = None
         port.links = (*port.links, link)
         return link
@@ -155,11 +154,11 @@ class Attachments:
     def _open(self, link: OutputLink) -> None:
         link.set_gate(True)
         if link.output.latched:
-            link.write_held()
+            link.write_last_gated()
 
     def _unpublish(self, link: OutputLink) -> None:
         if link not in link.output.links:
-            return  # taken back already
+            return  # undone already
         link.set_gate(False)
         link.output.links = tuple(other for other in link.output.links if other is not link)
         link.publisher.destroy()
@@ -195,14 +194,14 @@ class Attachments:
             if self._host.steady() >= deadline:
                 raise CommandRefused(
                     f"only {max(matched, 0)} of {peers} endpoints on {topic} were found within {timeout:g} s; "
-                    "the others have another type or incompatible QoS, or are not there"
+                    "the others are missing, or have another type or incompatible QoS"
                 )
             await self._host.sleep(TICK)
         if peers:
             await self._host.sleep(SETTLE)
 
     async def _match_everyone(self, endpoint: Publisher | Subscription, command: AttachCommand) -> int:
-        """Wait for ``everyone``, endpoints outside the system included, as far as ``patience`` (s) goes."""
+        """Wait for ``everyone``, including endpoints outside the system, for at most ``patience`` (s)."""
         deadline = self._host.steady() + int(command.patience * 1e9)
         while (matched := endpoint.matched()) < command.everyone and self._host.steady() < deadline:
             await self._host.sleep(TICK)

@@ -17,7 +17,7 @@ class ComponentClock:
         self.host: Host | None = None
 
     def now(self) -> int:
-        """Nanoseconds; 0 while ``use_sim_time`` is on and nothing has come on ``/clock``."""
+        """Nanoseconds; 0 while ``use_sim_time`` is on and nothing has arrived on ``/clock``."""
         return time.time_ns() if self.host is None else self.host.now()
 
     def seconds(self) -> float:
@@ -27,7 +27,7 @@ class ComponentClock:
     def stamp(self, time_message: Any) -> Any:
         """Fill a time message, e.g. ``comp.clock.stamp(message.header.stamp)``, of ROS 2 or ROS 1; returns it.
 
-        Raises NodeError for what is no time.
+        Raises NodeError for what is not a time message.
         """
         seconds, nanoseconds = divmod(self.now(), 1_000_000_000)
         if hasattr(time_message, "nanosec"):
@@ -35,11 +35,13 @@ class ComponentClock:
         elif hasattr(time_message, "nsecs"):
             time_message.secs, time_message.nsecs = seconds, nanoseconds
         else:
-            raise NodeError(f"clock.stamp(): {type(time_message).__name__} is no time; write clock.stamp(header.stamp)")
+            raise NodeError(
+                f"clock.stamp(): {type(time_message).__name__} is not a time message; write clock.stamp(header.stamp)"
+            )
         return time_message
 
     def sleep(self, seconds: float) -> Awaitable[None]:
-        """``await comp.clock.sleep(0.5)`` in an async mode function; elsewhere it would do nothing.
+        """``await comp.clock.sleep(0.5)`` in an async mode function; elsewhere it has no effect.
 
         Seconds of the ROS clock. Raises NodeError before the component has started.
         """

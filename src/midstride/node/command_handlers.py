@@ -1,7 +1,7 @@
 """What each command of wire/commands.py does to a component. Control thread.
 
-Every handler checks before it changes; where one fails half-way it puts back what it did, so that
-a refused command has changed nothing.
+Every handler checks before it changes something, and undoes what it did where it fails half-way: a refused command has
+changed nothing.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any, Final, TypeVar
 from midstride.errors import BackendError, CommandRefused
 from midstride.node.attachments import Attachments
 from midstride.node.declared_parts import DeclaredParts
-from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, told_by
+from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.handover_commands import HandoverCommands
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
@@ -52,14 +52,14 @@ from midstride.wire.state import ComponentState, FunctionalityState, LinkState, 
 T = TypeVar("T")
 Handler = Callable[[Any], Awaitable[Value]]
 
-# How long the end takes beside the author's own part in it (s): its endpoints and the platform are left in order.
-LEAVING: Final = 1.0
+# How long ending takes besides the author's `on_stop` (s): destroying endpoints and leaving the platform.
+SHUTDOWN_SECONDS: Final = 1.0
 
 
 class CommandHandlers:
     """``degraded`` is called on the data thread when a functionality degrades by itself, ``changed`` after a cut.
 
-    ``token`` gives the token with which peers are called.
+    ``token`` returns the token for connections to peers.
     """
 
     def __init__(
@@ -105,18 +105,18 @@ class CommandHandlers:
             return await self._modes(command, expected)
         return await self._handlers[type(command)](command)
 
-    # -- beginning and end -------------------------------------------------------------------------
+    # -- start and end -----------------------------------------------------------------------------
 
     def set_up(self) -> None:
-        """Data side, first of all: parameters and whatever else the author wants. What it raises ends the start."""
+        """On the data thread, first of all: parameters and the author's set-up. If this raises, the start fails."""
         for parameter in self._parts.parameters.values():
             value = self._host.parameter(parameter.name, parameter.value, parameter.change)
             parameter.begin_with(value)
-        if self._parts.hooks.setup is not None:
-            self._parts.hooks.setup(self._host.ros_node)
+        if self._parts.callbacks.setup is not None:
+            self._parts.callbacks.setup(self._host.ros_node)
 
     def begin(self) -> None:
-        """Data side: every functionality into its last mode."""
+        """On the data thread: start every functionality in its last mode."""
         for functionality in self._parts.functionalities.values():
             runner = FunctionalityRunner(functionality, self._host, self._degraded)
             functionality.start(runner.current_mode)
@@ -124,40 +124,40 @@ class CommandHandlers:
                 port.owner = runner
             self._runners.append(runner)
         for runner in self._runners:
-            runner.begin()
+            runner.start_calls()
 
     async def release(self, timeout: float) -> None:
-        """Degraded and unattached, as at first. Raises CommandRefused where user code does not return in time."""
+        """Go back to degraded and unattached. Raises CommandRefused where user code does not return in time."""
         modes = {runner.name: runner.chain[runner.last].name for runner in self._runners}
-        because = "released: it has no manager any more"
+        because = "released: it no longer has a manager"
         await self._modes(ModesCommand(modes=modes, timeout=timeout, because=because), None)
         await self._attachments.close_all(timeout)
         self._handovers.disconnect()
 
     async def end(self) -> None:
-        """No call any more, the author's last word, then the endpoints; each in bounded time, whatever fails."""
+        """Stop calls, run the author's `on_stop`, destroy endpoints; each in bounded time, whatever fails."""
         self._handovers.close()
-        timeout = self._parts.hooks.stop_timeout
+        timeout = self._parts.callbacks.stop_timeout
         try:
-            await self._data.run(self._leave_all, timeout)
+            await self._data.run(self._stop_calls, timeout)
             await self._idle(timeout)
         except CommandRefused as error:
-            self._host.logger.error(f"{self._host.instance} ends although {error}")
-        if self._parts.hooks.stop is not None:
+            self._host.logger.error(f"{self._host.instance} ends, but {error}")
+        if self._parts.callbacks.stop is not None:
             try:
-                if not await self._data.drive(self._parts.hooks.stop, timeout):
+                if not await self._data.drive(self._parts.callbacks.stop, timeout):
                     self._host.logger.error(f"on_stop did not return within {timeout:g} s")
             except CAUGHT as error:
-                self._host.logger.error(f"on_stop raised: {told_by(error)}")
+                self._host.logger.error(f"on_stop raised: {format_error(error)}")
         with contextlib.suppress(CommandRefused, BackendError):
             await self._attachments.close_all(0.5)
 
-    def _leave_all(self) -> None:
+    def _stop_calls(self) -> None:
         for runner in self._runners:
-            runner.leave()
+            runner.stop_calls()
 
     async def _idle(self, timeout: float) -> None:
-        """Until no async call runs. Raises CommandRefused after ``timeout``."""
+        """Wait until no async call runs. Raises CommandRefused after ``timeout``."""
         deadline = self._host.steady() + int(timeout * 1e9)
         while any(runner.asynchronous for runner in self._runners):
             if self._host.steady() >= deadline:
@@ -193,15 +193,15 @@ class CommandHandlers:
             functionalities=functionalities,
             ports=ports,
             parameters={parameter.name: parameter.value for parameter in self._parts.parameters.values()},
-            stopping=self._parts.hooks.stop_timeout + LEAVING,
+            stopping=self._parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
         )
 
     def _busy_words(self) -> str:
         now = self._host.steady()
         since = [(runner.name, busy) for runner in self._runners if (busy := runner.busy) is not None]
-        told = ", ".join(f"{name} for {(now - busy) / 1e9:.1f} s" for name, busy in since)
-        return f" (busy: {told})" if told else ""
+        listed = ", ".join(f"{name} for {(now - busy) / 1e9:.1f} s" for name, busy in since)
+        return f" (busy: {listed})" if listed else ""
 
     # -- modes -------------------------------------------------------------------------------------
 
@@ -214,16 +214,16 @@ class CommandHandlers:
                 return "a functionality has degraded by itself meanwhile: observe the component again, then retry"
             return None
 
-        def tell() -> None:
+        def on_settled() -> None:
             loop.call_soon_threadsafe(settled.set)
 
-        switch = ModeSwitch(targets, self._runners, command.because, guard, tell)
+        switch = ModeSwitch(targets, self._runners, command.because, guard, on_settled)
         attempt = asyncio.ensure_future(self._host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
         if await within(self._host, settled.wait(), command.timeout) is None and switch.claim():
             self._host.on_data(switch.release)
             raise CommandRefused(
-                f"the change of {', '.join(targets)} was taken back: "
+                f"the change of {', '.join(targets)} was withdrawn: "
                 f"user code did not return within {command.timeout:g} s{self._busy_words()}"
             )
         await settled.wait()
@@ -239,7 +239,7 @@ class CommandHandlers:
         runner = next((runner for runner in self._runners if runner.name == functionality), None)
         if runner is None:
             listed = ", ".join(runner.name for runner in self._runners)
-            raise CommandRefused(f"there is no functionality {functionality}; there are: {listed}")
+            raise CommandRefused(f"there is no functionality {functionality}; the functionalities are: {listed}")
         names = [declared.name for declared in runner.chain]
         if mode not in names:
             raise CommandRefused(f"{functionality} has no mode {mode!r}; its modes are: {', '.join(names)}")
@@ -251,35 +251,37 @@ class CommandHandlers:
         declared = self._parts.parameters
         for name in command.parameters:
             if name not in declared:
-                raise CommandRefused(f"there is no parameter {name}; there are: {', '.join(declared) or 'none'}")
+                raise CommandRefused(
+                    f"there is no parameter {name}; the parameters are: {', '.join(declared) or 'none'}"
+                )
         before = {name: declared[name].value for name in command.parameters}
         await self._data.run(lambda: self._host.set_parameters(command.parameters), command.timeout)
         return ParametersBefore(before=before)
 
     async def _export_state(self, command: ExportStateCommand) -> ExportedState:
-        export = self._parts.hooks.export_state
+        export = self._parts.callbacks.export_state
         if export is None:
             return ExportedState(state=None)
-        state = await self._run_hook(export, "on_export_state", command.timeout)
+        state = await self._run_callback(export, "on_export_state", command.timeout)
         if not isinstance(state, (bytes, bytearray)):
             raise CommandRefused(f"on_export_state returned {type(state).__name__}, not bytes")
         return ExportedState(state=bytes(state))
 
     async def _import_state(self, command: ImportStateCommand) -> Done:
-        hook = self._parts.hooks.import_state
+        hook = self._parts.callbacks.import_state
         if hook is None:
-            raise CommandRefused("the component takes no state: it has no on_import_state")
-        await self._run_hook(lambda: hook(command.state), "on_import_state", command.timeout)
+            raise CommandRefused("the component cannot import state: it has no on_import_state")
+        await self._run_callback(lambda: hook(command.state), "on_import_state", command.timeout)
         return Done()
 
-    async def _run_hook(self, function: Callable[[], T], what: str, timeout: float) -> T:
-        """Run a function of the author's. Raises CommandRefused with what it raised."""
+    async def _run_callback(self, function: Callable[[], T], what: str, timeout: float) -> T:
+        """Run one of the author's functions. Raises CommandRefused with what it raised."""
 
         def guarded() -> T:
             try:
                 return function()
             except CAUGHT as error:
-                raise CommandRefused(f"{what} raised: {told_by(error)}") from None
+                raise CommandRefused(f"{what} raised: {format_error(error)}") from None
 
         return await self._data.run(guarded, timeout)
 
@@ -288,11 +290,11 @@ class CommandHandlers:
     async def _record(self, command: RecordCommand) -> Recording:
         ports = [self._attachments.input(name) for name in command.inputs]
 
-        def turn() -> None:
+        def switch() -> None:
             for port in ports:
                 port.record(command.on)
 
-        await self._data.run(turn, command.timeout)
+        await self._data.run(switch, command.timeout)
         return Recording(now=self._host.steady())
 
     async def _records(self, command: RecordsCommand) -> Records:

@@ -1,7 +1,7 @@
 """The node author's API: a component with its ports and functionalities.
 
-The paper's section 5.2. A component is declared, then started; nothing is connected until the
-manager attaches it, and nothing outside the object is touched before ``start()``.
+See section 5.2 of the paper. A component is declared, then started. It is connected to no topic until the manager
+attaches it, and nothing outside the object is touched before ``start()``.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 class Component:
-    """A node of the system: declare ports and functionalities, then ``start()`` (semantics.md section 2).
+    """A node of the system: declare ports and functionalities, then ``start()`` (docs/semantics.md section 2).
 
     ``name`` is the default; the manager may give the instance another one (``instance``). ``clock`` is its ROS clock,
-    ``logger`` its ROS logger. Everything that declares raises NodeError where it is used wrongly, or after ``start()``:
+    ``logger`` its ROS logger. Every declaring method raises NodeError where it is used wrongly, or after ``start()``:
     the message says what to write instead, and nothing has been declared.
     """
 
@@ -70,10 +70,10 @@ class Component:
         qos: QoS | int | None = None,
         where: Where | None = None,
     ) -> Input:
-        """An input port, with what it assumes of the topic it will be attached to (semantics.md section 1).
+        """An input port, with what it assumes about the topic that it is attached to (docs/semantics.md section 1).
 
-        ``type`` is the message class; ``rate`` the least rate in Hz, None where any will do. ``qos`` is what the
-        subscription requests: a QoS, or a depth alone; what it does not state is ROS's default. ``where`` constrains
+        ``type`` is the message class; ``rate`` the minimum rate in Hz, None for any. ``qos`` is what the
+        subscription requests: a QoS, or only a depth; what it does not state is ROS's default. ``where`` constrains
         fields: ``{"width": at_least(640), "encoding": {"rgb8", "bgr8"}}``. Raises NodeError.
         """
         where_ = f"input {self._new_port(name)}"
@@ -84,10 +84,10 @@ class Component:
         return self._parts.inputs[name]
 
     def create_output(self, name: str, type: type, qos: QoS | int | None = None) -> Output:
-        """An output port; attached to no topic until the manager does so.
+        """An output port; attached to no topic until the manager attaches it.
 
-        What it guarantees is up to the modes of the one functionality it belongs to; ``type`` and ``qos``, as for an
-        input, are the same in all of them (semantics.md section 2, M3). Raises NodeError.
+        The modes of the one functionality that owns it state what it guarantees; ``type`` and ``qos``, as for an
+        input, are the same in all of them (docs/semantics.md section 2, M3). Raises NodeError.
         """
         where = f"output {self._new_port(name)}"
         self._parts.outputs[name] = Output(name, check_type(type, where), check_qos(qos, where))
@@ -96,10 +96,10 @@ class Component:
     def create_functionality(
         self, name: str, inputs: Sequence[Input] = (), outputs: Sequence[Output] = (), weight: float = 1
     ) -> Functionality:
-        """What the component does with ``inputs`` for ``outputs``: declare its modes on what this returns.
+        """What the component does with ``inputs`` for ``outputs``: declare modes on what this returns.
 
-        An input may serve several functionalities, an output has one. ``weight``, greater than 0, says how much its
-        loss matters when a plan is made: the unit of disruption is this times seconds (semantics.md section 6).
+        Functionalities may share an input, but an output belongs to one. ``weight``, greater than 0, is how much its
+        loss matters to the planner: disruption is measured in weight times seconds (docs/semantics.md section 6).
         Raises NodeError.
         """
         self._declaring(f"functionality {name}")
@@ -113,8 +113,8 @@ class Component:
             for other in self._parts.functionalities.values():
                 if port in other.outputs:
                     raise NodeError(
-                        f"{where}: output {port.name} belongs to functionality {other.name} already; an output has one "
-                        "owner: create another output, or give both jobs to one functionality"
+                        f"{where}: output {port.name} already belongs to functionality {other.name}; an output has one "
+                        "owner: create another output, or give both tasks to one functionality"
                     )
         self._parts.functionalities[name] = Functionality(name, own_inputs, own_outputs, float(weight), self._declaring)
         return self._parts.functionalities[name]
@@ -122,12 +122,12 @@ class Component:
     def parameter(
         self, name: str, default: ParameterValue, on_change: Callable[[Any], None] | None = None
     ) -> Parameter:
-        """A ROS parameter. Its ``value`` is the one in force; ``on_change(value)`` makes it changeable in place.
+        """A ROS parameter. Its ``value`` is the current one; with ``on_change(value)`` it can change at run time.
 
-        ``on_change`` is called between two calls of the modes; what it raises refuses the change. Without it, another
-        value means another instance (semantics.md section 6). Values are booleans, numbers, words, or lists of one of
-        these, of the type that ``default`` has. Before ``start()`` the value is the manager's where the manager gave
-        one, else the default. Raises NodeError.
+        ``on_change`` is called between two calls of the modes; if it raises, the change is refused. Without it, another
+        value requires another instance (docs/semantics.md section 6). Values are booleans, numbers, strings, or lists
+        of one of these, of the type of ``default``. Before ``start()``, ``value`` is the one that the manager passed,
+        else the default. Raises NodeError.
         """
         self._declaring(f"parameter {name}")
         check_parameter(name, default)
@@ -141,41 +141,42 @@ class Component:
         return parameter
 
     def on_setup(self, fn: F) -> F:
-        """``fn(node)`` is called with the ROS node before registration, where user code runs: for transforms, services.
+        """``fn(node)`` is called with the ROS node on the data thread, before registration: for transforms, services.
 
         ``node`` is rclpy's node on ROS 2, the module rospy on ROS 1 (there a process is one node), and None in the
-        simulator. What is no port is live from then on (semantics.md section 7). What ``fn`` raises ends the start.
+        simulator. Whatever is not a port is active from then on (docs/semantics.md section 7). If ``fn`` raises, the
+        component does not start.
         """
-        self._parts.hooks.setup = self._hook("on_setup", fn)
+        self._parts.callbacks.setup = self._callback("on_setup", fn)
         return fn
 
     def on_export_state(self, fn: F) -> F:
-        """``fn() -> bytes``: what a replacement of this component should know. Called just before the hand-over.
+        """``fn() -> bytes``: the state for a replacement of this component. Called just before the hand-over.
 
-        What it raises fails that step (semantics.md section 7, State).
+        If it raises, that step fails (docs/semantics.md section 7, State).
         """
-        self._parts.hooks.export_state = self._hook("on_export_state", fn)
+        self._parts.callbacks.export_state = self._callback("on_export_state", fn)
         return fn
 
     def on_import_state(self, fn: F) -> F:
-        """``fn(state: bytes)``: take up what the replaced component knew. What it raises fails that step."""
-        self._parts.hooks.import_state = self._hook("on_import_state", fn)
+        """``fn(state: bytes)``: restore the state of the replaced component. If it raises, that step fails."""
+        self._parts.callbacks.import_state = self._callback("on_import_state", fn)
         return fn
 
     def on_stop(self, fn: F, timeout: float = 2.0) -> F:
-        """``fn()`` is called after the last call of any mode, while outputs are still open: a last zero velocity.
+        """``fn()`` is called after the last call of any mode, while outputs are open: e.g. to write zero velocity.
 
-        It may be async. The component ends after ``timeout`` seconds even if it has not returned; what it raises is
+        It may be async. The component ends after ``timeout`` seconds even if it has not returned; its exceptions are
         logged. Raises NodeError.
         """
-        self._parts.hooks.stop = self._hook("on_stop", fn)
-        self._parts.hooks.stop_timeout = check_seconds(timeout, "on_stop(timeout=)")
+        self._parts.callbacks.stop = self._callback("on_stop", fn)
+        self._parts.callbacks.stop_timeout = check_seconds(timeout, "on_stop(timeout=)")
         return fn
 
     # -- running -----------------------------------------------------------------------------------
 
     def declaration(self) -> model.ComponentSpec:
-        """What the component is, in the model's terms. Raises NodeError where it is incomplete."""
+        """The component in the model's terms. Raises NodeError where it is incomplete."""
         return declare(
             self.name,
             list(self._parts.inputs.values()),
@@ -187,23 +188,23 @@ class Component:
     def start(self) -> None:
         """Run until stopped: by the manager, SIGTERM or SIGINT. Signal handlers are set here and nowhere else.
 
-        Started by the manager, it announces itself and waits, degraded and unattached, for orders;
-        so it does when started by hand. ``--standalone out:=/chatter`` on the command line attaches
-        it and runs its best modes, with nobody managing it; other arguments are left alone.
+        It listens for its manager and waits, degraded and unattached, for commands, whether the manager started it or
+        it was started by hand. ``--standalone out:=/chatter`` on the command line attaches it and runs its best modes
+        without a manager; other arguments are ignored.
 
-        Raises NodeError where the declaration is incomplete or breaks a rule of semantics.md section 2, where no ROS
-        can be imported, or where the node's name is taken; BackendError where the platform cannot be joined.
+        Raises NodeError where the declaration is incomplete or breaks a rule of docs/semantics.md section 2, where no
+        ROS can be imported, or where the node's name is taken; BackendError where the platform cannot be joined.
         """
         self._declaring("start()")
         declaration = self.declaration()
-        surroundings = find()
-        standalone = remappings(surroundings.arguments, declaration)
-        factory = host_factory(surroundings)
+        context = find()
+        standalone = remappings(context.arguments, declaration)
+        factory = host_factory(context)
         self._started = True
-        host = factory(surroundings.instance or self.name, surroundings.namespace)
+        host = factory(context.instance or self.name, context.namespace)
         self.instance, self.clock.host = host.instance, host
-        pid = os.getpid() if surroundings.pid is None else surroundings.pid
-        agent = Agent(self._parts, declaration, host, surroundings.token, pid, standalone)
+        pid = os.getpid() if context.pid is None else context.pid
+        agent = Agent(self._parts, declaration, host, context.token, pid, standalone)
         host.run(agent.main)
 
     # -- checking ----------------------------------------------------------------------------------
@@ -226,16 +227,16 @@ class Component:
             if not isinstance(port, kind) or port not in known:
                 made = "create_input" if kind is Input else "create_output"
                 raise NodeError(
-                    f"{where}: {what}= has {port!r}, which is not of this component; write what {made} gave"
+                    f"{where}: {what}= has {port!r}, which is not a port of this component; write what {made} returned"
                 )
         if len(set(found)) < len(found):
             raise NodeError(f"{where}: {what}= names a port twice")
         return found
 
-    def _hook(self, name: str, fn: F) -> F:
+    def _callback(self, name: str, fn: F) -> F:
         self._declaring(f"{name}()")
         if not callable(fn):
-            raise NodeError(f"{name}({fn!r}): write a function")
+            raise NodeError(f"{name}({fn!r}): pass a function")
         return fn
 
     def __repr__(self) -> str:

@@ -11,7 +11,7 @@ from typing import Any, Final, TypeAlias, get_args
 from midstride.errors import NodeError
 from midstride.model.contract import DEFAULT_QOS, Interval, OneOf, Predicate, QoS, ValueSet
 
-# What may stand for a set of values: the set itself, its members, or its only member.
+# What may be written for a set of values: the set itself, its members, or its only member.
 Where: TypeAlias = Mapping[str, Any]
 
 _NAME: Final = re.compile(r"[A-Za-z_][A-Za-z0-9_]*\Z")
@@ -49,7 +49,7 @@ class Guarantee:
 def guarantee(rate: float | None = None, where: Where | None = None) -> Guarantee:
     """What a mode promises of an output, for ``guarantees={out: guarantee(rate=20, where={"width": 640})}``.
 
-    ``rate`` in Hz; ``where`` as for ``create_input`` (semantics.md section 1). Raises NodeError.
+    ``rate`` in Hz; ``where`` as for ``create_input`` (docs/semantics.md section 1). Raises NodeError.
     """
     return Guarantee(check_rate(rate, "guarantee()"), field_constraints(where, None, "guarantee()"))
 
@@ -74,7 +74,7 @@ def check_seconds(seconds: object, where: str) -> float:
         or not isinstance(seconds, (int, float))
         or not (math.isfinite(seconds) and seconds > 0)
     ):
-        raise NodeError(f"{where}: {seconds!r} is no duration; write a number of seconds greater than 0")
+        raise NodeError(f"{where}: {seconds!r} is not a duration; write a number of seconds greater than 0")
     return float(seconds)
 
 
@@ -89,11 +89,13 @@ def check_qos(qos: object, where: str) -> QoS:
     if isinstance(qos, int) and not isinstance(qos, bool) and qos > 0:
         return QoS(depth=qos)  # as rclpy understands it
     if not isinstance(qos, QoS):
-        raise NodeError(f"{where}: qos={qos!r} is no QoS profile; write e.g. QoS(reliability='best_effort')")
+        raise NodeError(f"{where}: qos={qos!r} is not a QoS profile; write e.g. QoS(reliability='best_effort')")
     for policy, allowed in _POLICIES.items():
         value = getattr(qos, policy)
         if value is not None and value not in allowed:
-            raise NodeError(f"{where}: {policy}={value!r} is no QoS policy; write {' or '.join(map(repr, allowed))}")
+            raise NodeError(
+                f"{where}: {policy}={value!r} is not a value of that policy; write {' or '.join(map(repr, allowed))}"
+            )
     for policy in ("deadline", "lease", "lifespan", "depth"):
         value = getattr(qos, policy)
         if value is not None and not value > 0:
@@ -109,7 +111,7 @@ def check_type(type_: object, where: str) -> type:
 
 
 def type_name(type_: type, where: str = "message type") -> str:
-    """``std_msgs/msg/String`` for its class, whichever ROS the class comes from. Raises NodeError for another class."""
+    """``std_msgs/msg/String`` for its class, whichever ROS the class is from. Raises NodeError for any other class."""
     for attribute in ("__msgtype__", "_type"):  # the simulator's own, ROS 1's
         name = getattr(type_, attribute, None)
         if isinstance(name, str):
@@ -118,7 +120,9 @@ def type_name(type_: type, where: str = "message type") -> str:
     parts = type_.__module__.split(".")  # ROS 2: std_msgs.msg._string
     if len(parts) >= 2 and parts[1] == "msg":
         return f"{parts[0]}/msg/{type_.__name__}"
-    raise NodeError(f"{where}: {type_.__name__} is no ROS message class; write e.g. `from std_msgs.msg import String`")
+    raise NodeError(
+        f"{where}: {type_.__name__} is not a ROS message class; write e.g. `from std_msgs.msg import String`"
+    )
 
 
 def field_constraints(where: Where | None, type_: type | None, context: str) -> tuple[tuple[str, ValueSet], ...]:
@@ -148,11 +152,11 @@ def _value_set(values: Any, context: str) -> ValueSet:
         found = OneOf.of(_scalars(values, context))
     else:
         raise NodeError(
-            f"{context}: {values!r} says no set of values; write a value, a set of values, at_least(…), at_most(…) "
+            f"{context}: {values!r} is not a set of values; write a value, a set of values, at_least(…), at_most(…) "
             "or between(…, …)"
         )
     if found.is_empty:
-        raise NodeError(f"{context}: no value meets {values!r}; no message could ever satisfy it")
+        raise NodeError(f"{context}: {values!r} contains no value, so no message could satisfy it")
     return found
 
 
@@ -160,16 +164,16 @@ def _scalars(values: Iterable[Any], context: str) -> list[bool | int | float | s
     scalars = list(values)
     for value in scalars:
         if not isinstance(value, (bool, int, float, str)):
-            raise NodeError(f"{context}: {value!r} is no value of a field; write numbers, words or True and False")
+            raise NodeError(f"{context}: {value!r} cannot be the value of a field; write numbers, strings or booleans")
     return scalars
 
 
 def _check_field(path: str, type_: type, context: str) -> None:
-    """Whether messages of ``type_`` have the field: a constraint on a misspelt one would never be met."""
+    """Raises NodeError where messages of ``type_`` lack the field: a constraint on it could never be met."""
     try:
         value = type_()
     except TypeError:
-        return  # a class that does not build empty messages cannot be asked
+        return  # the fields of a class without a default constructor are not known
     reached: list[str] = []
     for part in str(path).split("."):
         if not hasattr(value, part):

@@ -1,12 +1,11 @@
-"""The two sides of an agreed cut: which write passes which gate, and when a side's part is over.
+"""The two sides of an agreed cut: which write passes which gate, and when a side has finished.
 
-Semantics.md section 7, *the cut is agreed, not chased*. Both publishers are told one moment T. A
-write belongs to the slot of the time grid whose call made it, or to the newest message it answers,
-or else to the moment it is made; the old side passes what belongs before T (for messages: up to
-T), the new side the rest. So neither clock nor scheduling decides, and no write passes both gates
-or none. A call so late that it stands for several slots belongs to the first of them on the old
-side, and to the last on the new one: T is written, if late. This module is the data side's part;
-:mod:`midstride.node.cut_protocol` is the control side's.
+docs/semantics.md section 7, *The cut is agreed, not chased*. Both publishers know one moment T. A write belongs to the
+slot of the time grid whose call made it, or to the newest message that it answers, or else to the moment it is made.
+The old side passes what belongs before T (of messages: up to T), the new side the rest. So neither clocks nor
+scheduling decide, and every write passes exactly one gate. A call so late that it accounts for several slots belongs
+to the first of them on the old side and to the last on the new one, so that T is written, if late. This module runs on
+the data thread; :mod:`midstride.node.cut_protocol` runs on the control thread.
 """
 
 from __future__ import annotations
@@ -20,16 +19,16 @@ from midstride.node.trigger import InfoSet
 from midstride.wire.commands import LastWrite
 from midstride.wire.state import GateState
 
-# How long after T a message published before it may still be on its way (s).
+# How long after T a message published before it may still be in transit (s).
 GRACE: Final = 0.05
 
 Written = tuple[int, int]  # the publisher's number, and when
 
 
 def belongs_after(runner: OutputOwner | None, at: int, host: Host, slot: int = 0) -> bool:
-    """Whether what ``runner`` writes at this moment belongs to the new side of a cut at ``at``.
+    """Whether what ``runner`` writes now belongs to the new side of a cut at ``at``.
 
-    ``slot`` says which of the slots that a call stands for counts: 0 the first, 1 the last.
+    ``slot``: which of the slots that a call accounts for counts, 0 for the first and 1 for the last.
     """
     if runner is None:
         return host.now() >= at
@@ -43,16 +42,16 @@ def belongs_after(runner: OutputOwner | None, at: int, host: Host, slot: int = 0
 
 
 def source_of(info: Any, host: Host) -> int:
-    """When what a call answers was published, or else stamped: the newest of a set; now, where nobody tells."""
+    """When the message that a call answers was published, else its stamp, else now; of a set, the newest."""
     if isinstance(info, InfoSet):
         return max(source_of(one, host) for one in info)
-    told = host.read_info(info)
-    source = told.stamp if told.source is None else told.source
+    facts = host.read_info(info)
+    source = facts.stamp if facts.source is None else facts.source
     return host.now() if source is None else source
 
 
 class _Side(GatePolicy):
-    """What both sides share. ``passes`` and ``shows`` are each side's own."""
+    """What both sides share."""
 
     def __init__(self, links: Sequence[OutputLink], at: int, host: Host) -> None:
         self.links = tuple(links)
@@ -79,7 +78,7 @@ class OutgoingCut(_Side):
     def __init__(self, links: Sequence[OutputLink], at: int, host: Host) -> None:
         super().__init__(links, at, host)
         self.over = False
-        # When the first message newer than T came (steady, ns); on a message-driven side silence begins there.
+        # When the first message newer than T arrived (steady, ns): from then on a message-driven side should write.
         self.newer_at: int | None = None
         self._last_input = host.steady()
         self._runners = list(dict.fromkeys(link.output.owner for link in self.links if link.output.owner))
@@ -89,7 +88,7 @@ class OutgoingCut(_Side):
             link.open = False
             link.cut = self
         for runner in self._runners:
-            runner.watch = self._saw
+            runner.watch = self._on_input
 
     @property
     def driven_by_messages(self) -> bool:
@@ -102,7 +101,7 @@ class OutgoingCut(_Side):
         return "open"
 
     def passed(self) -> bool:
-        """Whether T has passed here: nothing that belongs before it will be written any more. Then the gates close."""
+        """Whether everything that belongs before T has been written here. Then the gates close."""
         if not self.over and all(self._runner_passed(runner) for runner in self._runners):
             self.over = self._host.now() >= self.at
             if self.over:
@@ -110,7 +109,7 @@ class OutgoingCut(_Side):
         return self.over
 
     def reopen(self) -> None:
-        """The old side writes again: it was never relieved, or the cut is cancelled."""
+        """Write again: the new side has not taken over in time, or the cut is cancelled."""
         self.over = True
         self._unwatch()
         for link in self.attached():
@@ -129,21 +128,21 @@ class OutgoingCut(_Side):
 
     def _unwatch(self) -> None:
         for runner in self._runners:
-            if runner.watch == self._saw:
+            if runner.watch == self._on_input:
                 runner.watch = None
 
-    def _saw(self, info: Any) -> None:
+    def _on_input(self, info: Any) -> None:
         self._last_input = self._host.steady()
         if self.newer_at is None and source_of(info, self._host) > self.at:
             self.newer_at = self._last_input
 
     def _runner_passed(self, runner: OutputOwner) -> bool:
         if runner.busy is not None and not belongs_after(runner, self.at, self._host):
-            return False  # an async call from before T has still to write
+            return False  # an async call from before T may still write
         late = self._host.now() - self.at
         if runner.driven == "message":
-            # Something newer on one input says nothing of another input, or of another publisher: what they
-            # published before T may still be on its way.
+            # A newer message on one input says nothing about other inputs and publishers: what they published before
+            # T may still be in transit.
             quiet = self._host.steady() - self._last_input
             return late > GRACE * 1e9 and (self.newer_at is not None or quiet > GRACE * 1e9)
         rate = runner.rate
@@ -151,7 +150,7 @@ class OutgoingCut(_Side):
             return late >= 0
         tolerance = int(rate.period * 0.25e9)
         reached = rate.slot is not None and rate.slot + tolerance >= self.at
-        return reached or late > max(GRACE, 2 * rate.period) * 1e9  # a grid that stands still writes nothing
+        return reached or late > max(GRACE, 2 * rate.period) * 1e9  # a grid that has stopped writes nothing
 
 
 class IncomingCut(_Side):
@@ -176,9 +175,9 @@ class IncomingCut(_Side):
         return "open" if link in self.written else "closed"
 
     def latch(self) -> None:
-        """Write the last gated message again where nothing has been written since T, so that late joiners get it."""
+        """For late joiners, publish the last gated message of each output that has written nothing since T."""
         for link in self._latches:
-            if link.cut is self and link not in self.written and link.write_held():
+            if link.cut is self and link not in self.written and link.write_last_gated():
                 self.wrote(link)
 
     def conclude(self) -> None:

@@ -1,7 +1,7 @@
-"""The control side of a hand-over: waiting for T, hearing or telling `taken`, and taking up again.
+"""The control thread's part in a cut: waiting for T, the report of the first write, and resuming.
 
-Each side of a cut is one task. It ends with an outcome that `await_cut` tells; nothing it does
-needs the manager, so the topic does not depend on the manager's being there.
+Each side of a cut is one task, which ends with the outcome that `await_cut` returns. It does not need the manager, so
+the topic does not depend on the manager's being alive.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from midstride.node.cut import GRACE, IncomingCut, OutgoingCut
 from midstride.node.host import Host
 from midstride.wire.commands import CutOutcome, CutResult
 
-# How often a side looks whether its moment has come (s): below a slot of 200 Hz.
+# How often a side checks whether it can go on (s): shorter than a period at 200 Hz.
 TICK: Final = 0.002
-# How long one attempt to tell the peer may take (s), and how many there are: a peer that is gone cannot write.
+# How long one attempt to report to the peer may take (s), and how many there are: a dead peer cannot write.
 REPORT_TIMEOUT: Final = 0.25
 REPORT_ATTEMPTS: Final = 20
 
@@ -25,7 +25,7 @@ Changed = Callable[[], None]
 
 
 class _CutTask:
-    """What both sides share: an outcome, and the wish to cancel."""
+    """What both sides share: an outcome, and cancellation."""
 
     def __init__(self, host: Host, changed: Changed) -> None:
         self.outcome: CutOutcome | None = None
@@ -34,16 +34,16 @@ class _CutTask:
         self._changed = changed
 
     def _going(self) -> bool:
-        """Whether nothing has come of it yet; a cancellation may come whenever one awaits."""
+        """Whether there is no outcome yet; a cancellation may come at any await."""
         return self.outcome is None
 
     async def _until(self, at: int) -> None:
-        """Until ``at`` on the ROS clock, which may run otherwise than the steady one."""
+        """Wait until ``at`` on the ROS clock, which may not run like the steady one."""
         while self._going() and (left := (at - self._host.now()) / 1e9) > 0:
             await self._host.sleep(min(max(left, 0.0001), 0.1))
 
     async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
-        """The outcome first, since the peer may ask at any moment; then the gates; then whoever waits is told."""
+        """Set the outcome first, since the peer may ask at any moment; then the gates; then wake those that wait."""
         self.outcome = outcome
         await self._host.on_data(gates)
         self.finished.set()
@@ -51,7 +51,7 @@ class _CutTask:
 
 
 class CutOutTask(_CutTask):
-    """Writes up to T; takes up again where it does not hear `taken` in time."""
+    """The old side: writes up to T, and resumes where `taken` does not arrive in time."""
 
     def __init__(self, host: Host, changed: Changed, side: OutgoingCut, resume_after: float) -> None:
         super().__init__(host, changed)
@@ -74,14 +74,14 @@ class CutOutTask(_CutTask):
                 await self._host.sleep(TICK)
 
     def _silent_for(self, passed_at: int) -> float:
-        """Seconds in which the new side should have written. No message, no answer: that is not silence."""
+        """For how long the new side should have written (s); where messages drive it, since one arrived."""
         since: int | None = passed_at
         if self.side.driven_by_messages:
             since = self.side.newer_at
         return 0.0 if since is None else (self._host.steady() - since) / 1e9
 
     def taken(self) -> bool:
-        """The new side says it has written. Whether that comes too late."""
+        """The new side has written. Returns whether that is too late."""
         if self.outcome in ("resumed", "cancelled"):
             return True
         self._taken = True
@@ -95,7 +95,7 @@ class CutOutTask(_CutTask):
 
 
 class CutInTask(_CutTask):
-    """Writes from T on; tells its peer once it has."""
+    """The new side: writes from T on, and reports its first write to its peer."""
 
     def __init__(
         self,
@@ -115,7 +115,7 @@ class CutInTask(_CutTask):
         waited_from = self._host.steady()
         latched = self._rate_driven
         while self._going() and not self.side.written:
-            # A message on its way at T may still make the new side write by itself; nothing else will.
+            # A message in transit at T may still make the new side write; nothing else will.
             if not latched and (self._host.steady() - waited_from) / 1e9 > self._latch_after():
                 latched = True
                 await self._host.on_data(self.side.latch)
@@ -127,7 +127,7 @@ class CutInTask(_CutTask):
             self.outcome = "done"
             self.finished.set()
             self._changed()
-            await self._host.sleep(GRACE)  # messages from before T may still be on their way here
+            await self._host.sleep(GRACE)  # messages from before T may still be in transit to here
             await self._host.on_data(self.side.conclude)
 
     def _latch_after(self) -> float:
@@ -135,7 +135,7 @@ class CutInTask(_CutTask):
         return GRACE if any(owner is not None and owner.driven == "message" for owner in owners) else 0.0
 
     async def _resumed(self) -> bool:
-        """Tell the old side until it answers; whether it writes again. One that cannot be reached does not write."""
+        """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
         for _ in range(REPORT_ATTEMPTS):
             if not self._going():
                 return False

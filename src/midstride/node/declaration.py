@@ -1,4 +1,4 @@
-"""From what an author declared to the model's component, with everything the model demands of one checked."""
+"""From what an author declared to the model's component, checked against the model's rules."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def declare(
     functionalities: Sequence[Functionality],
     parameters: Sequence[Parameter],
 ) -> model.ComponentSpec:
-    """The component. Raises NodeError where it is not one the model allows (semantics.md section 2)."""
+    """The component. Raises NodeError where it breaks a rule of docs/semantics.md section 2."""
     _check_owned(outputs, functionalities)
     return model.ComponentSpec.of(
         name,
@@ -68,14 +68,14 @@ def _mode(mode: DeclaredMode) -> model.Mode:
 
 
 def _guarantee(mode: DeclaredMode, port: Output) -> Predicate:
-    """A rate-driven mode guarantees its rate; one driven by messages only what is stated."""
+    """A rate-driven mode guarantees its rate; a message-driven one guarantees only what is stated."""
     stated = mode.guarantees.get(port, Guarantee(None, ()))
     rate = mode.rate if stated.rate is None else stated.rate
     return predicate(port.type, rate, port.qos, stated.where)
 
 
 def _check_monotonic(functionality: Functionality, modes: tuple[model.Mode, ...]) -> None:
-    """Rule M2: what a worse mode guarantees, every better one guarantees too."""
+    """Rule M2: every better mode guarantees what a worse one guarantees."""
     for better, worse in itertools.pairwise(modes):
         for port in functionality.outputs:
             needed, offered = worse.guarantee(port.name), better.guarantee(port.name)

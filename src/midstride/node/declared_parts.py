@@ -1,4 +1,4 @@
-"""What an author has declared of a component: its ports, functionalities, parameters and hooks."""
+"""What an author has declared of a component: its ports, functionalities, parameters and callbacks."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from midstride.node.ports import Input, Output
 
 
 @dataclass(slots=True)
-class Hooks:
-    """What the author wants called besides modes."""
+class Callbacks:
+    """The author's functions that are called besides those of modes."""
 
     setup: Callable[[Any], None] | None = None
     stop: Callable[[], Any] | None = None
@@ -30,4 +30,4 @@ class DeclaredParts:
     outputs: dict[str, Output] = field(default_factory=dict)
     functionalities: dict[str, Functionality] = field(default_factory=dict)
     parameters: dict[str, Parameter] = field(default_factory=dict)
-    hooks: Hooks = field(default_factory=Hooks)
+    callbacks: Callbacks = field(default_factory=Callbacks)

@@ -10,11 +10,11 @@ from midstride.node.ports import AnyOf, Input, Output
 
 
 class Functionality:
-    """A chain of modes, best first (semantics.md section 2). Made by ``Component.create_functionality``.
+    """A chain of modes, best first (docs/semantics.md section 2). Made by ``Component.create_functionality``.
 
-    The normal mode is the best, the degraded one assumes nothing (M1); what a worse one guarantees, every better one
-    does too (M2). It starts in the degraded one; which it is in later is the manager's affair, save that it goes to
-    the degraded one by itself where a function raises.
+    The normal mode is the best, and the degraded one assumes nothing (M1); every better mode guarantees what a worse
+    one guarantees (M2). It starts in the degraded mode. The manager changes modes; only where a function raises does
+    the functionality go to its degraded mode by itself.
     """
 
     def __init__(
@@ -52,16 +52,16 @@ class Functionality:
         ``outputs``. Without, ``fn(message)`` is called for every message of its one input; with
         several, ``fn`` maps inputs to functions, or ``sync=approximate(…)`` calls it with one
         message of each. Without either, ``fn()`` is called once, on entry. An ``async`` function
-        counts as running until it returns; it may await what the platform awaits: rclpy's futures on ROS 2,
+        counts as running until it returns; it may await what the platform supports: rclpy's futures on ROS 2,
         asyncio's on ROS 1.
 
         ``inputs`` names what the mode assumes; ``any_of(left, right)`` for alternatives. ``outputs`` are those it
         writes: an output that is not among them is guaranteed nothing. ``guarantees`` states rates (Hz) or fields of
-        outputs where ``rate`` does not say it all. ``name`` is what the specification calls the mode. Raises NodeError.
+        outputs beyond what follows from ``rate``. ``name`` is the mode's name in the specification. Raises NodeError.
         """
         if self._normal is not None:
             raise NodeError(
-                f"functionality {self.name}: set_normal_mode() was called before; for a finer mode in between write "
+                f"functionality {self.name}: set_normal_mode() has been called already; for a mode in between write "
                 f'set_mode("name", …)'
             )
         self._normal = self._declare(name, fn, rate, inputs, outputs, guarantees, sync)
@@ -93,13 +93,13 @@ class Functionality:
         name: str = "degraded",
         inputs: Sequence[Input | AnyOf] = (),
     ) -> None:
-        """The last mode: what is left to do when nothing can be relied on. It must not assume anything (M1).
+        """The last mode: what to do when no input can be relied on. It assumes nothing (M1).
 
         With ``rate`` (Hz), ``fn()`` is called at that rate; without, once, on entry. Raises NodeError.
         """
         if self._degraded is not None:
             raise NodeError(
-                f"functionality {self.name}: set_degraded_mode() was called before; for a finer mode in between write "
+                f"functionality {self.name}: set_degraded_mode() has been called already; for a mode in between write "
                 f'set_mode("name", …)'
             )
         if inputs:
@@ -125,7 +125,7 @@ class Functionality:
         if self._degraded is None:
             raise NodeError(
                 f"functionality {self.name} has no degraded mode; write {self.name}.set_degraded_mode(fn): "
-                "what it does when nothing can be relied on, perhaps nothing at all"
+                "what it does when no input can be relied on, which may be nothing"
             )
         return (self._normal, *self._between, self._degraded)
 
@@ -154,7 +154,7 @@ class Functionality:
         )
         declared = [self._normal, *self._between, self._degraded]
         if any(other is not None and other.name == mode.name for other in declared):
-            raise NodeError(f"functionality {self.name} has a mode {mode.name} already; give this one another name")
+            raise NodeError(f"functionality {self.name} already has a mode {mode.name}; give this one another name")
         return mode
 
     def __repr__(self) -> str:

@@ -1,7 +1,7 @@
-"""The running side of a functionality: its current mode, its calls, and what happens when one raises.
+"""A running functionality: its current mode, its calls, and what happens when one raises.
 
-Everything here runs on the data side. The control side reads ``index``, ``busy``, ``because`` and
-``since``, and changes nothing but through functions run on the data side.
+Everything here runs on the data thread. The control thread reads ``index``, ``busy``, ``because`` and ``since``, and
+changes things only through functions that it has run on the data thread.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class PendingSwitch(Protocol):
 
 
 class FunctionalityRunner:
-    """Runs one functionality. ``report`` is told when it degraded by itself."""
+    """Runs one functionality. ``report`` is called when it has degraded by itself."""
 
     def __init__(self, functionality: Functionality, host: Host, report: Callable[[FunctionalityRunner], None]) -> None:
         self.name = functionality.name
@@ -43,11 +43,11 @@ class FunctionalityRunner:
         self.failed = False
         # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
         self.ready = True
-        # When in time the current call belongs: the first and the last of the slots that it stands for, or the info of
-        # what it answers.
+        # What places the current call in time: the first and the last slot that it accounts for, or the info of the
+        # messages that it answers.
         self.slots: tuple[int, int] | None = None
         self.info: Any = None
-        # During a cut, told of every message that reaches the functionality.
+        # During a cut, called with the info of every message that reaches the functionality.
         self.watch: Callable[[Any], None] | None = None
         self._host = host
         self._steady = host.steady
@@ -66,7 +66,7 @@ class FunctionalityRunner:
         return self.chain[self.index]
 
     def current_mode(self) -> str:
-        """The name of the mode it is in."""
+        """The name of its current mode."""
         return self.mode.name
 
     @property
@@ -84,35 +84,35 @@ class FunctionalityRunner:
 
     @property
     def asynchronous(self) -> bool:
-        """Whether a call is under way that has given the data side back meanwhile."""
+        """Whether an async call is under way; the data thread is free meanwhile."""
         return self._asynchronous
 
     # -- modes -------------------------------------------------------------------------------------
 
-    def leave(self) -> None:
-        """No further call of the current mode."""
+    def stop_calls(self) -> None:
+        """Start no further call of the current mode."""
         if self._trigger is not None:
             self._trigger.end()
             self._trigger = None
         self._postponed.clear()
 
     def enter_mode(self, index: int, because: str, failed: bool = False) -> None:
-        """In mode ``index`` from now on; :meth:`begin` starts its calls."""
+        """Switch to mode ``index``; :meth:`start_calls` starts its calls."""
         self.index = index
         self.because = because
         self.since = self._steady()
         self.failed = failed
 
-    def begin(self) -> None:
-        """Start the current mode's calls; the first may come at once. A platform that refuses is a failure like any."""
+    def start_calls(self) -> None:
+        """Start the current mode's calls; the first may come at once. Errors of the platform count as the mode's."""
         self._trigger = trigger_of(self.mode, self, self._host)
         try:
             self._trigger.begin()
-        except Exception as error:  # not user code's: that is caught where it is called
+        except Exception as error:  # the platform's: those of user code are caught where it is called
             self._fail(error)
 
-    def hold(self, switch: PendingSwitch) -> None:
-        """Start no further call until ``switch`` lets go; it is attempted when the call under way ends."""
+    def block(self, switch: PendingSwitch) -> None:
+        """Start no further call until :meth:`unblock`; ``switch`` is attempted when the call under way ends."""
         self._switch = switch
         self.ready = False
 
@@ -126,7 +126,7 @@ class FunctionalityRunner:
     # -- calls -------------------------------------------------------------------------------------
 
     def call(self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any) -> None:
-        """One call of user code. The caller has made sure that it may start (``ready``)."""
+        """Call user code. The caller has checked ``ready``."""
         self.slots = slots
         self.info = info
         self.busy = self._steady()
@@ -144,7 +144,7 @@ class FunctionalityRunner:
             self._ended()
 
     def postpone(self, function: Function, arguments: tuple[Any, ...], info: Any) -> None:
-        """A message that comes during an async call waits for its end, as it would in the middleware's queue."""
+        """Queue a message that arrives during an async call, as the middleware would."""
         self._postponed.append((function, arguments, info))
 
     def _ended(self) -> None:
@@ -181,23 +181,23 @@ class FunctionalityRunner:
     # -- failing -----------------------------------------------------------------------------------
 
     def _fail(self, error: BaseException) -> None:
-        """User code raised: to the last mode at once, with the traceback as the reason."""
+        """User code has raised: go to the last mode at once, with the traceback as the reason."""
         failed = self.mode.name
-        told = told_by(error)
-        self.leave()
+        reason = format_error(error)
+        self.stop_calls()
         if self.index < self.last:
-            self.enter_mode(self.last, f"mode {failed} raised: {told}", failed=True)
+            self.enter_mode(self.last, f"mode {failed} raised: {reason}", failed=True)
             self._report(self)
-            self.begin()
+            self.start_calls()
         else:
             self.enter_mode(
-                self.index, f"its last mode, {failed}, raised, so it is no longer called: {told}", failed=True
+                self.index, f"its last mode, {failed}, raised, so it is no longer called: {reason}", failed=True
             )
             self._report(self)
 
 
-def told_by(error: BaseException) -> str:
-    """An exception in words: what it is first, then the traceback from the user's code on."""
+def format_error(error: BaseException) -> str:
+    """The exception, then its traceback from the user's code on."""
     frames = traceback.extract_tb(error.__traceback__)
     own = __file__.rpartition("/")[0]
     theirs = [frame for frame in frames if not frame.filename.startswith(own)] or list(frames)

@@ -1,4 +1,4 @@
-"""The commands of a hand-over: the time grid, the two sides of a cut, and what passes between peers."""
+"""The commands of a hand-over: the time grid, the two sides of a cut, and the connection between the peers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from midstride.wire.state import GateState
 
 # How long one attempt to reach a peer may take (s).
 MEET_ATTEMPT: Final = 0.5
-# How many cuts that are over can still be asked about, or cancelled.
+# How many finished cuts can still be queried, or cancelled.
 REMEMBERED: Final = 50
 
 
@@ -56,19 +56,19 @@ class HandoverCommands:
         self._data = data
         self._changed = changed
         self._token = token
-        # Both sides of a cut may be here: one output of the component can hand over to another.
+        # Both sides of a cut may be here: one output of a component can hand over to another.
         self._sides: dict[str, list[CutOutTask | CutInTask]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._channels: dict[str, Channel] = {}
 
     def close(self) -> None:
-        """The component ends: no side goes on."""
+        """The component ends: stop all cuts."""
         for task in self._tasks:
             task.cancel()
         self.disconnect()
 
     def disconnect(self) -> None:
-        """Forget the peers: they belong to the system that the component leaves."""
+        """Close the connections to peers: they belong to the system that the component leaves."""
         for channel in self._channels.values():
             channel.close()
         self._channels.clear()
@@ -78,7 +78,7 @@ class HandoverCommands:
     async def grid(self, command: GridCommand) -> Grid:
         owner = self._attachments.output(command.port).owner
         if owner is None:
-            raise CommandRefused("the component has not begun yet")
+            raise CommandRefused("the component has not started yet")
         rate, topic = owner.rate, command.topic
         return Grid(
             trigger=owner.driven,
@@ -89,7 +89,7 @@ class HandoverCommands:
         )
 
     async def meet(self, command: MeetCommand) -> Done:
-        """Connect to the peer and have it answer; the connection is kept for the report of the first write."""
+        """Connect to the peer and ping it; the connection is kept for the report of the first write."""
         deadline = self._host.steady() + int(command.timeout * 1e9)
         while True:
             try:
@@ -108,14 +108,14 @@ class HandoverCommands:
     # -- the cut -----------------------------------------------------------------------------------
 
     async def cut_out(self, command: CutOutCommand) -> Done:
-        links = self._agreed(command.cut, command.swaps, CutOutTask, gate="open")
+        links = self._links_of(command.cut, command.swaps, CutOutTask, gate="open")
         side = OutgoingCut(links, command.at, self._host)
         await self._arm(command.at, side.arm)
         self._begin(command.cut, CutOutTask(self._host, self._changed, side, command.resume_after))
         return Done()
 
     async def cut_in(self, command: CutInCommand) -> Done:
-        links = self._agreed(command.cut, command.swaps, CutInTask, gate="closed")
+        links = self._links_of(command.cut, command.swaps, CutInTask, gate="closed")
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
         side = IncomingCut(links, command.at, self._host, latches)
         await self._arm(command.at, lambda: side.arm(command.epoch))
@@ -125,18 +125,18 @@ class HandoverCommands:
         return Done()
 
     async def cancel_cut(self, command: CancelCutCommand) -> Done:
-        for side in self._of(command.cut):
+        for side in self._sides_of(command.cut):
             await side.cancel()
         return Done()
 
     async def await_cut(self, command: AwaitCutCommand) -> CutResult:
-        sides = self._of(command.cut)
+        sides = self._sides_of(command.cut)
         if not sides:
             raise CommandRefused(f"there is no cut {command.cut}")
         over = asyncio.gather(*(side.finished.wait() for side in sides))
         await within(self._host, over, command.timeout)
         results = [side.result() for side in sides]
-        # Where both sides are here: what keeps the cut from being done.
+        # Where both sides are here, the cut is done once both are.
         open_outcomes: list[CutOutcome] = [result.outcome for result in results if result.outcome != "done"]
         outcome: CutOutcome = open_outcomes[0] if open_outcomes else "done"
         last = {name: write for result in results for name, write in result.last.items()}
@@ -144,20 +144,20 @@ class HandoverCommands:
         return CutResult(outcome=outcome, last=last, first=first)
 
     async def taken(self, command: CutTakenCommand) -> Relieved:
-        """From the new side. Of a cut that is not known here nothing was given up, so this side writes."""
-        old = [side for side in self._of(command.cut) if isinstance(side, CutOutTask)]
+        """From the new side. Where the cut is unknown, this side has not stopped writing."""
+        old = [side for side in self._sides_of(command.cut) if isinstance(side, CutOutTask)]
         return Relieved(resumed=any(side.taken() for side in old) if old else True)
 
     # -- parts -------------------------------------------------------------------------------------
 
-    def _of(self, cut: str) -> list[CutOutTask | CutInTask]:
-        """The sides of a cut that are here."""
+    def _sides_of(self, cut: str) -> list[CutOutTask | CutInTask]:
+        """The sides of a cut that this component is."""
         return self._sides.get(cut, [])
 
-    def _agreed(self, cut: str, swaps: Sequence[CutSwap], kind: type, gate: GateState) -> list[OutputLink]:
-        """The attachments of a cut. Raises CommandRefused where one is not fit for it."""
-        if any(isinstance(side, kind) for side in self._of(cut)):
-            raise CommandRefused(f"cut {cut} has been agreed before")
+    def _links_of(self, cut: str, swaps: Sequence[CutSwap], kind: type, gate: GateState) -> list[OutputLink]:
+        """The attachments that take part in a cut. Raises CommandRefused where one cannot."""
+        if any(isinstance(side, kind) for side in self._sides_of(cut)):
+            raise CommandRefused(f"cut {cut} has been agreed already")
         links = []
         for swap in swaps:
             link = self._attachments.link(swap.port, swap.topic)
@@ -198,7 +198,7 @@ class HandoverCommands:
             self._host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
 
     def _reporter(self, cut: str, address: str) -> Callable[[float], Awaitable[bool]]:
-        """Reports the first write to the old side; whether that writes again, since the report came too late."""
+        """The function that reports the first write to the old side, and returns whether that has resumed by then."""
 
         async def report(timeout: float) -> bool:
             command = CutTakenCommand(cut=cut)

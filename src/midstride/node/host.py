@@ -1,8 +1,8 @@
-"""What a component's process is given by its back end: the only way ``node`` reaches ROS.
+"""What a back end gives to a component's process: the only way ``node`` reaches ROS.
 
-Two sides, two threads (platform.md): the *data* side runs user code and owns the endpoints; the
-*control* side is an asyncio loop that runs the agent and never user code. Whatever touches
-endpoints or modes goes through :meth:`Host.on_data` and so falls between two calls of user code.
+There are two threads. The *data* thread runs user code and owns the endpoints. The *control* thread is an asyncio loop
+that runs the agent and never user code. Whatever touches endpoints or modes goes through :meth:`Host.on_data`, and so
+happens between two calls of user code.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class MessageInfo:
-    """What the middleware tells of a received message; None where it cannot tell.
+    """What the middleware reports about a received message; None where it cannot.
 
     ``source`` is the time of publication (ns), ``number`` the publisher's own count,
-    ``publisher`` an opaque identity of the publishing endpoint. ``stamp`` is a time that every receiver of the
-    message reads alike (its header's), where the time of publication is not told: good enough to agree on a cut.
+    ``publisher`` an opaque identity of the publishing endpoint. ``stamp`` is the time in
+    the message's header, which is the same for every receiver: where the time of publication is unknown, it is good
+    enough to agree on a cut.
     """
 
     source: int | None
@@ -34,18 +35,18 @@ class MessageInfo:
 
 
 class Publisher(Protocol):
-    """An endpoint of an output on one topic. Used on the data side only, save what says otherwise."""
+    """An endpoint of an output on one topic. Used on the data thread only, except where stated."""
 
     def publish(self, message: Any) -> None: ...
 
     def matched(self) -> int:
-        """How many *compatible* subscriptions are matched; -1 before the platform knows of it. On the control side."""
+        """How many *compatible* subscriptions are matched; -1 before the platform knows it. On the control thread."""
         ...
 
     async def acknowledged(self, timeout: float) -> bool | None:
-        """Whether every matched reliable reader has all; None where that cannot be known.
+        """Whether every matched reliable reader has received everything; None where that is unknown.
 
-        Awaited on the control side; neither side stands still meanwhile.
+        Awaited on the control thread; blocks neither thread.
         """
         ...
 
@@ -56,7 +57,7 @@ class Subscription(Protocol):
     """An endpoint of an input on one topic."""
 
     def matched(self) -> int:
-        """How many compatible publishers are matched; -1 before the platform knows of it. On the control side."""
+        """How many compatible publishers are matched; -1 before the platform knows it. On the control thread."""
         ...
 
     def destroy(self) -> None: ...
@@ -65,11 +66,11 @@ class Subscription(Protocol):
 class Timer(Protocol):
     """Calls at ``epoch + n * period`` on the ROS clock; a late call skips slots, it does not burst.
 
-    A late call is given the slot that came due first. Used on the data side.
+    A late call is given the slot that came due first. Used on the data thread.
     """
 
     def regrid(self, epoch: int) -> None:
-        """Go on along the grid through ``epoch`` (ns), from its next slot after now."""
+        """Continue along the grid through ``epoch`` (ns), from its next slot after now."""
         ...
 
     def cancel(self) -> None: ...
@@ -84,11 +85,11 @@ class Host(Protocol):
     transport: Transport | None
 
     def now(self) -> int:
-        """The ROS clock, ns; 0 while it is driven by ``/clock`` and none has come. On the data path: cheap."""
+        """The ROS clock, ns; 0 while nothing has arrived on a ``/clock`` that drives it. Cheap: on the data path."""
         ...
 
     def steady(self) -> int:
-        """The steady clock, ns: time-outs, drains, heartbeats, times of receipt. On the data path: cheap."""
+        """The steady clock, ns: for time-outs, heartbeats and times of receipt. Cheap: on the data path."""
         ...
 
     @property
@@ -96,22 +97,22 @@ class Host(Protocol):
 
     @property
     def ros_node(self) -> Any:
-        """The ROS node of the data side, for the author's own ends; None in the simulator."""
+        """The ROS node of the data thread, for the author's own use; None in the simulator."""
         ...
 
-    # -- data side -------------------------------------------------------------------------------
+    # -- data thread -----------------------------------------------------------------------------
 
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
-        """Run ``function`` on the data side between two calls of user code; awaited on the control side.
+        """Run ``function`` on the data thread between two calls of user code; awaited on the control thread.
 
         It is queued when ``on_data`` is called, in order, whether or not the result is awaited.
         """
         ...
 
     def run_coroutine(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
-        """Drive an async mode function on the data side; called, and ``done`` is called, on the data side.
+        """Drive an async mode function. Called on the data thread, where ``done`` is called as well.
 
-        ``coroutine`` raises nothing: whoever hands it over has wrapped it.
+        ``coroutine`` must not raise.
         """
         ...
 
@@ -124,30 +125,29 @@ class Host(Protocol):
     def create_subscription(
         self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
     ) -> Subscription:
-        """``callback(message, info)``: ``info`` is whatever the middleware hands over, as it comes.
+        """``callback(message, info)``: ``info`` is what the middleware passes, unread.
 
-        So a message costs nothing that nobody asks for; :meth:`read_info` tells what it says.
+        :meth:`read_info` reads it: a message costs nothing for what is not needed.
         """
         ...
 
     def read_info(self, info: Any) -> MessageInfo: ...
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Timer:
-        """``callback(first, last)``: the nominal times (ns) of the slots that the call stands for.
+        """``callback(first, last)``: the nominal times (ns) of the slots that the call accounts for.
 
-        There is more than one where it comes late: it stands for those it has missed as well.
-        ``epoch`` None: the first call comes at once.
+        A late call accounts for the slots that were missed as well. ``epoch`` None: the first call comes at once.
         """
         ...
 
-    # -- control side ----------------------------------------------------------------------------
+    # -- control thread --------------------------------------------------------------------------
 
     async def sleep(self, seconds: float) -> None:
         """On the steady clock."""
         ...
 
     def reachable(self) -> str:
-        """Where a manager can find it, in words."""
+        """Where a manager can find it, for a message."""
         ...
 
     def publish_state(self, state: ComponentState) -> None:
@@ -159,20 +159,20 @@ class Host(Protocol):
         ...
 
     def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
-        """Declare a parameter of the ROS node, on the data side, and return its value."""
+        """Declare a parameter of the ROS node, on the data thread, and return its value."""
         ...
 
     def set_parameters(self, values: dict[str, Any]) -> None:
-        """Set declared parameters at once or not at all, on the data side. Raises CommandRefused with the reason.
+        """Set declared parameters, all of them or none, on the data thread. Raises CommandRefused with the reason.
 
-        ``on_change`` may raise: then nothing is set, and what it raised is the reason.
+        ``on_change`` may raise: then nothing is set, and its error is the reason.
         """
         ...
 
     def run(self, main: Callable[[], Awaitable[None]]) -> None:
-        """Bring the process up, run ``main`` on the control thread, and return when it does.
+        """Join the platform, run ``main`` on the control thread, and return when it does.
 
-        What ``main`` raises is raised here. The only place where signal handlers are set: SIGTERM and SIGINT cancel
+        What ``main`` raises is raised here. Signal handlers are set here only: SIGTERM and SIGINT cancel
         ``main``, which then ends in order.
         """
         ...

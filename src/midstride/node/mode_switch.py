@@ -1,7 +1,7 @@
-"""Changes to the data side that happen once, between two calls of user code, or never.
+"""Changes on the data thread that happen exactly once, between two calls of user code, or not at all.
 
-Semantics.md section 7: a mode change is acknowledged once no call of the old mode runs; one that
-cannot happen within its drain time-out is taken back, and must not happen later.
+docs/semantics.md section 7, *Mode changes*: a change is acknowledged once no call of the old mode runs; one that is
+not possible within its time-out is withdrawn, and must not happen later.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ T = TypeVar("T")
 async def within(host: Host, awaitable: Awaitable[T], seconds: float) -> asyncio.Future[T] | None:
     """The finished future of ``awaitable``, or None where ``seconds`` on the steady clock pass first.
 
-    What is not finished is left alone: nothing on the data side can be interrupted from here.
+    What is not finished goes on: work on the data thread cannot be interrupted.
     """
     work = asyncio.ensure_future(awaitable)
     timer = asyncio.ensure_future(host.sleep(seconds))
@@ -31,18 +31,18 @@ async def within(host: Host, awaitable: Awaitable[T], seconds: float) -> asyncio
         timer.cancel()
     if work.done():
         return work
-    work.add_done_callback(_seen)
+    work.add_done_callback(_retrieve)
     return None
 
 
-def _seen(work: asyncio.Future[Any]) -> None:
-    """Nobody waits for it any more, so nobody else looks at what it raised."""
+def _retrieve(work: asyncio.Future[Any]) -> None:
+    """Retrieve the exception of work that is no longer awaited, so that asyncio does not log it."""
     if not work.cancelled():
         work.exception()
 
 
 class Once(Generic[T]):
-    """A function that runs once, or is taken back before it does: exactly one of the two."""
+    """A function that either runs once or is withdrawn before it does."""
 
     def __init__(self, function: Callable[[], T]) -> None:
         self._function = function
@@ -50,7 +50,7 @@ class Once(Generic[T]):
         self._settled = False
 
     def claim(self) -> bool:
-        """Whether the caller is the first to settle what becomes of it."""
+        """Decide that it runs, or that it is withdrawn. Returns whether the caller is the first to decide."""
         with self._lock:
             first, self._settled = not self._settled, True
             return first
@@ -60,7 +60,7 @@ class Once(Generic[T]):
 
 
 class DataExecutor:
-    """Runs functions on the data side from the control side, in bounded time."""
+    """Runs functions on the data thread for the control thread, in bounded time."""
 
     def __init__(self, host: Host, busy: Callable[[], str]) -> None:
         self._host = host
@@ -69,7 +69,7 @@ class DataExecutor:
     async def run(self, function: Callable[[], T], timeout: float) -> T:
         """The result of ``function``, run between two calls of user code.
 
-        Raises CommandRefused where the data side is not free within ``timeout``; then it will not run later either.
+        Raises CommandRefused where the data thread is not free within ``timeout``; then it does not run later either.
         """
         once = Once(function)
         work = asyncio.ensure_future(self._host.on_data(once))
@@ -77,12 +77,12 @@ class DataExecutor:
             if once.claim():
                 raise CommandRefused(f"user code did not return within {timeout:g} s{self._busy()}")
             if await within(self._host, work, timeout) is None:
-                raise CommandRefused(f"it has begun, but did not end within {timeout:g} s more{self._busy()}")
-        result: T = work.result()  # type: ignore[assignment]  # it ran, since nobody took it back
+                raise CommandRefused(f"it has started, but did not end within another {timeout:g} s{self._busy()}")
+        result: T = work.result()  # type: ignore[assignment]  # it was not withdrawn, so it has run
         return result
 
     async def drive(self, function: Callable[[], Any], timeout: float) -> bool:
-        """Run user code that may be async to its end; whether it ended within ``timeout``. Raises what it raises."""
+        """Run user code that may be async. Returns whether it ended within ``timeout``. Raises what it raises."""
         loop = asyncio.get_running_loop()
         ended = asyncio.Event()
         raised: list[BaseException] = []
@@ -120,8 +120,8 @@ def _call(loop: asyncio.AbstractEventLoop, function: Callable[[], Any]) -> None:
 class ModeSwitch:
     """One mode change of a group of functionalities: all at once, between two calls of each, or not at all.
 
-    ``guard`` is asked in that very moment; what it says refuses the change. ``settled`` is called
-    on the data side once it has happened or is refused, before the new modes' first calls.
+    ``guard`` is called at that moment; a reason that it returns refuses the change. ``settled`` is called on the data
+    thread once the change has happened or is refused, before the new modes' first calls.
     """
 
     def __init__(
@@ -143,21 +143,21 @@ class ModeSwitch:
         self._over = False
 
     def attempt(self) -> None:
-        """On the data side: switch, unless an async call is under way; then this is called again at its end."""
+        """On the data thread: switch, unless an async call is under way; then this is called again at its end."""
         if self._over:
             return
         if any(runner.asynchronous for runner in self._runners):
             for runner in self._runners:
-                runner.hold(self)
+                runner.block(self)
             return
-        if not self.claim():  # in this very moment the control side gave up waiting
+        if not self.claim():  # the control thread has just withdrawn it
             return
         try:
             self.refused = self._guard()
             if self.refused is None:
                 self._switch()
-        except Exception as error:  # ours, or the platform's: whoever waits must hear of it
-            self.refused = f"the change failed half way: {type(error).__name__}: {error}"
+        except Exception as error:  # ours, or the platform's: the control thread waits for the outcome
+            self.refused = f"the change failed half-way: {type(error).__name__}: {error}"
             raise
         finally:
             self._settled()
@@ -167,19 +167,19 @@ class ModeSwitch:
         moved = [r for r in self._runners if r.index != self._targets[r.name]]
         self.before = {runner.name: runner.mode.name for runner in self._runners}
         for runner in moved:
-            runner.leave()
+            runner.stop_calls()
             runner.enter_mode(self._targets[runner.name], self._because)
         self._settled()
         for runner in moved:
-            runner.begin()
+            runner.start_calls()
 
     def claim(self) -> bool:
-        """Whether the caller is the first to settle what becomes of it; on the control side: that it never happens."""
+        """Decide that it happens (data thread) or not (control thread). Returns whether the caller is the first."""
         with self._lock:
             first, self._over = not self._over, True
             return first
 
     def release(self) -> None:
-        """On the data side, once it is settled or taken back: calls may start again."""
+        """On the data thread, once it has happened or is withdrawn: calls may start again."""
         for runner in self._runners:
             runner.unblock(self)

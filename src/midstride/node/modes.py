@@ -1,4 +1,4 @@
-"""Modes as an author declares them: a function, what drives it, what it assumes and guarantees."""
+"""Modes as an author declares them: a function, its trigger, its assumptions and its guarantees."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def approximate(slop: float, queue: int = 10) -> Approximate:
     """``sync=approximate(0.05)``: call with one message of each input, at most 0.05 s apart.
 
     The time of a message is its ``header.stamp`` where it has one, else that of its publication.
-    ``queue`` messages of each input wait for their partners; the oldest go first. Raises NodeError.
+    At most ``queue`` messages of each input wait to be matched; the oldest are dropped first. Raises NodeError.
     """
     seconds = check_seconds(slop, "approximate()")
     if not queue >= 1:
@@ -38,7 +38,7 @@ def approximate(slop: float, queue: int = 10) -> Approximate:
 
 @dataclass(frozen=True, slots=True)
 class DeclaredMode:
-    """One mode, checked. ``handlers`` says whose messages call what, where messages drive it."""
+    """One mode, checked. ``handlers`` maps inputs to functions where messages drive it."""
 
     name: str
     driven: Driven
@@ -69,7 +69,7 @@ def declare_mode(
     associated_inputs: Sequence[Input],
     associated_outputs: Sequence[Output],
 ) -> DeclaredMode:
-    """Check what an author wrote of one mode. Raises NodeError with what to write instead."""
+    """Check what an author declared for a mode. Raises NodeError with what to write instead."""
     mode = check_name(name, f"{where}: a mode's name")
     where = f"{where}, mode {mode}"
     hertz = check_rate(rate, where)
@@ -88,7 +88,9 @@ def declare_mode(
         return DeclaredMode(mode, driven, plain, hertz, assumptions, kept_outputs, promises)
     if sync is not None:
         if any(len(assumption) > 1 for assumption in assumptions) or len(named) < 2:
-            raise NodeError(f"{where}: sync= takes one message of each of several inputs; any_of() leaves one out")
+            raise NodeError(
+                f"{where}: sync= takes one message of each of several inputs, so any_of() cannot be used with it"
+            )
         listed = ", ".join(port.name for port in named)
         together = _callable(where, function, len(named), f"it is called with one message of each input: ({listed})")
         return DeclaredMode(
@@ -104,9 +106,11 @@ def _handlers(
     if isinstance(function, Mapping):
         for port in function:
             if port not in named:
-                raise NodeError(f"{where}: the mapping calls for {port!r}, which inputs= does not name; add it")
+                raise NodeError(
+                    f"{where}: the mapping has a function for {port!r}, which inputs= does not name; add it there"
+                )
         if not function:
-            raise NodeError(f"{where}: an empty mapping calls nothing; write {{scan: on_scan}}")
+            raise NodeError(f"{where}: an empty mapping calls no function; write {{scan: on_scan}}")
         called = "it is called with each message"
         return tuple((port, _callable(where, handler, 1, called)) for port, handler in function.items())
     if len(assumptions) > 1:
@@ -127,7 +131,7 @@ def _callable(where: str, function: object, arguments: int, called: str) -> Func
         name = getattr(function, "__name__", repr(function))
         raise NodeError(f"{where}: {name}{inspect.signature(function)} does not fit ({error}): {called}") from None
     except ValueError:
-        pass  # a built-in that does not tell its signature
+        pass  # a built-in without a signature
     return function
 
 
@@ -141,7 +145,7 @@ def _assumptions(
         elif isinstance(entry, Input):
             alternatives = (entry,)
         else:
-            raise NodeError(f"{where}: inputs= has {entry!r}, which is not an input; write what create_input gave")
+            raise NodeError(f"{where}: inputs= has {entry!r}, which is not an input; write what create_input returned")
         for port in alternatives:
             if port not in associated:
                 raise NodeError(
@@ -156,7 +160,9 @@ def _outputs(where: str, outputs: Iterable[Output], associated: Sequence[Output]
     found = listed(outputs, where, "outputs")
     for port in found:
         if not isinstance(port, Output):
-            raise NodeError(f"{where}: outputs= has {port!r}, which is not an output; write what create_output gave")
+            raise NodeError(
+                f"{where}: outputs= has {port!r}, which is not an output; write what create_output returned"
+            )
         if port not in associated:
             raise NodeError(
                 f"{where}: output {port.name} is not one of its functionality; "
@@ -179,7 +185,7 @@ def _promises(where: str, guarantees: object, outputs: tuple[Output, ...]) -> di
 
 
 def listed(values: Any, where: str, what: str) -> list[Any]:
-    """``values`` as a list; a lone port is a common slip, and says so."""
+    """``values`` as a list. Raises NodeError for a single port, which is a common mistake."""
     if isinstance(values, (Input, Output, AnyOf, str)) or not isinstance(values, Iterable):
         raise NodeError(f"{where}: {what}={values!r} must be a list; write {what}=[{getattr(values, 'name', '…')}]")
     return list(values)

@@ -13,7 +13,7 @@ _SCALARS = (bool, int, float, str)
 
 
 class Parameter:
-    """Made by ``Component.parameter``; ``value`` is what it stands at."""
+    """Made by ``Component.parameter``; ``value`` is its current value."""
 
     def __init__(self, name: str, default: ParameterValue, on_change: Callable[[Any], None] | None) -> None:
         self.name = name
@@ -26,18 +26,18 @@ class Parameter:
         return self._value
 
     def begin_with(self, value: Any) -> None:
-        """The value it starts with, as the platform says. Raises NodeError where that is of another type."""
+        """The value it starts with, from the platform. Raises NodeError where it is of another type."""
         self._value = self.fitted(value)
 
     def change(self, value: Any) -> None:
-        """Called on the data side when it is set. What the author's function raises leaves it as it was.
+        """Called on the data thread when it is set. If the author's function raises, the value stays as it was.
 
-        Raises NodeError where there is no such function: whoever reads the value once would not notice.
+        Raises NodeError where there is no such function: code that reads the value once would not notice.
         """
         if self.on_change is None:
             raise NodeError(
                 f"parameter {self.name} keeps the value that the component was started with: replace the component, or "
-                f"give the parameter an on_change="
+                "give the parameter an on_change="
             )
         before, self._value = self._value, self.fitted(value)
         try:
@@ -47,7 +47,7 @@ class Parameter:
             raise
 
     def fitted(self, value: Any) -> Any:
-        """``value`` as a value of this parameter: of the default's type, a whole number serving as a real one."""
+        """``value`` as a value of this parameter: of the default's type; an integer also fits a float."""
         fitted = _fitted(value, self.default)
         if fitted is None:
             kind = type(self.default).__name__
@@ -56,15 +56,17 @@ class Parameter:
 
 
 def check_parameter(name: object, value: object) -> None:
-    """Raises NodeError where ROS has no parameter of such a name or value, or where the name is ours."""
+    """Raises NodeError where ROS allows no such name or value, or where the name is reserved."""
     if not isinstance(name, str) or not name or name.startswith("midstride."):
-        raise NodeError(f"parameter(): {name!r} cannot be the name of a parameter of yours")
+        raise NodeError(
+            f"parameter(): {name!r} cannot be the name of a parameter; write a name that does not start with midstride."
+        )
     members = value if isinstance(value, list) else [value]
     kinds = {type(member) for member in members}
     if not all(isinstance(member, _SCALARS) for member in members) or len(kinds) > 1:
         raise NodeError(
-            f"parameter {name}: {value!r} is no value of a ROS parameter; write a boolean, a number, words, "
-            "or a list of one of these"
+            f"parameter {name}: {value!r} cannot be the value of a ROS parameter; write a boolean, a number, a string, "
+            "or a list of one of these types"
         )
     if any(isinstance(member, float) and not math.isfinite(member) for member in members):
         raise NodeError(f"parameter {name}: {value!r} is not finite")

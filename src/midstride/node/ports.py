@@ -1,8 +1,8 @@
-"""Ports: what the author writes to and reads from, and the attachments behind them.
+"""Ports: what the author writes to and reads from, and their attachments to topics.
 
-A port is connected to nothing until the manager attaches it (semantics.md section 2). The write
-and the receive path are the data path: a gate and a counter over the bare middleware, no lock, no
-log. All of it runs on the data side; other threads read counters and replace nothing.
+A port is connected to nothing until the manager attaches it (docs/semantics.md section 2). Writing and receiving are
+the data path: a gate and a counter on top of the middleware, without locks or logging. All of it runs on the data
+thread; other threads only read counters.
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from midstride.node.contracts import type_name
 from midstride.node.host import Host, Publisher, Subscription
 from midstride.wire.state import GateState
 
-# How many receipts an input remembers while nobody records: enough to see 20 periods back.
+# How many receipts an input keeps while it does not record: enough to look back 20 periods.
 REMEMBERED: Final = 64
-# How many it keeps while recording; the oldest go first.
+# How many it keeps while it records; the oldest are dropped first.
 RECORDED: Final = 200_000
 
 Listener = Callable[[Any, Any], None]
@@ -53,7 +53,7 @@ class TimeGrid(Protocol):
 class OutputOwner(Protocol):
     """The running functionality that an output belongs to, as far as its attachments need to know it."""
 
-    # When in time the current call belongs: the slots it accounts for, or the info of what it answers.
+    # What places the current call in time: the slots that it accounts for, or the info of what it answers.
     slots: tuple[int, int] | None
     info: Any
     busy: int | None
@@ -75,10 +75,10 @@ class OutputOwner(Protocol):
 class OutputLink:
     """One attachment of an output: a publisher behind a gate. Created closed.
 
-    ``count`` numbers what went out, from 1 as the middleware does; ``gated`` what did not.
+    ``count`` is the number of published messages, as the middleware counts them; ``gated`` that of the others.
     """
 
-    __slots__ = ("count", "cut", "gated", "held", "open", "output", "publish", "publisher", "topic")
+    __slots__ = ("count", "cut", "gated", "last_gated", "open", "output", "publish", "publisher", "topic")
 
     def __init__(self, output: Output, topic: str, publisher: Publisher) -> None:
         self.output = output
@@ -88,11 +88,11 @@ class OutputLink:
         self.open = False
         self.count = 0
         self.gated = 0
-        self.held: Any = None
+        self.last_gated: Any = None
         self.cut: GatePolicy | None = None
 
     def write_gated(self, message: Any) -> None:
-        """A write that meets no open gate: during a cut it may pass, else it is counted and kept for a latch."""
+        """A write while the gate is not open: a cut may let it pass, else it is counted, and kept for late joiners."""
         cut = self.cut
         if cut is not None and cut.passes(self):
             self.publish(message)
@@ -100,18 +100,18 @@ class OutputLink:
             cut.wrote(self)
         else:
             self.gated += 1
-            self.held = message
+            self.last_gated = message
 
-    def write_held(self) -> bool:
-        """Write what was last kept behind the gate, so that late joiners get it; whether there was anything."""
-        if self.held is None:
+    def write_last_gated(self) -> bool:
+        """Publish the last message that the gate has held back, for late joiners; whether there was one."""
+        if self.last_gated is None:
             return False
-        self.publish(self.held)
+        self.publish(self.last_gated)
         self.count += 1
         return True
 
     def set_gate(self, open_: bool) -> None:
-        """Open or closed from now on, whatever a cut said."""
+        """Open or close the gate, and take this attachment out of its cut."""
         self.cut = None
         self.open = open_
 
@@ -128,8 +128,8 @@ class OutputLink:
 class Output:
     """An output port. ``write`` publishes on every topic it is attached to; attached to none, it only counts.
 
-    To be written to from mode functions, and whatever else is called where they are (``on_stop``, ``on_change``,
-    timers of the author's own node): not from threads of the author's, for it takes no lock.
+    Write only on the data thread: in mode functions, ``on_stop``, ``on_change``, and timers of the ROS node. Do not
+    write from other threads: there is no lock.
     """
 
     def __init__(self, name: str, type_: type, qos: QoS) -> None:
@@ -137,7 +137,7 @@ class Output:
         self.type = type_
         self.qos = qos
         self.unattached = 0
-        # The last message of an output that late joiners get it from, else the last one that went nowhere.
+        # The last message of a transient-local output, else the last one that was written while unattached.
         self.latched = qos.effective().durability == "transient_local"
         self.last: Any = None
         self.wrong_type: str | None = None
@@ -147,7 +147,8 @@ class Output:
     def write(self, message: Any) -> None:
         """Publish ``message``. Raises NodeError where it is not of the output's type.
 
-        Behind a closed gate, before and after a hand-over, it is counted and goes nowhere (semantics.md section 7).
+        Behind a closed gate, before and after a hand-over, it is counted and not published (docs/semantics.md
+        section 7).
         """
         if message.__class__ is not self.type and not isinstance(message, self.type):
             self._refuse(message)
@@ -181,7 +182,7 @@ class Output:
 
 
 class InputLink:
-    """One attachment of an input: a subscription and how much came through it."""
+    """One attachment of an input: a subscription, and the number of messages received on it."""
 
     __slots__ = ("count", "subscription", "topic")
 
@@ -221,7 +222,7 @@ class Input:
         return next((link for link in self.links if link.topic == topic), None)
 
     def receiver(self, link: InputLink, host: Host) -> Callable[[Any, Any], None]:
-        """The callback of one subscription. Everything it touches is local or an attribute: this is the data path."""
+        """The callback of one subscription. On the data path: it uses local variables and attributes only."""
         now, steady = host.now, host.steady
         self._now = now
 
@@ -236,12 +237,12 @@ class Input:
         return receive
 
     def forget(self) -> None:
-        """No longer attached anywhere: what came before does not count."""
+        """Drop the latest message: the input is not attached any more."""
         self.latest = None
         self._received_at = None
 
     def record(self, on: bool) -> None:
-        """Keep every receipt from now on, or only the last few; those it has stay."""
+        """Keep every receipt from now on, or only the last few; earlier ones are kept."""
         self.receipts = deque(self.receipts, maxlen=RECORDED if on else REMEMBERED)
 
     def __repr__(self) -> str:
@@ -249,7 +250,7 @@ class Input:
 
 
 class AnyOf:
-    """Inputs that are alternatives: one of them is enough. Made by :func:`any_of`."""
+    """Inputs that are alternatives: one of them suffices. Made by :func:`any_of`."""
 
     def __init__(self, inputs: tuple[Input, ...]) -> None:
         self.inputs = inputs
@@ -262,13 +263,13 @@ class AnyOf:
 
 
 def any_of(*inputs: Input) -> AnyOf:
-    """An assumption that one of several inputs meets: ``inputs=[any_of(left, right)]`` (semantics.md section 2).
+    """An assumption that one of several inputs meets: ``inputs=[any_of(left, right)]`` (docs/semantics.md section 2).
 
-    Raises NodeError for fewer than two, or for what is no input.
+    Raises NodeError for fewer than two, or for what is not an input.
     """
     for port in inputs:
         if not isinstance(port, Input):
-            raise NodeError(f"any_of(): {port!r} is not an input; write what create_input gave")
+            raise NodeError(f"any_of(): {port!r} is not an input; write what create_input returned")
     if len(inputs) < 2:
-        raise NodeError("any_of() takes at least two inputs; for one write it alone: inputs=[scan]")
+        raise NodeError("any_of() takes at least two inputs; for one, write inputs=[scan]")
     return AnyOf(inputs)

@@ -1,7 +1,7 @@
-"""Who this process is, and which platform it runs on: asked once, in ``Component.start``.
+"""Which instance this process is, and which platform it runs on: read once, in ``Component.start``.
 
-The manager tells a component's process through environment variables (wire/environment.py). In the
-simulator many components share one process, so there a context variable says it instead.
+The manager passes it to a component's process in environment variables (:mod:`midstride.wire.environment`). In the
+simulator many components share one process, so there it is in a context variable.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from midstride.errors import NodeError
 from midstride.node.host import HostFactory
 from midstride.wire.environment import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
 
-# Back ends that a component finds by itself: the library that says the platform is there, and where ours is.
+# Back ends that a component finds by itself: the library that shows that the platform is installed, and our module.
 # Each module has `create_host(name, namespace) -> Host`.
 BACKENDS: Final = {"ros2": ("rclpy", "midstride.backends.ros2"), "ros1": ("rospy", "midstride.backends.ros1")}
 
 
 @dataclass(frozen=True, slots=True)
 class ProcessContext:
-    """What a component is told from outside. ``instance`` None: nobody renames it; ``token`` empty: started by hand."""
+    """``instance`` is None where the component's own name is used; ``token`` is empty where it was started by hand."""
 
     factory: HostFactory | None = None
     instance: str | None = None
@@ -38,11 +38,11 @@ class ProcessContext:
     pid: int | None = None
 
 
-current: Final[ContextVar[ProcessContext | None]] = ContextVar("midstride_surroundings", default=None)
+current: Final[ContextVar[ProcessContext | None]] = ContextVar("midstride_process_context", default=None)
 
 
 def find() -> ProcessContext:
-    """The surroundings of the caller: the simulator's, else what the environment says."""
+    """The context of the caller: the simulator's, else that of the environment."""
     simulated = current.get()
     if simulated is not None:
         return simulated
@@ -56,10 +56,10 @@ def find() -> ProcessContext:
     )
 
 
-def host_factory(surroundings: ProcessContext) -> HostFactory:
-    """The factory of the platform this process runs on. Raises NodeError where there is none."""
-    if surroundings.factory is not None:
-        return surroundings.factory
+def host_factory(context: ProcessContext) -> HostFactory:
+    """The factory of the platform that this process runs on. Raises NodeError where there is none."""
+    if context.factory is not None:
+        return context.factory
     name = os.environ.get(ENV_BACKEND)
     if name is None:
         name = next((name for name, (library, _) in BACKENDS.items() if importlib.util.find_spec(library)), None)
@@ -69,7 +69,7 @@ def host_factory(surroundings: ProcessContext) -> HostFactory:
                 "or `pip install '.[ros2]'` in a clone of Midstride, or run it in the simulator"
             )
     if name not in BACKENDS:
-        raise NodeError(f"{ENV_BACKEND}={name!r} names no back end: write one of {', '.join(BACKENDS)}")
+        raise NodeError(f"{ENV_BACKEND}={name!r} is not a back end: write one of {', '.join(BACKENDS)}")
     try:
         module = importlib.import_module(BACKENDS[name][1])
     except ImportError as error:

@@ -1,4 +1,4 @@
-"""``python3 talker.py --standalone out:=/chatter``: a component that runs by itself, managed by nobody."""
+"""``python3 talker.py --standalone out:=/chatter``: a component that runs without a manager."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Attachments = Mapping[str, Sequence[str]]
 
 
 def remappings(arguments: Sequence[str], component: ComponentSpec) -> Attachments | None:
-    """What ``--standalone`` says: each port's topics; None where it is not there. Raises NodeError for a wrong port.
+    """What ``--standalone`` says: each port's topics; None where that is not given. Raises NodeError for a wrong port.
 
-    The remappings are what follows the flag as ``port:=/topic``; every other argument is the author's own or ROS's
-    (a launch file of ROS 1 adds ``__name:=…`` and the like).
+    The remappings are what follows the flag as ``port:=/topic``; every other argument is the author's or ROS's
+    (a launch file of ROS 1 adds ``__name:=…``).
     """
     if FLAG not in arguments:
         return None
@@ -37,7 +37,7 @@ def remappings(arguments: Sequence[str], component: ComponentSpec) -> Attachment
 
 
 def best_modes(component: ComponentSpec, attachments: Attachments) -> dict[str, int]:
-    """The best mode of each functionality, trusting that an attached topic keeps its promise."""
+    """The best mode of each functionality, assuming that an attached topic meets its assumptions."""
     modes = {}
     for functionality in component:
         for index, mode in enumerate(functionality.modes):

@@ -1,7 +1,7 @@
-"""What drives a mode: a time grid, messages, sets of messages, or nothing but its entry.
+"""What drives a mode: a time grid, messages, sets of messages, or only its entry.
 
-A trigger lives from the mode's entry to its end, on the data side. It tells the runner what to
-call and when in time the call belongs: a slot of the grid, or the messages it answers.
+A trigger exists from the mode's entry to its end, on the data thread. It has the runner call functions, and says what
+places each call in time: a slot of the grid, or the messages that it answers.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from midstride.node.ports import Input, Listener
 
 
 class Caller(Protocol):
-    """Calls user code: the running functionality, as a trigger knows it."""
+    """Calls user code: the running functionality, as far as a trigger needs to know it."""
 
     watch: Callable[[Any], None] | None
 
@@ -39,7 +39,7 @@ class Trigger(Protocol):
 
 
 class InfoSet(tuple[Any, ...]):
-    """The message infos of one set: the call belongs to the newest of them."""
+    """The message infos of one set: the newest of them places the call in time."""
 
     __slots__ = ()
 
@@ -59,7 +59,7 @@ class OnEntry:
 
 
 class OnRate:
-    """Called on a time grid, the first time on entry. A slot whose turn comes during a call is skipped."""
+    """Called on a time grid, the first time on entry. A slot that comes during a call is skipped."""
 
     def __init__(self, runner: Caller, host: Host, function: Function, period: float) -> None:
         self.period = period
@@ -89,7 +89,7 @@ class OnRate:
 
 
 class OnMessage:
-    """Called for every message of some inputs."""
+    """Called for every message of its inputs."""
 
     def __init__(self, runner: Caller, handlers: tuple[tuple[Input, Function], ...]) -> None:
         self._runner = runner
@@ -118,7 +118,7 @@ class OnMessage:
 
 
 class OnSet:
-    """Called with one message of each input, their times within the slop: the closest ones, oldest first."""
+    """Called with one message of each input whose times lie within the slop: the closest ones."""
 
     def __init__(self, runner: Caller, host: Host, mode: DeclaredMode) -> None:
         assert mode.sync is not None and mode.function is not None
@@ -157,7 +157,7 @@ class OnSet:
         return self._host.now() if source is None else source
 
     def _match(self, index: int) -> None:
-        """Whether the newest message of input ``index`` completes a set; then call, and drop what is older."""
+        """If the newest message of input ``index`` completes a set, call the function and drop older messages."""
         newest = self._waiting[index][-1]
         chosen = []
         for other, waiting in enumerate(self._waiting):

@@ -1,7 +1,9 @@
-"""Plans: from a running configuration to a wanted one, with the least functionality lost on the way.
+"""Plans: from a running configuration to a target, with the least loss of functionality on the way.
 
-`change` (what differs), `registry` (the strategies: `minimal`, `replace`, `quiesce`), `plan` (steps and
-costs), `draft`, `lowering` (the mode changes a structural change needs), `core`, `moves` (what caps,
-capacities and orders tie together), `constraints`, `disruption`, `schedule`, `explain`, `document`
-(the JSON form), `validate` (an independent replay).
+A `request` and the two specifications make a `change` (what differs); a strategy of the `registry` (`minimal`, `paper`
+or `quiesce`) makes a `plan` (steps and costs) of it. The strategies write their plans with `plan_builder`, which adds
+the mode changes that a structural change needs (`mode_ordering`); `minimal` searches the conflict core
+(`search_state`, `moves`). `disruption` and `schedule` are the costs, `constraints` what the user asks for, `explain`
+the reasons why something degrades, `validate` an independent replay. `impact` and `specification_diff` answer
+questions about specifications without a plan.
 """

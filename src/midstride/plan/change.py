@@ -1,9 +1,9 @@
-"""The difference between what runs and what is wanted, as one value (semantics.md section 6).
+"""The difference between what runs and the target, as one value (docs/semantics.md section 6).
 
-A node of a specification is a *role*, what runs is an *instance* of it. A role whose declaration
-differs is replaced: its old instance leaves, a new one, under a name of its own, comes. A
-changeable parameter is set in place. A topic whose contract differs is another topic, which for
-the time of the plan has an identity of its own beside the old one (``/scan@2`` on the wire's ``/scan``).
+A node of a specification is a *role*, what runs is an *instance* of it. A role whose declaration differs is replaced:
+its old instance leaves, a new one with a new name comes. A changeable parameter is set in place. A topic whose
+contract differs is a new topic, which during the plan has a separate identity beside the old one (``/scan@2`` for
+``/scan`` on the wire).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from midstride.model.component import ComponentSpec, FunctionalityRef, Parameter
 from midstride.model.configuration import Configuration, Instance, SystemContext
 from midstride.model.specification import DEFAULT_SECONDS, Node, Specification
 from midstride.plan.change_builder import ChangeBuilder, between, of_roles
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 
 Attachment = tuple[PortRef, str]
 
@@ -30,12 +30,11 @@ _SECONDS: Final[Mapping[str, float]] = DEFAULT_SECONDS
 class Change:
     """From ``start``, where ``specification`` runs, to a structure of ``target``.
 
-    ``start`` is the running configuration in the world that holds throughout the plan: the
-    target's caps, capacities and environment. ``baseline`` is ``best`` of it in the world it was
-    found in, ``final`` ``best`` of the target. ``pending`` are the functionalities of ``start`` that
-    could stand better than they do, ``lowered`` those that stand lower than in ``baseline``.
-    ``measured`` says how long steps took in earlier runs (s), by kind (``attach``) or by kind and
-    component (``create Talker``).
+    ``start`` is the running configuration in the context that holds throughout the plan: the target's caps,
+    capacities and environment. ``baseline`` is ``best`` of it in its original context, ``final`` ``best`` of the
+    target. ``pending`` are the functionalities of ``start`` that could be in a better mode, ``lowered`` those that are
+    in a worse mode than in ``baseline``. ``measured`` holds how long steps took in earlier runs (s), by kind
+    (``attach``) or by kind and component (``create Talker``).
     """
 
     specification: Specification
@@ -82,10 +81,10 @@ class Change:
         roles: Iterable[str],
         measured: Mapping[str, float] | None = None,
     ) -> Change:
-        """The change where ``target`` differs from ``specification`` in the nodes ``roles`` alone.
+        """The change where ``target`` differs from ``specification`` only in the nodes ``roles``.
 
-        Costs what the roles and their forward cone cost, whatever the size of the system.
-        ``configuration`` stands in ``best``. Raises PlanRefused as :meth:`between` does.
+        The cost follows the roles and their forward cone, not the size of the system. ``configuration`` must be in
+        its best modes. Raises PlanRefused as :meth:`between` does.
         """
         difference = of_roles(configuration, specification, target, roles)
         return cls._of(configuration, specification, target, difference, measured)
@@ -95,13 +94,13 @@ class Change:
         cls,
         configuration: Configuration,
         specification: Specification,
-        request: Request,
+        request: PlanRequest,
         target: Specification,
         measured: Mapping[str, float] | None = None,
     ) -> Change:
-        """The change a request asks for, ``target`` being what the request makes of ``specification``.
+        """The change that a request asks for; ``target`` is the specification that it leads to.
 
-        Costs what the change costs, unless the request names a whole specification.
+        The cost follows the change, unless the request names a whole specification.
         """
         if request.to is not None:
             return cls.between(configuration, specification, target, measured)
@@ -110,20 +109,20 @@ class Change:
 
     @classmethod
     def replacing(cls, configuration: Configuration, specification: Specification, role: str, component: str) -> Change:
-        """``role`` played by ``component``. Costs what the change costs. Raises PlanRefused."""
-        request = Request(replace=((role, component),))
+        """``role`` replaced with ``component``. The cost follows the change. Raises PlanRefused."""
+        request = PlanRequest(replace=((role, component),))
         return cls.of_request(configuration, specification, request, request.target(specification))
 
     @classmethod
     def adding(cls, configuration: Configuration, specification: Specification, node: Node) -> Change:
-        """A further node. Costs what the change costs. Raises PlanRefused."""
-        request = Request(add=(node,))
+        """A further node. The cost follows the change. Raises PlanRefused."""
+        request = PlanRequest(add=(node,))
         return cls.of_request(configuration, specification, request, request.target(specification))
 
     @classmethod
     def removing(cls, configuration: Configuration, specification: Specification, role: str) -> Change:
-        """One node less. Costs what the change costs. Raises PlanRefused."""
-        request = Request(remove=(role,))
+        """One node less. The cost follows the change. Raises PlanRefused."""
+        request = PlanRequest(remove=(role,))
         return cls.of_request(configuration, specification, request, request.target(specification))
 
     @classmethod
@@ -158,13 +157,13 @@ class Change:
     # -- reading -------------------------------------------------------------------------------------
 
     @property
-    def end_world(self) -> SystemContext:
-        """The world once the plan is done: the target's own."""
+    def end_context(self) -> SystemContext:
+        """The context once the plan is done: the target's own."""
         return self.target.context
 
     @property
     def is_empty(self) -> bool:
-        """Whether there is nothing to do at all."""
+        """Whether nothing differs."""
         structural = self.leaving or self.coming or self.detached or self.attached
         return not (structural or self.parameters or self.pending)
 
@@ -179,7 +178,7 @@ class Change:
         return (known or self.final.instances[instance]).component
 
     def is_output(self, port: PortRef) -> bool:
-        """Of an instance that runs at the start or comes. Raises KeyError for another."""
+        """Whether a port of an instance that runs at the start or comes is an output. Raises KeyError for another."""
         return self.component_of(port.instance).has_output(port.port)
 
     def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
@@ -200,41 +199,40 @@ class Change:
         return topic if self.identities.get(topic) == connector else None
 
     def exchanges(self) -> dict[str, tuple[Swap, ...]]:
-        """What each replacement takes over from its predecessor, by its name.
+        """The swaps of each replacement, by its name.
 
-        An output hands on to the same port where there is one, else to any other on the same topic.
+        An output is swapped for the port of the same name where there is one, else for any other on the same topic.
         """
-        going: dict[str, list[Attachment]] = {}
+        old_outputs: dict[str, list[Attachment]] = {}
         for port, connector in self.detached:
             if port.instance in self.replaced and self.is_output(port):
-                going.setdefault(port.instance, []).append((port, connector))
-        coming: dict[str, list[Attachment]] = {}
+                old_outputs.setdefault(port.instance, []).append((port, connector))
+        new_outputs: dict[str, list[Attachment]] = {}
         for port, connector in self.attached:
             if self.is_output(port):
-                coming.setdefault(port.instance, []).append((port, connector))
+                new_outputs.setdefault(port.instance, []).append((port, connector))
         found: dict[str, list[Swap]] = {}
-        for old, olds in going.items():
+        for old, olds in old_outputs.items():
             new = self.replaced[old]
-            free = coming.get(new, [])
+            free = new_outputs.get(new, [])
             for same_port in (True, False):
                 for port, connector in list(olds):
-                    alike = (
+                    candidates = (
                         other for other, on in free if on == connector and (not same_port or other.port == port.port)
                     )
-                    taking = next(alike, None)
-                    if taking is not None:
-                        free.remove((taking, connector))
+                    successor = next(candidates, None)
+                    if successor is not None:
+                        free.remove((successor, connector))
                         olds.remove((port, connector))
-                        found.setdefault(new, []).append(Swap(connector, port, taking))
+                        found.setdefault(new, []).append(Swap(connector, port, successor))
         return {new: tuple(swaps) for new, swaps in found.items()}
 
     def settled(self, configuration: Configuration) -> Configuration:
-        """``configuration``, reached by the whole plan, in the target's own world and under its own names."""
-        configuration = configuration
+        """``configuration``, reached by the whole plan, in the target's own context and with its own names."""
         for name, identity in self.identities.items():
             for port in [*configuration.publishers_on(identity), *configuration.subscribers_on(identity)]:
                 configuration = configuration.without_attachment(port, identity).with_attachment(port, name)
         for instance in self.renamed:
             known = replace(configuration.instances[instance.name], component=instance.component)
             configuration = replace(configuration, instances=configuration.instances.set(instance.name, known))
-        return configuration.with_context(self.end_world)
+        return configuration.with_context(self.end_context)

@@ -1,7 +1,7 @@
-"""Comparing what runs with what is wanted: the work behind :class:`~midstride.plan.change.Change`.
+"""The comparison of what runs with the target: the work behind :class:`~midstride.plan.change.Change`.
 
-Two ways to the same result: :func:`between` walks the whole system, :func:`of_roles` only the
-roles it is told of, so that its cost follows the change.
+Two ways to the same result: :func:`between` walks the whole system, :func:`of_roles` only the given roles, so that its
+cost follows the change.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from midstride.model.action import contract_reasons
 from midstride.model.best import best, rebalanced
 from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance, SystemContext
-from midstride.model.diagnostics import suggestion
+from midstride.model.name_checks import node_names
 from midstride.model.rules import Violation, cap_violation, capacity_violation, violations
 from midstride.model.specification import Specification
 
 
 @dataclass(slots=True)
 class ChangeBuilder:
-    """What :class:`~midstride.plan.change.Change` says, while it is being found."""
+    """A :class:`~midstride.plan.change.Change` in the making."""
 
     specification: Specification
     target: Specification
@@ -45,13 +45,13 @@ class ChangeBuilder:
     # -- one role --------------------------------------------------------------------------------------
 
     def compare(self, role: str) -> None:
-        """Note what becomes of one role: nothing, a change in place, a replacement, going or coming."""
+        """Add what happens to one role: nothing, a change in place, a replacement, a removal or an addition."""
         running = self.start.instances_of(role)
         if role not in self.target.nodes:
             for instance in running:
                 self._leave(instance)
             return
-        _check_node(self.target, role)
+        _check_references(self.target, role)
         wanted = self.target.instance(role)
         kept = next((instance for instance in running if not _differs(instance, wanted)), None)
         if kept is not None:
@@ -90,7 +90,7 @@ class ChangeBuilder:
         return [(port, self.identities.get(connector, connector)) for port, connector in pairs]
 
     def _fresh(self, role: str, bare: bool) -> str:
-        """The name of a new instance; see semantics.md section 6. Only a first instance bears the role's own."""
+        """The name of a new instance (docs/semantics.md section 6). Only a first instance gets the role's own."""
         nodes = (self.specification.nodes, self.target.nodes)
         number = 1 if bare else 2
         while True:
@@ -101,14 +101,14 @@ class ChangeBuilder:
                 return name
             number += 1
 
-    # -- all of them together --------------------------------------------------------------------------
+    # -- all roles together ----------------------------------------------------------------------------
 
     def conclude(self) -> None:
-        """Find the final configuration, and refuse a target that cannot stand."""
+        """Find the final configuration. Raises PlanRefused for a target that is impossible."""
         configuration = self.start
         seeds: dict[FunctionalityRef, None] = dict.fromkeys(self.pending)
         for port, connector in self.detached:
-            _note_users(configuration, port, seeds)
+            _add_users(configuration, port, seeds)
             configuration = configuration.without_attachment(port, connector)
         for name in self.leaving:
             configuration = configuration.without_instance(name)
@@ -119,7 +119,7 @@ class ChangeBuilder:
             if reasons := contract_reasons(configuration, port, configuration.context.connectors[connector]):
                 raise PlanRefused(f"{port} cannot be attached to {connector}: {reasons[0]}")
             configuration = configuration.with_attachment(port, connector)
-            _note_users(configuration, port, seeds)
+            _add_users(configuration, port, seeds)
         for name, parameters in self.parameters:
             configuration = configuration.with_parameters(name, parameters)
         for connector in dict.fromkeys(connector for _, connector in [*self.detached, *self.attached]):
@@ -128,24 +128,24 @@ class ChangeBuilder:
         self.final = configuration.with_modes(rebalanced(configuration, live))
         resources = dict.fromkeys(r for instance in self.coming for r in instance.component.resource_usage)
         connectors = dict.fromkeys(connector for _, connector in self.attached)
-        _meet("the target", self.final, connectors, resources)
+        _check_limits("the target", self.final, connectors, resources)
 
 
-def _note_users(configuration: Configuration, port: PortRef, seeds: dict[FunctionalityRef, None]) -> None:
-    """The functionalities that an input serves are seeds; an output's consumers are found by topic."""
+def _add_users(configuration: Configuration, port: PortRef, seeds: dict[FunctionalityRef, None]) -> None:
+    """Add the functionalities that use an input to the seeds; an output's consumers are found by topic."""
     if not configuration.is_output(port):
         seeds.update(dict.fromkeys(configuration.users(port)))
 
 
 def _values(instance: Instance) -> dict[str, ParameterValue]:
-    """What an instance runs with: its component's values, and its own over them."""
+    """The parameter values of an instance: its own, and its component's for the rest."""
     values = {name: parameter.value for name, parameter in instance.component.parameters.items()}
     values.update(instance.parameters)
     return values
 
 
 def _differs(instance: Instance, wanted: Instance) -> bool:
-    """Whether ``instance`` must be replaced to become ``wanted`` (semantics.md section 6)."""
+    """Whether ``instance`` must be replaced to become ``wanted`` (docs/semantics.md section 6)."""
     if instance.component is not wanted.component and not instance.component.same_body(wanted.component):
         return True
     current = _values(instance)
@@ -159,36 +159,19 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     )
 
 
-def _check_node(target: Specification, role: str) -> None:
-    """Refuse a node that names what is not there."""
-    node = target.nodes[role]
-    component = target.components.get(node.component)
-    if component is None:
-        hint = suggestion(node.component, target.components)
-        raise PlanRefused(f"node {role}: there is no component {node.component}; {hint}")
-    for port in sorted(node.attachments):
-        if port not in component.inputs and port not in component.outputs:
-            hint = suggestion(port, component.ports())
-            raise PlanRefused(f"node {role}: component {component.name} has no port {port}; {hint}")
-        for connector in node.attachments[port]:
-            if connector not in target.connectors:
-                hint = suggestion(connector, target.connectors)
-                raise PlanRefused(
-                    f"node {role}: port {port} is to be attached to {connector}, which is no topic; {hint}"
-                )
-    for name in sorted(node.parameters):
-        if name not in component.parameters:
-            hint = suggestion(name, component.parameters)
-            raise PlanRefused(f"node {role}: component {component.name} has no parameter {name}; {hint}")
+def _check_references(target: Specification, role: str) -> None:
+    """Refuse a node with a reference to something that is not declared."""
+    if found := node_names(target, target.nodes[role], ("nodes", role)):
+        raise PlanRefused("; ".join(str(problem) for problem in found))
 
 
-def _meet(who: str, configuration: Configuration, connectors: Iterable[str], resources: Iterable[str]) -> None:
+def _check_limits(end: str, configuration: Configuration, connectors: Iterable[str], resources: Iterable[str]) -> None:
     """Refuse an end of the change that exceeds a cap or a capacity."""
     found: list[Violation | None] = [cap_violation(configuration, name) for name in connectors]
     found += [capacity_violation(configuration, name) for name in resources]
     for violation in found:
         if violation is not None:
-            raise PlanRefused(f"{who} does not fit: {violation}")
+            raise PlanRefused(f"{end} exceeds a limit: {violation}")
 
 
 # -- the two ways --------------------------------------------------------------------------------------
@@ -197,7 +180,7 @@ def _meet(who: str, configuration: Configuration, connectors: Iterable[str], res
 def of_roles(
     configuration: Configuration, specification: Specification, target: Specification, roles: Iterable[str]
 ) -> ChangeBuilder:
-    """The difference where nothing but the nodes ``roles`` differs, and ``configuration`` stands in ``best``."""
+    """The difference where only the nodes ``roles`` differ. ``configuration`` must be in its best modes."""
     difference = ChangeBuilder(specification, target, configuration, configuration, configuration)
     for role in sorted(set(roles)):
         difference.compare(role)
@@ -206,11 +189,11 @@ def of_roles(
 
 
 def between(configuration: Configuration, specification: Specification, target: Specification) -> ChangeBuilder:
-    """The difference of whole systems, the world's included."""
+    """The difference of whole systems, their contexts included."""
     connectors, identities = _connectors(configuration, target)
     resources = configuration.context.resources.update(target.resources)
     start = configuration.with_context(SystemContext(connectors, target.environment, resources))
-    _meet("the running system", start, sorted(start.publishers), sorted(start.held))
+    _check_limits("the running system", start, sorted(start.publishers), sorted(start.held))
     for violation in violations(start):
         raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
     raised = best(start)
@@ -221,18 +204,18 @@ def between(configuration: Configuration, specification: Specification, target: 
     for role in sorted({*target.nodes, *start.instances_by_role}):
         difference.compare(role)
     difference.conclude()
-    _meet("the target", difference.final, sorted(difference.final.publishers), sorted(difference.final.held))
+    _check_limits("the target", difference.final, sorted(difference.final.publishers), sorted(difference.final.held))
     return difference
 
 
 def _connectors(configuration: Configuration, target: Specification) -> tuple[Map[str, Connector], dict[str, str]]:
-    """The connectors that exist throughout, and the identities of the topics whose contract changes under use."""
+    """The connectors that exist during the plan, and the identities of topics whose contract changes while in use."""
     running = configuration.context.connectors
     identities: dict[str, str] = {}
     throughout = running.update(target.connectors)
     for name in sorted(target.connectors):
-        wanted, known = target.connectors[name], running.get(name)
-        if known is None or known.same_contract(wanted):
+        wanted, current = target.connectors[name], running.get(name)
+        if current is None or current.same_contract(wanted):
             continue
         if not configuration.publishers_on(name) and not configuration.subscribers_on(name):
             continue
@@ -241,5 +224,5 @@ def _connectors(configuration: Configuration, target: Specification) -> tuple[Ma
             number += 1
         identity = f"{name}@{number}"
         identities[name] = identity
-        throughout = throughout.set(name, known).set(identity, replace(wanted, name=identity))
+        throughout = throughout.set(name, current).set(identity, replace(wanted, name=identity))
     return throughout, identities

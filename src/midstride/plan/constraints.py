@@ -1,11 +1,13 @@
-"""What the user asks of every plan: ``keep``, ``limit`` and ``order`` (semantics.md section 6)."""
+"""What the user asks of every plan: ``keep``, ``limit`` and ``order`` (docs/semantics.md section 6)."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Final
+
+from immutables import Map
 
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
@@ -15,7 +17,7 @@ from midstride.plan.change import Change
 from midstride.plan.disruption import DisruptionMeter, Levels
 from midstride.plan.step import Step
 
-# Up to this many constraints, a smallest conflicting set is looked for; beyond, one that has no smaller one in it.
+# Up to this many constraints, a smallest conflicting set is searched for; beyond, one that contains no smaller one.
 _ENUMERABLE: Final = 6
 
 _EPSILON: Final = 1e-9
@@ -23,7 +25,7 @@ _EPSILON: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Breach:
-    """A constraint that a plan does not meet, and where and how it does not."""
+    """A constraint that a plan does not meet, and why."""
 
     constraint: Constraint
     because: str
@@ -48,72 +50,72 @@ def in_force(change: Change) -> tuple[Constraint, ...]:
 def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints: Iterable[Constraint]) -> list[Breach]:
     """The constraints that a plan of these steps does not meet, in the order given.
 
-    A plan is not blamed for a functionality that stands below its ``keep`` when the plan begins,
-    only for taking it lower than it stood. A ``limit`` counts every step during which the functionality is
-    below its baseline.
+    A functionality that is already below its ``keep`` when the plan begins may stay there, but not degrade further.
+    A ``limit`` counts every step during which the functionality is below its baseline.
     """
     asked = tuple(constraints)
     if not asked:
         return []
-    meter, watch, configuration = DisruptionMeter(levels), ConstraintMonitor(change, levels, asked), change.start
-    for step in steps:
+    meter, monitor = DisruptionMeter.at_start(levels), ConstraintMonitor.of(change, levels, asked)
+    configuration = change.start
+    for number, step in enumerate(steps, start=1):
         configuration = step.action.effect(configuration)
-        meter.step(step.action, step.seconds, configuration)
-        watch.note(step, configuration)
-    first_breach = dict(watch.broken)
+        meter = meter.after(step.action, step.seconds, configuration)
+        monitor = monitor.after(number, step, configuration)
+    found: dict[Constraint, str] = dict(monitor.broken)
     for constraint in asked:
         if isinstance(constraint, Limit):
             if _exceeds(constraint, meter):
                 seconds = meter.seconds(constraint.functionality)
-                first_breach[constraint] = f"it would be below its baseline for {seconds:g} s"
+                found[constraint] = f"it would be below its baseline for {seconds:g} s"
         elif isinstance(constraint, Order):
             late = _out_of_order(constraint, steps)
             if late is not None:
-                first_breach[constraint] = late
-    return [Breach(constraint, first_breach[constraint]) for constraint in asked if constraint in first_breach]
+                found[constraint] = late
+    return [Breach(constraint, found[constraint]) for constraint in asked if constraint in found]
 
 
+@dataclass(frozen=True, slots=True)
 class ConstraintMonitor:
-    """Follows a plan in the making, step by step: which ``keep`` is ``broken``, and by which step.
+    """Which ``keep`` constraints the steps of a plan so far have broken, and by which step. An immutable value.
 
-    What is broken stays broken, so that a planner may give up a plan as soon as it :meth:`is_doomed`.
+    A broken constraint stays broken, so a planner can abandon a plan as soon as it :meth:`is_doomed`.
     """
 
-    __slots__ = ("_count", "_keeps", "_levels", "_limits", "broken")
+    levels: Levels
+    keeps: tuple[tuple[Keep, str, int], ...]
+    limits: tuple[Limit, ...]
+    broken: Map[Constraint, str] = field(default_factory=Map)
 
-    def __init__(self, change: Change, levels: Levels, constraints: Iterable[Constraint]) -> None:
+    @classmethod
+    def of(cls, change: Change, levels: Levels, constraints: Iterable[Constraint]) -> ConstraintMonitor:
+        """The monitor before the first step. Raises PlanRefused for a ``keep`` at a mode that does not exist."""
         asked = tuple(constraints)
-        self._levels = levels
-        self._keeps = _watched(change, levels, [constraint for constraint in asked if isinstance(constraint, Keep)])
-        self._limits = [constraint for constraint in asked if isinstance(constraint, Limit)]
-        self._count = 0
-        self.broken: dict[Constraint, str] = {}
+        keeps = _thresholds(change, levels, [constraint for constraint in asked if isinstance(constraint, Keep)])
+        return cls(levels, tuple(keeps), tuple(constraint for constraint in asked if isinstance(constraint, Limit)))
 
-    def copy(self) -> ConstraintMonitor:
-        twin = ConstraintMonitor.__new__(ConstraintMonitor)
-        twin._levels, twin._keeps, twin._limits = self._levels, self._keeps, self._limits
-        twin._count, twin.broken = self._count, dict(self.broken)
-        return twin
-
-    def note(self, step: Step, after: Configuration) -> None:
-        """Take note of the next step, which has led to ``after``."""
-        self._count += 1
-        for keep, role, threshold in self._keeps:
-            concerned = role in step.roles and keep not in self.broken
-            if concerned and self._levels.level(after, keep.functionality) > threshold:
-                self.broken[keep] = f"step {self._count} ({step.describe()}) takes it below"
+    def after(self, number: int, step: Step, configuration: Configuration) -> ConstraintMonitor:
+        """The monitor after step ``number`` (from 1), which leads to ``configuration``."""
+        broken = self.broken
+        for keep, role, threshold in self.keeps:
+            if role not in step.roles or keep in broken:
+                continue
+            if self.levels.level(configuration, keep.functionality) > threshold:
+                broken = broken.set(keep, f"step {number} ({step.describe()}) takes it below that mode")
+        return self if broken is self.broken else replace(self, broken=broken)
 
     def is_doomed(self, meter: DisruptionMeter) -> bool:
-        """Whether no plan that begins like this meets each ``keep`` and ``limit``; ``meter`` has followed it too."""
-        return bool(self.broken) or any(_exceeds(limit, meter) for limit in self._limits)
+        """Whether no plan that begins like this meets every ``keep`` and ``limit``; ``meter`` has the same steps."""
+        return bool(self.broken) or any(_exceeds(limit, meter) for limit in self.limits)
 
 
 def _exceeds(limit: Limit, meter: DisruptionMeter) -> bool:
     return meter.seconds(limit.functionality) > limit.seconds + _EPSILON
 
 
-def _watched(change: Change, levels: Levels, keeps: Iterable[Keep]) -> list[tuple[Keep, str, int]]:
-    watched = []
+def _thresholds(change: Change, levels: Levels, keeps: Iterable[Keep]) -> list[tuple[Keep, str, int]]:
+    """For each constraint the role it concerns and the worst level it allows."""
+    found = []
     for keep in keeps:
         ref = keep.functionality
         if levels.find(ref) is None:
@@ -124,8 +126,8 @@ def _watched(change: Change, levels: Levels, keeps: Iterable[Keep]) -> list[tupl
         except KeyError:
             names = ", ".join(mode.name for mode in chain.modes)
             raise PlanRefused(f"the constraint `{keep}`: {ref} has no mode {keep.mode}; it has {names}") from None
-        watched.append((keep, ref.instance, max(asked, levels.level(change.start, ref))))
-    return watched
+        found.append((keep, ref.instance, max(asked, levels.level(change.start, ref))))
+    return found
 
 
 def _out_of_order(order: Order, steps: Sequence[Step]) -> str | None:
@@ -141,7 +143,7 @@ def _out_of_order(order: Order, steps: Sequence[Step]) -> str | None:
 
 
 def layers(roles: Iterable[str], constraints: Iterable[Constraint]) -> list[list[str]] | None:
-    """The roles in the order that ``order`` constraints ask for, those of one layer in none; None for a cycle."""
+    """The roles in the order that the ``order`` constraints ask for; None for a cycle."""
     left = sorted(set(roles))
     orders = [c for c in constraints if isinstance(c, Order) and c.first != c.then]
     found: list[list[str]] = []
@@ -174,9 +176,9 @@ def conflict(
 
 
 def refusal(conflicting: Sequence[Constraint], breaches: Iterable[Breach], scarce: Iterable[str] = ()) -> PlanRefused:
-    """The refusal that names the constraints in conflict, how the best plan found breaks them, and what is scarce."""
-    told = {breach.constraint: breach.because for breach in breaches}
-    words = [f"`{c}`" + (f" ({told[c]})" if c in told else "") for c in conflicting]
+    """The refusal: the constraints in conflict, how the best plan found breaks them, and which resources are scarce."""
+    reasons = {breach.constraint: breach.because for breach in breaches}
+    words = [f"`{c}`" + (f" ({reasons[c]})" if c in reasons else "") for c in conflicting]
     which = f"the constraint {words[0]}" if len(words) == 1 else f"these constraints together: {'; '.join(words)}"
     because = "".join(f"; {why}" for why in scarce)
     return PlanRefused(f"no plan was found that meets {which}{because}")

@@ -30,7 +30,6 @@ from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import specification_names
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
-from midstride.plan.disruption import instances_touched
 from midstride.plan.forms import (
     AnyStep,
     AttachStep,
@@ -113,7 +112,7 @@ def _numbered(number: int, change: Change, known: dict[str, Instance], form: Any
         raise PlanRefused(f"step {number}: {error}") from None
     if isinstance(action, Create):
         known.setdefault(action.instance.name, action.instance)
-    roles = tuple(dict.fromkeys(known[name].role for name in instances_touched(action) if name in known))
+    roles = tuple(dict.fromkeys(known[name].role for name in action.instances() if name in known))
     modes = form.modes if isinstance(form, (DegradeStep, UpgradeStep)) else {}
     changes = tuple(
         ModeChange(FunctionalityRef.parse(text), each.before, each.after) for text, each in sorted(modes.items())

@@ -1,8 +1,8 @@
-"""What a plan costs: semantics.md section 6, counted by role.
+"""The disruption that a plan causes, counted by role (docs/semantics.md section 6).
 
-:class:`Levels` says how a role's functionality stands in a configuration, and against what it is
-measured. :class:`DisruptionMeter` follows a plan step by step. Both look only at the roles that a step
-touches, so that a plan's cost is found at the cost of the plan.
+:class:`Levels` yields the level of a role's functionality in a configuration, and its baseline.
+:class:`DisruptionMeter` follows a plan step by step. Both look only at the roles that a step touches, so that the
+effort follows the plan, not the system.
 """
 
 from __future__ import annotations
@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from immutables import Map
+
+from midstride.model.action import Action, Create, Remove
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.plan.change import Change
@@ -31,7 +33,7 @@ class Counted:
 
 
 class Levels:
-    """The levels of the roles' functionalities under one change. Holds what it has looked up."""
+    """The levels of the roles' functionalities in one change. Caches what it has looked up."""
 
     __slots__ = ("_counted", "change")
 
@@ -71,8 +73,7 @@ class Levels:
     def _level(configuration: Configuration, ref: FunctionalityRef, outputs: tuple[str, ...], worst: int) -> int:
         level = worst
         for instance in configuration.instances_by_role.get(ref.instance, ()):
-            own = FunctionalityRef(instance, ref.functionality)
-            mode = configuration.modes.get(own)
+            mode = configuration.modes.get(FunctionalityRef(instance, ref.functionality))
             if mode is None or mode >= level:
                 continue
             if all(PortRef(instance, output) in configuration.connectors_of for output in outputs):
@@ -98,7 +99,7 @@ class Levels:
         return counted.baseline
 
     def below(self, configuration: Configuration, role: str) -> dict[FunctionalityRef, int]:
-        """How many levels below the baseline the functionalities of ``role`` stand, where they do."""
+        """How many levels below the baseline the functionalities of ``role`` are, where they are below."""
         found = {}
         for counted in self.counted(role):
             loss = self._level(configuration, counted.ref, counted.outputs, counted.worst) - counted.baseline
@@ -106,110 +107,96 @@ class Levels:
                 found[counted.ref] = loss
         return found
 
-    def fallen(self, configuration: Configuration, roles: Iterable[str] | None = None) -> dict[FunctionalityRef, int]:
-        """The same over ``roles``; over all of them, at the cost of a walk, where None."""
-        found: dict[FunctionalityRef, int] = {}
-        for role in sorted(self.change.target.nodes) if roles is None else roles:
-            found.update(self.below(configuration, role))
-        return found
+    def fallen(self, configuration: Configuration, roles: Iterable[str]) -> dict[FunctionalityRef, int]:
+        """The same for several roles."""
+        return {ref: loss for role in roles for ref, loss in self.below(configuration, role).items()}
 
     def weight(self, ref: FunctionalityRef) -> float:
         counted = self.find(ref)
         return 0.0 if counted is None else counted.weight
 
 
-def instances_touched(action: Action) -> list[str]:
-    """The instances that an action changes, in a stable order."""
-    match action:
-        case Create():
-            return [action.instance.name]
-        case Remove():
-            return [action.instance]
-        case SetParameters():
-            return [action.instance]
-        case Attach() | Detach():
-            return [action.port.instance]
-        case Handover():
-            return list(dict.fromkeys(port.instance for swap in action.swaps for port in (swap.old, swap.new)))
-        case Degrade() | Upgrade():
-            return list(dict.fromkeys(ref.instance for ref in sorted(action.modes)))
-    return []
-
-
 @dataclass(frozen=True, slots=True)
 class LevelChange:
-    """By how many levels a role's functionality stood below its baseline before a step, and stands after it."""
+    """How many levels below its baseline a role's functionality is before a step, and after it."""
 
     ref: FunctionalityRef
     before: int
     after: int
 
 
+@dataclass(frozen=True, slots=True)
 class DisruptionMeter:
-    """Follows a plan: the disruption so far, who stands below the baseline now, and who ever did.
+    """The disruption of a plan so far. An immutable value: :meth:`after` yields the meter after one more step.
 
-    A step costs what it moves, however many stand below: the loss that stands is kept as a sum.
+    ``below`` maps each functionality that is below its baseline now to the number of levels, ``fallen`` holds
+    every one that has ever been below, ``changes`` what the latest step changed. The cost of a step follows what
+    it changes, not how much is below: ``missing`` keeps the sum of the missing levels, by weight. ``clock`` is the
+    time (s) since the plan began, ``since`` when a functionality fell, ``spent`` its earlier time below.
     """
 
-    __slots__ = ("_clock", "_since", "_spent", "_standing", "below", "disruption", "fallen", "levels")
+    levels: Levels
+    below: Map[FunctionalityRef, int]
+    fallen: Map[FunctionalityRef, None]
+    missing: float
+    since: Map[FunctionalityRef, float]
+    spent: Map[FunctionalityRef, float]
+    disruption: float = 0.0
+    clock: float = 0.0
+    changes: tuple[LevelChange, ...] = ()
 
-    def __init__(self, levels: Levels) -> None:
-        self.levels = levels
-        self.disruption = 0.0
+    @classmethod
+    def at_start(cls, levels: Levels) -> DisruptionMeter:
+        """The meter before the first step. Some functionalities may be below their baseline already."""
         change = levels.change
-        standing = dict.fromkeys(change.start.instances[ref.instance].role for ref in change.lowered)
-        self.below: dict[FunctionalityRef, int] = levels.fallen(change.start, standing)
-        self.fallen: dict[FunctionalityRef, None] = dict.fromkeys(self.below)
-        self._clock = 0.0
-        self._since: dict[FunctionalityRef, float] = dict.fromkeys(self.below, 0.0)
-        self._spent: dict[FunctionalityRef, float] = {}
-        self._standing = sum(loss * levels.weight(ref) for ref, loss in self.below.items())
+        roles = dict.fromkeys(change.start.instances[ref.instance].role for ref in change.lowered)
+        below = levels.fallen(change.start, roles)
+        return cls(
+            levels=levels,
+            below=Map(below),
+            fallen=Map(dict.fromkeys(below)),
+            missing=sum(loss * levels.weight(ref) for ref, loss in below.items()),
+            since=Map(dict.fromkeys(below, 0.0)),
+            spent=Map(),
+        )
 
-    def copy(self) -> DisruptionMeter:
-        twin = DisruptionMeter.__new__(DisruptionMeter)
-        twin.levels, twin.disruption = self.levels, self.disruption
-        twin._clock, twin._standing = self._clock, self._standing
-        twin.below, twin.fallen = dict(self.below), dict(self.fallen)
-        twin._since, twin._spent = dict(self._since), dict(self._spent)
-        return twin
-
-    def step(self, action: Action, seconds: float, after: Configuration) -> list[LevelChange]:
-        """Take note of an action that has led to ``after``; what it moves, in a stable order."""
-        moved = self._moved(action, after)
+    def after(self, action: Action, seconds: float, configuration: Configuration) -> DisruptionMeter:
+        """The meter after an action that takes ``seconds`` and leads to ``configuration``."""
+        changes = self._changes(action, configuration)
         weight = self.levels.weight
-        during = self._standing + sum(weight(each.ref) * max(0, each.after - each.before) for each in moved)
+        disruption, clock = self.disruption, self.clock + seconds
         if isinstance(action, (Create, Remove)):
-            self.disruption = round(self.disruption + during * seconds, DIGITS)
-        self._standing += sum(weight(each.ref) * (each.after - each.before) for each in moved)
-        begin, self._clock = self._clock, self._clock + seconds
-        for each in moved:
-            if not each.after:
-                del self.below[each.ref]
-                self._spent[each.ref] = self._spent.get(each.ref, 0.0) + self._clock - self._since.pop(each.ref)
-                continue
-            self.below[each.ref] = each.after
-            self.fallen[each.ref] = None
-            self._since.setdefault(each.ref, begin)
-        if not self.below:
-            self._standing = 0.0
-        return moved
+            during = self.missing + sum(weight(each.ref) * max(0, each.after - each.before) for each in changes)
+            disruption = round(disruption + during * seconds, DIGITS)
+        if not changes:
+            return DisruptionMeter(
+                self.levels, self.below, self.fallen, self.missing, self.since, self.spent, disruption, clock
+            )
+        missing = self.missing + sum(weight(each.ref) * (each.after - each.before) for each in changes)
+        below, fallen, since, spent = self.below, self.fallen, self.since, self.spent
+        for each in changes:
+            if each.after:
+                below, fallen = below.set(each.ref, each.after), fallen.set(each.ref, None)
+                since = since if each.ref in since else since.set(each.ref, self.clock)
+            else:
+                below = below.delete(each.ref)
+                spent = spent.set(each.ref, spent.get(each.ref, 0.0) + clock - since[each.ref])
+                since = since.delete(each.ref)
+        # Sums of floats do not come back to exactly zero by themselves.
+        missing = missing if below else 0.0
+        return DisruptionMeter(self.levels, below, fallen, missing, since, spent, disruption, clock, tuple(changes))
 
-    def _moved(self, action: Action, after: Configuration) -> list[LevelChange]:
-        moved = []
-        for role in dict.fromkeys(self.levels.change.role_of(name) for name in instances_touched(action)):
-            below = self.levels.below(after, role)
+    def _changes(self, action: Action, configuration: Configuration) -> list[LevelChange]:
+        changes = []
+        for role in dict.fromkeys(self.levels.change.role_of(name) for name in action.instances()):
+            below = self.levels.below(configuration, role)
             for counted in self.levels.counted(role):
                 before, now = self.below.get(counted.ref, 0), below.get(counted.ref, 0)
                 if before != now:
-                    moved.append(LevelChange(counted.ref, before, now))
-        return moved
-
-    @property
-    def standing(self) -> float:
-        """The weighted levels that are missing now."""
-        return self._standing
+                    changes.append(LevelChange(counted.ref, before, now))
+        return changes
 
     def seconds(self, ref: FunctionalityRef) -> float:
-        """How long a functionality has been below its baseline, the steps that took it there and back included."""
-        open_since = self._since.get(ref, self._clock)
-        return round(self._spent.get(ref, 0.0) + self._clock - open_since, DIGITS)
+        """How long a functionality has been below its baseline (s), including the steps that took it there and back."""
+        open_since = self.since.get(ref, self.clock)
+        return round(self.spent.get(ref, 0.0) + self.clock - open_since, DIGITS)

@@ -1,21 +1,18 @@
-"""Why each functionality falls in a plan, from which step to which, for how long; what stands otherwise after it."""
+"""Why each functionality degrades during a plan, from which step to which, for how long; and what changes for good."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from midstride.model.action import Degrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator
 from midstride.model.specification import Specification
+from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
 from midstride.plan.step import Step
-
-if TYPE_CHECKING:
-    from midstride.plan.plan import Plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,8 +20,8 @@ class Degradation:
     """A role's functionality below its baseline: the steps (from 1) that take it there and back, and why.
 
     ``seconds`` counts every step of the sequence during which it is below, by the steps'
-    estimates. ``until`` is None where the plan begins below and does not end above. ``unserved`` is the step
-    from which on no instance serves it any more, None where one always does.
+    estimates. ``since`` is 0 where the plan begins below, ``until`` is None where it ends below. ``unserved`` is the
+    step from which on no instance serves the functionality, None where one always does.
     """
 
     functionality: FunctionalityRef
@@ -42,7 +39,7 @@ class Degradation:
 
 @dataclass(frozen=True, slots=True)
 class LevelShift:
-    """A role's functionality that stands otherwise at the end of a plan than at its beginning, for good.
+    """A role's functionality that is in another mode at the end of a plan than at its beginning.
 
     ``before`` and ``after`` are modes; None where no instance serves it. ``levels`` says by how many it ends lower.
     """
@@ -53,15 +50,16 @@ class LevelShift:
     levels: int
 
 
-def shifts(plan: Plan) -> tuple[LevelShift, ...]:
-    """What stands otherwise after the plan, by role, so that it is seen where a role is replaced as well.
+def level_shifts(change: Change, steps: Sequence[Step]) -> tuple[LevelShift, ...]:
+    """What is in another mode after the plan for good, by role, so that a replaced role is included.
 
-    Of functionalities that start and target both have; greatest losses first.
+    Of functionalities that both start and target have; greatest losses first.
     """
-    levels, change = Levels(plan.change), plan.change
-    *_, end = plan.configurations()
+    levels, end = Levels(change), change.start
+    for step in steps:
+        end = step.action.effect(end)
     found: list[LevelShift] = []
-    for role in sorted({role for step in plan.steps for role in step.roles}):
+    for role in sorted({role for step in steps for role in step.roles}):
         for counted in levels.counted(role):
             was, will = levels.level(change.start, counted.ref), levels.level(end, counted.ref)
             if was != will:
@@ -75,57 +73,63 @@ def _mode(specification: Specification, ref: FunctionalityRef, level: int) -> st
     return modes[level].name if level < len(modes) else None
 
 
-def falls(plan: Plan) -> tuple[Degradation, ...]:
-    """One for each stretch in which a functionality stands below its baseline, in the order they begin."""
-    levels = Levels(plan.change)
-    meter = DisruptionMeter(levels)
-    configurations = list(plan.configurations())
+def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ...]:
+    """One for each stretch of the plan in which a functionality is below its baseline, in the order they begin."""
+    levels = Levels(change)
+    meter, configurations = DisruptionMeter.at_start(levels), [change.start]
     begun: dict[FunctionalityRef, int] = dict.fromkeys(meter.below, 0)
     spent: dict[FunctionalityRef, float] = dict.fromkeys(meter.below, 0.0)
     unserved: dict[FunctionalityRef, int] = {}
-    found: list[Degradation] = []
+    ends: list[tuple[FunctionalityRef, int, int | None, float, int | None]] = []
 
     def close(ref: FunctionalityRef, until: int | None) -> None:
-        because = _because(plan.steps, configurations, ref, begun[ref])
         seconds = round(meter.seconds(ref) - spent[ref], DIGITS)
-        found.append(Degradation(ref, begun.pop(ref), until, seconds, because, unserved.pop(ref, None)))
+        ends.append((ref, begun.pop(ref), until, seconds, unserved.pop(ref, None)))
 
-    for index, step in enumerate(plan.steps):
-        for moved in meter.step(step.action, step.seconds, configurations[index + 1]):
+    for number, step in enumerate(steps, start=1):
+        configurations.append(step.action.effect(configurations[-1]))
+        meter = meter.after(step.action, step.seconds, configurations[-1])
+        for moved in meter.changes:
             counted = levels.find(moved.ref)
             if counted is not None and moved.after and counted.baseline + moved.after == counted.worst:
-                unserved.setdefault(moved.ref, index + 1)
+                unserved.setdefault(moved.ref, number)
             if not moved.before:
-                begun[moved.ref], spent[moved.ref] = index + 1, meter.seconds(moved.ref) - step.seconds
+                begun[moved.ref], spent[moved.ref] = number, meter.seconds(moved.ref) - step.seconds
             elif not moved.after:
-                close(moved.ref, index + 1)
+                close(moved.ref, number)
     for ref in sorted(begun):
         close(ref, None)
-    return tuple(sorted(found, key=lambda fall: (fall.since, fall.functionality)))
+    found = [
+        Degradation(ref, since, until, seconds, _because(steps, configurations, ref, since), unserved_from)
+        for ref, since, until, seconds, unserved_from in ends
+    ]
+    return tuple(sorted(found, key=lambda each: (each.since, each.functionality)))
 
 
 def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref: FunctionalityRef, since: int) -> str:
-    """The reason, as the model tells it: what would not hold if the functionality stayed as it was."""
+    """The reason: the assumption that would not be satisfied if the functionality stayed in its mode."""
     if since == 0:
-        return "it stands below when the plan begins"
+        return "it is already below when the plan begins"
     step, before = steps[since - 1], configurations[since - 1]
     if not isinstance(step.action, Degrade):
-        return f"after `{step.describe()}` no instance of {ref.instance} serves it any more"
-    own = next((own for own in sorted(step.action.modes) if _by_role(before, own) == ref), None)
+        return f"after `{step.describe()}`, no instance of {ref.instance} serves it"
+    live = next((live for live in sorted(step.action.modes) if _by_role(before, live) == ref), None)
     for number, later in enumerate(steps[since:], start=since + 1):
         if later.is_structural:
             after = configurations[number]
-            if own is not None and own.instance in after.instances:
-                judge = Evaluator(after, {own: before.modes[own]})
-                mode = before.mode(own)
-                functionality = before.functionality(own)
+            if live is not None and live.instance in after.instances:
+                evaluator = Evaluator(after, {live: before.modes[live]})
+                mode = before.mode(live)
+                functionality = before.functionality(live)
                 for assumption in mode.assumptions:
-                    if not judge.assumption_satisfied(own, functionality, assumption):
-                        why = judge.why_assumption_unsatisfied(own, assumption)
-                        return f"in mode {mode.name} {own} {why}, after step {number} (`{later.describe()}`)"
-            return f"the strategy lowers it before step {number} (`{later.describe()}`), without its losing anything"
-    return "the strategy lowers it"
+                    if not evaluator.assumption_satisfied(live, functionality, assumption):
+                        why = evaluator.why_assumption_unsatisfied(live, assumption)
+                        return f"in mode {mode.name}, {live} {why}, after step {number} (`{later.describe()}`)"
+            return (
+                f"the strategy degrades it before step {number} (`{later.describe()}`), although it loses nothing there"
+            )
+    return "the strategy degrades it"
 
 
-def _by_role(configuration: Configuration, own: FunctionalityRef) -> FunctionalityRef:
-    return FunctionalityRef(configuration.instances[own.instance].role, own.functionality)
+def _by_role(configuration: Configuration, live: FunctionalityRef) -> FunctionalityRef:
+    return FunctionalityRef(configuration.instances[live.instance].role, live.functionality)

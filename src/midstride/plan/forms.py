@@ -259,8 +259,8 @@ def _costs(plan: Plan) -> dict[str, Any]:
         "makespan": plan.makespan,
         "seconds": plan.seconds,
         "fallen": [str(ref) for ref in plan.fallen],
-        "falls": [DegradationForm.of(found) for found in plan.falls],
-        "afterwards": [LevelShiftForm.of(shift) for shift in plan.shifts],
+        "falls": [DegradationForm.of(found) for found in plan.degradations],
+        "afterwards": [LevelShiftForm.of(shift) for shift in plan.level_shifts],
     }
 
 

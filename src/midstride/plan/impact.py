@@ -1,7 +1,6 @@
-"""What each component means to the others: what falls, and how far, if it is removed or crashes.
+"""The impact of each node on the others: which functionalities degrade, and how far, if it is removed or crashes.
 
-Both end in the same place: ``best`` of what is left (semantics.md section 7). What differs is the way there,
-which is a plan's matter.
+Both lead to the same modes: ``best`` of what remains (docs/semantics.md section 7). Only the way there differs.
 """
 
 from __future__ import annotations
@@ -12,18 +11,17 @@ from dataclasses import dataclass
 import msgspec
 
 from midstride.codec.form import Form
-from midstride.errors import PlanRefused
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.diagnosis import Diagnosis
-from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification, initial
+from midstride.plan.request import require
 
 
 @dataclass(frozen=True, slots=True)
 class ImpactedFunctionality:
-    """A functionality that falls, by ``levels`` modes, and why it cannot stay."""
+    """A functionality that degrades by ``levels`` modes, and why."""
 
     functionality: FunctionalityRef
     before: str
@@ -40,22 +38,22 @@ class ImpactedFunctionality:
 
 @dataclass(frozen=True, slots=True)
 class Impact:
-    """What falls if ``role`` is gone. ``own`` are its own functionalities, which go with it."""
+    """What degrades without ``role``. ``own`` are its own functionalities, which are lost with it."""
 
     role: str
     component: str
-    falls: tuple[ImpactedFunctionality, ...]
+    impacted: tuple[ImpactedFunctionality, ...]
     own: tuple[str, ...]
 
     @property
     def loss(self) -> float:
-        """The levels that others lose, by weight."""
-        return sum(fall.loss for fall in self.falls)
+        """The levels that others lose, times their weight."""
+        return sum(each.loss for each in self.impacted)
 
     @property
     def single_point_of_failure(self) -> bool:
-        """Whether another component's functionality falls to its last mode."""
-        return any(fall.is_last for fall in self.falls)
+        """Whether a functionality of another component degrades to its last mode."""
+        return any(each.is_last for each in self.impacted)
 
 
 class ImpactedForm(Form, frozen=True, omit_defaults=False):
@@ -89,14 +87,14 @@ class ImpactForm(Form, frozen=True, omit_defaults=False):
             own=list(impact.own),
             falls=[
                 ImpactedForm(
-                    functionality=str(fall.functionality),
-                    before=fall.before,
-                    after=fall.after,
-                    levels=fall.levels,
-                    weight=fall.weight,
-                    because=list(fall.because),
+                    functionality=str(each.functionality),
+                    before=each.before,
+                    after=each.after,
+                    levels=each.levels,
+                    weight=each.weight,
+                    because=list(each.because),
                 )
-                for fall in impact.falls
+                for each in impact.impacted
             ],
         )
 
@@ -104,12 +102,11 @@ class ImpactForm(Form, frozen=True, omit_defaults=False):
 def impacts(specification: Specification, roles: Iterable[str] = ()) -> list[Impact]:
     """The impact of each role (of ``roles``, where any are named), single points of failure and great losses first.
 
-    Raises PlanRefused for a role that there is not. The cost of each follows its forward cone.
+    Raises PlanRefused for an unknown role. The cost of each follows its forward cone.
     """
     named = list(roles) or specification.roles()
     for role in named:
-        if role not in specification.nodes:
-            raise PlanRefused(f"there is no node {role}; {suggestion(role, specification.nodes)}")
+        require("node", role, specification.nodes)
     configuration = initial(specification)
     found = [_impact(specification, configuration, role) for role in named]
     return sorted(found, key=lambda impact: (not impact.single_point_of_failure, -impact.loss, impact.role))
@@ -124,24 +121,24 @@ def _impact(specification: Specification, configuration: Configuration, role: st
     without = configuration.without_instance(role)
     modes = lowered(without, [ref for ref in users if ref.instance != role])
     after = without.with_modes(modes)
-    falls = sorted(_falls(configuration, after, modes), key=lambda fall: (-fall.loss, fall.functionality))
+    impacted = sorted(_impacted(configuration, after, modes), key=lambda each: (-each.loss, each.functionality))
     own = tuple(name for name in instance.component.functionality_order)
-    return Impact(role, specification.nodes[role].component, tuple(falls), own)
+    return Impact(role, specification.nodes[role].component, tuple(impacted), own)
 
 
-def _falls(
+def _impacted(
     before: Configuration, after: Configuration, modes: dict[FunctionalityRef, int]
 ) -> Iterator[ImpactedFunctionality]:
-    why = Diagnosis(after)
+    diagnosis = Diagnosis(after)
     for ref, index in modes.items():
         functionality = before.functionality(ref)
-        stood = before.modes[ref]
+        held = before.modes[ref]
         yield ImpactedFunctionality(
             ref,
-            functionality.modes[stood].name,
+            functionality.modes[held].name,
             functionality.modes[index].name,
-            index - stood,
+            index - held,
             functionality.weight,
             index == functionality.last_mode,
-            why.chain(ref, stood),
+            diagnosis.chain(ref, held),
         )

@@ -1,8 +1,8 @@
 """Strategy ``minimal``: make before break, hand over, and break before make only where it is forced.
 
-Where caps, capacities and orders leave a choice, several ways through the conflict core are tried
-and the best is kept, by disruption, then functionalities that fall, makespan and number of steps
-(semantics.md section 6). This is no exact search: minimality is proved only where nothing is lost.
+Where caps, capacities and orders leave a choice, several ways through the conflict core are tried and the best is
+kept, by disruption, then number of functionalities that fall, makespan and number of steps (docs/semantics.md section
+6). The search is not exact: minimality is proved only where nothing is lost.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from midstride.model.specification import Constraint, Order
 from midstride.plan.change import Change
 from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal, roles_of
 from midstride.plan.disruption import Levels
-from midstride.plan.moves import moves
+from midstride.plan.moves import moves, play
 from midstride.plan.plan import Plan
 from midstride.plan.plan_builder import Ceiling, PlanBuilder
 from midstride.plan.schedule import makespan
 from midstride.plan.search_state import SearchState
 from midstride.plan.step import Step
 
-# How many ways to go on are tried in all; after that, of each choice only the first few, and no choice twice.
+# How many moves are tried in all; after that only the first few of each choice, and only one is followed.
 _TRIALS: Final = 600
 _FEW: Final = 6
 
@@ -35,8 +35,8 @@ Key = tuple[bool, float, int, float, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Found:
-    """A whole plan, with what it is ranked by: breaches, disruption, functionalities fallen, makespan, steps."""
+class Candidate:
+    """A whole plan and its rank: breaches, disruption, functionalities fallen, makespan, steps."""
 
     key: Key
     steps: tuple[Step, ...]
@@ -49,12 +49,12 @@ class Found:
 
 
 def minimal(change: Change) -> Plan:
-    """The best plan found. Raises PlanRefused, with the constraints in conflict, where it meets not all of them."""
+    """The best plan found. Raises PlanRefused, with the constraints in conflict, where it does not meet all of them."""
     levels = Levels(change)
     constraints = in_force(change)
     found = _find(change, levels, constraints)
     if found is None or found.breaches:
-        told = () if found is None else found.breaches
+        broken = () if found is None else found.breaches
         relevant = _relevant(change, found, constraints)
 
         def can_meet(some: tuple[Constraint, ...]) -> bool:
@@ -62,14 +62,14 @@ def minimal(change: Change) -> Plan:
             return trial is not None and not trial.breaches
 
         if can_meet(()):
-            raise refusal(conflict(relevant, can_meet), told, _no_room(change))
-        raise PlanRefused("no order of the steps was found that keeps within the caps and capacities throughout")
+            raise refusal(conflict(relevant, can_meet), broken, _no_room(change))
+        raise PlanRefused("no order of the steps was found that respects all caps and capacities")
     return Plan.of("minimal", change, found.steps, levels)
 
 
 def _no_room(change: Change) -> list[str]:
-    """Why not all that comes can be there before anything goes: the resources that there is not enough of for both."""
-    configuration, told = change.start, []
+    """The resources that are too scarce for everything new to be created before anything is removed."""
+    configuration, reasons = change.start, []
     for resource in sorted({name for instance in change.coming for name in instance.component.resource_usage}):
         coming = [instance for instance in change.coming if resource in instance.component.resource_usage]
         together = configuration.held.get(resource, 0) + sum(
@@ -77,14 +77,14 @@ def _no_room(change: Change) -> list[str]:
         )
         if together > to_fraction(configuration.context.capacity(resource)):
             names = [name for name in change.leaving if resource in configuration.component(name).resource_usage]
-            who = " and ".join([*names, *(instance.name for instance in coming)])
+            holders = " and ".join([*names, *(instance.name for instance in coming)])
             capacity = format_number(configuration.context.capacity(resource))
-            told.append(f"{who} do not fit at once: {resource} has a capacity of {capacity}")
-    return told
+            reasons.append(f"{holders} do not fit at the same time: {resource} has a capacity of {capacity}")
+    return reasons
 
 
-def _relevant(change: Change, found: Found | None, constraints: Iterable[Constraint]) -> list[Constraint]:
-    """The constraints that have to do with what the plan touches."""
+def _relevant(change: Change, found: Candidate | None, constraints: Iterable[Constraint]) -> list[Constraint]:
+    """The constraints that concern the roles that the plan touches."""
     ports = [port for port, _ in (*change.detached, *change.attached)]
     names = [*change.leaving, *(instance.name for instance in change.coming), *(port.instance for port in ports)]
     touched = {change.role_of(name) for name in names}
@@ -93,20 +93,20 @@ def _relevant(change: Change, found: Found | None, constraints: Iterable[Constra
     return [constraint for constraint in constraints if touched.intersection(roles_of(constraint))]
 
 
-def _find(change: Change, levels: Levels, constraints: Sequence[Constraint]) -> Found | None:
+def _find(change: Change, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
     """The best plan found under ``constraints``, perhaps one that breaks some; None where the orders leave none."""
-    # Raising somebody above where both ends have it costs steps, and may help others only in a conflict.
-    found = _search(change, levels, constraints, _as_far_as_needed(change), None)
+    # Raising a functionality above its modes at both ends costs steps, and helps others only in a conflict.
+    found = _search(change, levels, constraints, _no_higher_than_the_ends(change), None)
     if found is not None and found.is_free:
         return found
     found = _search(change, levels, constraints, None, found)
-    if (found is not None and found.is_free) or not _shares_a_full_topic(change):
+    if (found is not None and found.is_free) or not _shares_a_capped_topic(change):
         return found
     return _search(change, levels, constraints, None, found, eager=False)
 
 
-def _shares_a_full_topic(change: Change) -> bool:
-    """Whether several outputs come to one capped topic, so that one's place may be better given to another."""
+def _shares_a_capped_topic(change: Change) -> bool:
+    """Whether several outputs come to one capped topic, so that a slot may be better given to another output."""
     connectors = change.start.context.connectors
     coming = Counter(
         connector
@@ -116,7 +116,7 @@ def _shares_a_full_topic(change: Change) -> bool:
     return any(count > 1 for count in coming.values())
 
 
-def _as_far_as_needed(change: Change) -> Ceiling:
+def _no_higher_than_the_ends(change: Change) -> Ceiling:
     start, final = change.start.modes, change.final.modes
 
     def ceiling(ref: FunctionalityRef) -> int:
@@ -130,64 +130,57 @@ def _search(
     levels: Levels,
     constraints: Sequence[Constraint],
     ceiling: Ceiling | None,
-    best: Found | None,
+    best: Candidate | None,
     *,
     eager: bool = True,
-) -> Found | None:
-    """Depth first through the core, the cheapest way first, as far as the number of trials allows.
+) -> Candidate | None:
+    """Depth first through the conflict core, cheapest first, within the number of trials.
 
-    ``best`` is what has been found before, and what comes back where nothing better is.
+    ``best`` is the best plan found before; it is returned where no better one is found.
     """
     orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
-    trials = _TRIALS
-    watch = ConstraintMonitor(change, levels, constraints) if constraints else None
-    stack = [SearchState(PlanBuilder(change, levels, ceiling, watch), orders, eager=eager)]
-    if stack[0].layers() is None:
+    monitor = ConstraintMonitor.of(change, levels, constraints) if constraints else None
+    start = SearchState.at_start(PlanBuilder.at_start(change, levels, ceiling, monitor), orders, eager=eager)
+    if start.layers() is None:
         return best
-    stack[0].advance()
+    trials = _TRIALS
+    stack = [start.advance()]
     while stack:
-        core = stack.pop()
-        doomed = core.draft.is_doomed
-        if best is not None and (trials <= 0 or doomed or _cannot_beat(core, best)):
+        state = stack.pop()
+        doomed = state.builder.is_doomed
+        if best is not None and (trials <= 0 or doomed or _cannot_beat(state, best)):
             continue
-        if core.only_goes:
-            core.finish()
-            found = _found(change, levels, constraints, core.draft)
+        if state.only_removals_left:
+            found = _candidate(change, levels, constraints, state.finish())
             if best is None or found.key < best.key:
                 best = found
             if best.is_free:
                 break
             continue
-        ways: list[SearchState] = []
-        # What is doomed is followed to its end only where there is nothing else to tell of yet, and by one way.
-        for move in moves(core)[: 1 if doomed else None if trials > 0 else _FEW]:
-            way = core.copy()
-            way.play(move)
-            way.advance()
-            ways.append(way)
-            trials -= 1
-        ways.sort(key=_priority)
-        stack.extend(ways[: None if trials > 0 else 1][::-1])
+        # A doomed state is followed to its end only while there is no other plan to report, and in one way only.
+        tried = moves(state)[: 1 if doomed else None if trials > 0 else _FEW]
+        following = sorted((play(state, move).advance() for move in tried), key=_priority)
+        trials -= len(tried)
+        stack.extend(following[: None if trials > 0 else 1][::-1])
     return best
 
 
-def _priority(core: SearchState) -> tuple[bool, float, float, int]:
-    """Whether a way is doomed; what it has cost and will at least have cost, roughly, once what fell stands again."""
-    change, meter = core.draft.change, core.draft.meter
+def _priority(state: SearchState) -> tuple[bool, float, float, int]:
+    """Whether a state is doomed; roughly what it will have cost once everything that fell is restored."""
+    change, meter = state.builder.change, state.builder.meter
     roles = {ref.instance for ref in meter.below}
-    awaited = [change.seconds("create", i.component) for i in core.creates.values() if i.role in roles]
-    cost = meter.disruption + meter.standing * max(awaited, default=0.0)
-    return core.draft.is_doomed, cost, meter.standing, len(core.draft.steps)
+    awaited = [change.seconds("create", i.component) for i in state.creates.values() if i.role in roles]
+    cost = meter.disruption + meter.missing * max(awaited, default=0.0)
+    return state.builder.is_doomed, cost, meter.missing, len(state.builder.numbered)
 
 
-def _cannot_beat(core: SearchState, best: Found) -> bool:
-    meter = core.draft.meter
+def _cannot_beat(state: SearchState, best: Candidate) -> bool:
+    meter = state.builder.meter
     return not best.breaches and (meter.disruption, len(meter.fallen)) > best.key[1:3]
 
 
-def _found(change: Change, levels: Levels, constraints: Sequence[Constraint], draft: PlanBuilder) -> Found:
-    steps = tuple(draft.steps)
+def _candidate(change: Change, levels: Levels, constraints: Sequence[Constraint], builder: PlanBuilder) -> Candidate:
+    steps, meter = builder.steps, builder.meter
     broken = tuple(breaches(change, steps, levels, constraints))
-    meter = draft.meter
-    span = makespan(change, steps, levels)
-    return Found((bool(broken), meter.disruption, len(meter.fallen), span, len(steps)), steps, broken)
+    key = (bool(broken), meter.disruption, len(meter.fallen), makespan(change, steps, levels), len(steps))
+    return Candidate(key, steps, broken)

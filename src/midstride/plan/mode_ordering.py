@@ -1,11 +1,11 @@
-"""The way between two valid mode assignments of one structure, by steps that are each valid.
+"""The order of mode changes between two valid mode assignments of one structure, such that every step is valid.
 
-Raising goes upstream first, lowering downstream first. A step names one functionality wherever
-that is valid. Where functionalities support each other in a cycle, so that no sequence of single
-steps can move them, a step names a smallest group of them (semantics.md section 4).
+Upgrades go upstream first, degradations downstream first. A step names one functionality wherever that is valid.
+Where functionalities support each other in a cycle, so that no sequence of single steps can change them, a step names
+a smallest group of them (docs/semantics.md section 4).
 
-Raising is confluent: what has been raised never hinders another. So the order is found for
-raising alone, and lowering is raising backwards; a degrade is valid wherever its undo is.
+Upgrading is confluent: what has been upgraded never hinders another. So the order is found for upgrades alone, and
+degradations are upgrades in reverse; a degrade is valid wherever its undo is.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ Modes: TypeAlias = dict[FunctionalityRef, int]
 
 
 class Support(Protocol):
-    """Whether each of ``asked`` (by default the whole group) is satisfied once the group has risen."""
+    """Whether each of ``asked`` (by default the whole group) is satisfied once the group is upgraded."""
 
     def __call__(self, group: Sequence[FunctionalityRef], asked: Sequence[FunctionalityRef] | None = None) -> bool: ...
 
 
-# Up to this size of a tangle with alternatives, the smallest group is looked for; beyond, a least one.
+# Up to this size of a cycle with alternatives, the smallest group is searched for; beyond, a minimal one.
 _ENUMERABLE: Final = 12
 
 
@@ -47,8 +47,8 @@ def upgrades(configuration: Configuration, modes: Mapping[FunctionalityRef, int]
 def degradations(configuration: Configuration, modes: Mapping[FunctionalityRef, int]) -> list[Degrade]:
     """From ``configuration`` to the worse ``modes``, which are valid in it.
 
-    Where ``configuration`` itself is not valid (a publisher is gone), those that lost their support come in
-    an order, and if need be in groups, in which each step's own precondition holds.
+    Where ``configuration`` itself is not valid (a publisher has crashed), the functionalities that lost their support
+    come in an order, and if need be in groups, in which each step's own precondition holds.
     """
     below = configuration.with_modes(dict(modes))
     steps: list[Degrade] = []
@@ -61,11 +61,11 @@ def degradations(configuration: Configuration, modes: Mapping[FunctionalityRef, 
 
 
 def _raised(configuration: Configuration, wanted: Modes) -> Iterator[Modes]:
-    """The groups that rise together, in order, until every one stands as ``wanted``."""
+    """The groups that are upgraded together, in order, until every functionality is in its ``wanted`` mode."""
     rank = {ref: place for place, ref in enumerate(sorted(wanted, key=lambda ref: _declared(configuration, ref)))}
     by_rank = list(rank)
     overlay: Modes = {}
-    judge = Evaluator(configuration, overlay)
+    evaluator = Evaluator(configuration, overlay)
     waiting = list(range(len(by_rank)))
 
     def rise(step: Modes) -> Modes:
@@ -82,11 +82,11 @@ def _raised(configuration: Configuration, wanted: Modes) -> Iterator[Modes]:
     while wanted:
         while waiting:
             ref = by_rank[heapq.heappop(waiting)]
-            if ref in wanted and judge.mode_satisfied(ref, wanted[ref]):
+            if ref in wanted and evaluator.mode_satisfied(ref, wanted[ref]):
                 yield rise({ref: wanted[ref]})
         if wanted:
             ordered = sorted(wanted, key=rank.__getitem__)
-            yield rise(_part_way(judge, wanted, ordered) or _group(configuration, overlay, wanted, ordered))
+            yield rise(_part_way(evaluator, wanted, ordered) or _group(configuration, overlay, wanted, ordered))
 
 
 def _declared(configuration: Configuration, ref: FunctionalityRef) -> tuple[str, int]:
@@ -99,26 +99,26 @@ def _consumers(configuration: Configuration, ref: FunctionalityRef) -> Iterator[
             yield from configuration.consumers(name)
 
 
-def _part_way(judge: Evaluator, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
-    """One functionality that can rise by itself to a mode on its way, which may spare a group."""
+def _part_way(evaluator: Evaluator, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
+    """One functionality that can be upgraded alone to an intermediate mode, which may make a group unnecessary."""
     for ref in ordered:
-        now = judge.mode_index(ref)
+        now = evaluator.mode_index(ref)
         for index in range(wanted[ref] + 1, now):
-            if judge.mode_satisfied(ref, index):
+            if evaluator.mode_satisfied(ref, index):
                 return {ref: index}
     return {}
 
 
 def _group(configuration: Configuration, overlay: Modes, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
-    """A smallest group of ``wanted`` that can rise together, none being able to rise alone."""
+    """A smallest group of ``wanted`` that can be upgraded together, where none can be upgraded alone."""
 
     def supports_itself(group: Sequence[FunctionalityRef], asked: Sequence[FunctionalityRef] | None = None) -> bool:
-        judge = Evaluator(configuration, {**overlay, **{ref: wanted[ref] for ref in group}})
-        return all(judge.mode_satisfied(ref, wanted[ref]) for ref in (group if asked is None else asked))
+        evaluator = Evaluator(configuration, {**overlay, **{ref: wanted[ref] for ref in group}})
+        return all(evaluator.mode_satisfied(ref, wanted[ref]) for ref in (group if asked is None else asked))
 
-    # Whom each one cannot do without, even if all the others rise: a tangle of these must rise as one.
+    # The suppliers that each one cannot do without, even if all others are upgraded: a cycle of these is one group.
     raised = {**overlay, **wanted}
-    judge = Evaluator(configuration, raised)
+    evaluator = Evaluator(configuration, raised)
     suppliers: dict[FunctionalityRef, list[FunctionalityRef]] = {ref: [] for ref in ordered}
     for ref in ordered:
         for consumer in dict.fromkeys(_consumers(configuration, ref)):
@@ -128,35 +128,35 @@ def _group(configuration: Configuration, overlay: Modes, wanted: Modes, ordered:
     for ref, candidates in suppliers.items():
         for supplier in candidates:
             raised[supplier] = overlay.get(supplier, configuration.modes[supplier])
-            if not judge.mode_satisfied(ref, wanted[ref]):
+            if not evaluator.mode_satisfied(ref, wanted[ref]):
                 needed[ref].append(supplier)
             raised[supplier] = wanted[supplier]
-    tangles = [
-        tangle
-        for tangle in strongly_connected(needed)
-        if {supplier for ref in tangle for supplier in needed[ref]} <= set(tangle) and supports_itself(tangle)
+    cycles = [
+        cycle
+        for cycle in strongly_connected(needed)
+        if {supplier for ref in cycle for supplier in needed[ref]} <= set(cycle) and supports_itself(cycle)
     ]
-    if tangles:
-        return {ref: wanted[ref] for ref in min(tangles, key=len)}
+    if cycles:
+        return {ref: wanted[ref] for ref in min(cycles, key=len)}
 
-    # Some have alternatives among each other: look within a tangle that depends on no other.
-    tangle = strongly_connected(suppliers)[0]
-    if supports_itself(tangle):
-        tangle = _least(tangle, supports_itself)
-    return {ref: wanted[ref] for ref in tangle}
+    # Some are alternatives to each other: search within a cycle that depends on no other.
+    cycle = strongly_connected(suppliers)[0]
+    if supports_itself(cycle):
+        cycle = _least(cycle, supports_itself)
+    return {ref: wanted[ref] for ref in cycle}
 
 
-def _least(tangle: list[FunctionalityRef], supports_itself: Support) -> list[FunctionalityRef]:
-    """A smallest part of the tangle that supports itself; of a large one, a part that has no smaller one in it."""
-    if len(tangle) <= _ENUMERABLE:
-        for size in range(2, len(tangle)):
-            for group in combinations(tangle, size):
+def _least(cycle: list[FunctionalityRef], supports_itself: Support) -> list[FunctionalityRef]:
+    """A smallest part of the cycle that supports itself; of a large cycle, a part that contains no smaller one."""
+    if len(cycle) <= _ENUMERABLE:
+        for size in range(2, len(cycle)):
+            for group in combinations(cycle, size):
                 if supports_itself(group):
                     return list(group)
-        return tangle
-    for ref in list(tangle):
-        rest = [other for other in tangle if other != ref]
+        return cycle
+    for ref in list(cycle):
+        rest = [other for other in cycle if other != ref]
         while rest and not supports_itself(rest):
             rest = [other for other in rest if supports_itself(rest, (other,))]
-        tangle = rest or tangle
-    return tangle
+        cycle = rest or cycle
+    return cycle

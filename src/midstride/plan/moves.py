@@ -1,99 +1,134 @@
-"""The ways through the conflict core from where nothing goes by itself (semantics.md section 5, F4).
+"""The ways through the conflict core from a state where nothing can be done at once (docs/semantics.md section 5, F4).
 
-Each is the least that unblocks something: a component to create while others wait for the same
-room, a least set of components to remove for it, a slot of a capped topic to take or to make.
+Each is the least that unblocks something: creating an instance while others wait for the same room, removing a
+smallest set of instances to make room, taking or freeing a slot of a capped topic.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import combinations, permutations
-from typing import TYPE_CHECKING, Final, Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 from midstride.model.action import Swap
 from midstride.model.configuration import to_fraction
 from midstride.plan.change import Attachment
+from midstride.plan.search_state import OrderGate, SearchState
 
-if TYPE_CHECKING:
-    from midstride.plan.search_state import OrderGate, SearchState
-
-# Sets of components to remove for one that needs room are looked for up to this size, among so many.
+# Sets of instances to remove for one that needs room are searched up to this size, among this many instances.
 _SET_SIZE: Final = 3
 _SET_FROM: Final = 10
 
-# What is missing of each resource that is short.
+# The missing amount of each resource that is short.
 Need: TypeAlias = tuple[tuple[str, Fraction], ...]
 
-Kind: TypeAlias = Literal["create", "remove", "attach", "detach", "exchange", "finish", "hand over", "part"]
+MoveKind: TypeAlias = Literal["create", "remove", "attach", "detach", "exchange", "finish", "hand over", "split"]
 
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """A way to go on from where nothing goes by itself."""
+    """A way to go on from a state where nothing can be done at once."""
 
-    kind: Kind
+    kind: MoveKind
     names: tuple[str, ...] = ()
     attachment: Attachment | None = None
     swap: Swap | None = None
 
 
-def moves(core: SearchState) -> list[Move]:
+def moves(state: SearchState) -> list[Move]:
     """The ways to go on, the least of each kind, in a stable order; empty where the user's orders leave none."""
-    turn = core.turn()
+    gate = state.order_gate()
     found = dict.fromkeys(
         [
-            *_hand_overs(core, turn),
-            *_creations(core, turn),
-            *_attachments(core, turn),
-            *_closings(core, turn),
-            *_parts(core, turn),
+            *_hand_overs(state, gate),
+            *_creations(state, gate),
+            *_attachments(state, gate),
+            *_finishes(state, gate),
+            *_splits(state, gate),
         ]
     )
-    fallen = {ref.instance for ref in core.draft.meter.below}
-    return sorted(found, key=lambda move: _priority(core, move, fallen))
+    fallen = {ref.instance for ref in state.builder.meter.below}
+    return sorted(found, key=lambda move: _priority(state, move, fallen))
 
 
-def _hand_overs(core: SearchState, turn: OrderGate) -> Iterator[Move]:
-    for new, swaps in core.swaps.items():
-        if core.fits(new, swaps, turn):
+def play(state: SearchState, move: Move) -> SearchState:
+    """The state after a move."""
+    match move.kind:
+        case "create":
+            state = state.create(*move.names)
+        case "hand over":
+            state = state.hand_over(move.names[0])
+        case "remove":
+            for name in move.names:
+                state = _removed_early(state, name)
+        case "attach":
+            assert move.attachment is not None
+            state = state.attach(move.attachment)
+        case "detach":
+            assert move.attachment is not None
+            state = state.detach([move.attachment])
+        case "exchange":
+            assert move.swap is not None
+            state = state.exchange(move.swap)
+        case "finish":
+            state = state.remove_rest_of(move.names)
+        case "split":
+            (new,) = move.names
+            swaps, rest = state.swaps[new], replace(state, swaps=state.swaps_of_others(new))
+            kept = tuple(swap for swap in swaps if rest.can_take_over(swap) and not rest.is_contended([swap]))
+            state = state.without_swaps(new, () if kept == swaps else kept)
+    return state.raise_touched()
+
+
+def _removed_early(state: SearchState, name: str) -> SearchState:
+    """Break before make: detach every port of ``name``, and remove it."""
+    new = state.builder.change.replaced.get(name)
+    if new is not None:  # to attach the new instance before that is a move too: "split"
+        state = state.without_swaps(new)
+    return state.remove([name], [pair for pair in state.detaches if pair[0].instance == name])
+
+
+def _hand_overs(state: SearchState, gate: OrderGate) -> Iterator[Move]:
+    for new, swaps in state.swaps.items():
+        if state.can_hand_over(new, swaps, gate):
             yield Move("hand over", (new,))
 
 
-def _creations(core: SearchState, turn: OrderGate) -> Iterator[Move]:
+def _creations(state: SearchState, gate: OrderGate) -> Iterator[Move]:
     known: dict[Need, list[tuple[str, ...]]] = {}
-    for name, instance in core.creates.items():
-        if instance.role not in turn:
+    for name, instance in state.creates.items():
+        if instance.role not in gate:
             continue
-        holds = instance.component.resource_usage
-        lacks = ((resource, core.lack(resource, to_fraction(holds[resource]))) for resource in sorted(holds))
-        need: Need = tuple((resource, lack) for resource, lack in lacks if lack > 0)
+        usage = instance.component.resource_usage
+        shortages = ((resource, state.shortage(resource, to_fraction(usage[resource]))) for resource in sorted(usage))
+        need: Need = tuple((resource, shortage) for resource, shortage in shortages if shortage > 0)
         if not need:
             yield Move("create", (name,))
             continue
-        if need not in known:  # what needs the same room is made room for in the same ways
-            known[need] = _making_room(core, need, turn)
-            for names in known[need]:  # a small set in every order, since the first to go stays away longest
+        if need not in known:  # the same need is met in the same ways
+            known[need] = _making_room(state, need, gate)
+            for names in known[need]:  # a small set in every order, since the first to be removed is absent longest
                 orders = permutations(names) if len(names) <= _SET_SIZE else (names,)
                 yield from (Move("remove", order) for order in orders)
 
 
-def _making_room(core: SearchState, need: Need, turn: OrderGate) -> list[tuple[str, ...]]:
-    """The least sets of components whose removal gives back what is needed."""
-    configuration, role_of = core.draft.configuration, core.draft.change.role_of
+def _making_room(state: SearchState, need: Need, gate: OrderGate) -> list[tuple[str, ...]]:
+    """The least sets of instances whose removal frees what is needed."""
+    configuration, change = state.builder.configuration, state.builder.change
 
     def enough(names: Iterable[str]) -> bool:
-        given = [configuration.component(name).resource_usage for name in names]
-        return all(sum(to_fraction(holds.get(r, 0.0)) for holds in given) >= lack for r, lack in need)
+        usages = [configuration.component(name).resource_usage for name in names]
+        return all(sum(to_fraction(usage.get(r, 0.0)) for usage in usages) >= shortage for r, shortage in need)
 
     holders = [
         name
-        for name in core.removes
-        if role_of(name) in turn
+        for name in state.removes
+        if change.role_of(name) in gate
         and any(resource in configuration.component(name).resource_usage for resource, _ in need)
     ]
-    holders.sort(key=lambda name: (not core.is_relieved(name), role_of(name) in core.draft.change.target.nodes))
+    holders.sort(key=lambda name: (not state.is_superseded(name), change.role_of(name) in change.target.nodes))
     found = [(name,) for name in holders if enough((name,))]
     alone = {name for (name,) in found}
     several = [name for name in holders if name not in alone][:_SET_FROM]
@@ -111,52 +146,57 @@ def _making_room(core: SearchState, need: Need, turn: OrderGate) -> list[tuple[s
     return [*found, *sets]
 
 
-def _attachments(core: SearchState, turn: OrderGate) -> Iterator[Move]:
-    """Taking a slot of a capped topic; or making one, by handing over to the one that waits or by detaching."""
-    configuration, change = core.draft.configuration, core.draft.change
-    for port, connector in core.attaches:
-        if not core.may_attach(port, turn):
+def _attachments(state: SearchState, gate: OrderGate) -> Iterator[Move]:
+    """Taking a slot of a capped topic; or freeing one, by handing over to the output that waits or by detaching."""
+    configuration, change = state.builder.configuration, state.builder.change
+    for port, connector in state.attaches:
+        if not state.may_attach(port, gate):
             continue
-        if core.slots(connector) >= 1:
+        if state.free_slots(connector) >= 1:
             yield Move("attach", attachment=(port, connector))
-        for other, on in core.detaches:
+        for other, on in state.detaches:
             if on not in (connector, change.sibling(connector)) or not configuration.is_output(other):
                 continue
-            if change.role_of(other.instance) not in turn:
+            if change.role_of(other.instance) not in gate:
                 continue
-            if on == connector and core.satisfies_topic(port, connector):
+            if on == connector and state.satisfies_topic(port, connector):
                 yield Move("exchange", swap=Swap(connector, other, port))
             yield Move("detach", attachment=(other, on))
 
 
-def _closings(core: SearchState, turn: OrderGate) -> Iterator[Move]:
-    """A role after which another is to come, and of which only the going is left."""
-    role_of = core.draft.change.role_of
-    coming = {role_of(name) for name in (*core.creates, *core.swaps)}
-    coming |= {role_of(port.instance) for port, _ in core.attaches}
-    for role in sorted({order.first for order in core.orders} & core.busy()):
-        if role in turn and role not in coming:
+def _finishes(state: SearchState, gate: OrderGate) -> Iterator[Move]:
+    """Removing the rest of a role that the user's orders put before another, once nothing of it is to come."""
+    role_of = state.builder.change.role_of
+    coming = {role_of(name) for name in (*state.creates, *state.swaps)}
+    coming |= {role_of(port.instance) for port, _ in state.attaches}
+    for role in sorted({order.first for order in state.orders} & state.unfinished_roles()):
+        if role in gate and role not in coming:
             yield Move("finish", (role,))
 
 
-def _parts(core: SearchState, turn: OrderGate) -> Iterator[Move]:
-    """A replacement that is not good enough for all its topics, whose place others want, or whose role would fall by
-    the hand-over: it is not handed over there, but attached beside the old one where there is room."""
-    for new, swaps in core.swaps.items():
-        if core.draft.change.role_of(new) not in turn:
+def _splits(state: SearchState, gate: OrderGate) -> Iterator[Move]:
+    """Attaching a replacement beside the old instance, where there is room, instead of handing over.
+
+    For a replacement that does not satisfy all of its topics, that occupies a slot which another output needs, or
+    whose role would fall by the hand-over.
+    """
+    for new, swaps in state.swaps.items():
+        if state.builder.change.role_of(new) not in gate:
             continue
-        live = new in core.draft.configuration.instances
-        if core.is_wanted(swaps) or (live and (not core.fits(new, swaps, turn) or core.costs(swaps))):
-            yield Move("part", (new,))
+        live = new in state.builder.configuration.instances
+        if state.is_contended(swaps) or (
+            live and (not state.can_hand_over(new, swaps, gate) or state.lowers_role(swaps))
+        ):
+            yield Move("split", (new,))
 
 
-def _priority(core: SearchState, move: Move, fallen: set[str]) -> int:
-    """How late a move is tried: first what makes good, then what costs nothing, last what breaks."""
+def _priority(state: SearchState, move: Move, fallen: set[str]) -> int:
+    """How late a move is tried: first what restores a role, then what costs nothing, last what breaks something."""
     match move.kind:
         case "create":
-            return 0 if core.creates[move.names[0]].role in fallen else 2
+            return 0 if state.creates[move.names[0]].role in fallen else 2
         case "remove":
-            return 1 if all(core.is_relieved(name) for name in move.names) else 3 + len(move.names)
+            return 1 if all(state.is_superseded(name) for name in move.names) else 3 + len(move.names)
         case "attach" | "exchange":
             return 1
         case "finish" | "detach":

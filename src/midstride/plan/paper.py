@@ -1,16 +1,16 @@
-"""Strategy ``paper``: the paper's Algorithm 1 and its six-step replace, as its text says (semantics.md section 6).
+"""Strategy ``paper``: the paper's Algorithm 1 and its six-step replace, as its text says (docs/semantics.md section 6).
 
-1. Detach all the ports of what goes; before each detaching, degrade the affected functionalities
-   to their last mode, those that depend on them first.
+1. Detach all ports of the old component; before each detach, degrade the affected functionalities to their last
+   mode, downstream first.
 2. Remove it.
-3. Create what comes, in its last modes.
+3. Create the new component, in its last modes.
 4. Attach its inputs.
 5. Upgrade its functionalities.
 6. Attach its outputs, and upgrade the degraded functionalities of the others, to ``best``.
 
-Several changes: first what goes (1 and 2 for each), then what comes (3 to 6 for each). The paper's
-listing calls itself for ever in a cycle; here the affected are found as a closure, and lowered in
-groups where they support each other.
+For several changes, first everything old is removed (1 and 2 for each), then everything new is added (3 to 6 for
+each). The paper's listing does not terminate in a cycle; here the affected functionalities are computed as a closure,
+and degraded in groups where they support each other.
 """
 
 from __future__ import annotations
@@ -40,8 +40,7 @@ def paper(change: Change) -> Plan:
 def six_steps(strategy: str, change: Change, lowered_first: Iterable[FunctionalityRef]) -> Plan:
     """The paper's process, after lowering ``lowered_first`` to their last modes.
 
-    Where the user asks for an order of roles, the whole process runs for one layer of roles after
-    the other.
+    Where the user asks for an order of roles, the whole process runs for one layer of roles at a time.
     """
     levels = Levels(change)
     constraints = in_force(change)
@@ -50,17 +49,13 @@ def six_steps(strategy: str, change: Change, lowered_first: Iterable[Functionali
     if layered is None:
         orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
         raise refusal(conflict(orders, lambda some: layers(roles, some) is not None), ())
-    draft = PlanBuilder(change, levels)
-    _lower_to_last(draft, lowered_first)
+    plan = _lower_to_last(PlanBuilder.at_start(change, levels), lowered_first)
     for layer in layered:
-        _go(draft, set(layer))
-        _come(draft, set(layer))
-    draft.rise()
-    for name, parameters in change.parameters:
-        draft.set(name, parameters)
-    if broken := breaches(change, draft.steps, levels, constraints):
+        plan = _bring(_take_away(plan, set(layer)), set(layer))
+    plan = plan.raise_touched().set_parameters(change.parameters)
+    if broken := breaches(change, plan.steps, levels, constraints):
         raise refusal([broken[0].constraint], broken)
-    return Plan.of(strategy, change, draft.steps, levels)
+    return Plan.of(strategy, change, plan.steps, levels)
 
 
 def _instances(change: Change) -> list[str]:
@@ -72,8 +67,8 @@ def _instances(change: Change) -> list[str]:
 # -- steps 1 and 2 -------------------------------------------------------------------------------------
 
 
-def _go(draft: PlanBuilder, roles: set[str]) -> None:
-    change = draft.change
+def _take_away(plan: PlanBuilder, roles: set[str]) -> PlanBuilder:
+    change = plan.change
     leaving = {name for name in change.leaving if change.role_of(name) in roles}
     detached: dict[str, list[Attachment]] = {name: [] for name in change.leaving if name in leaving}
     for port, connector in change.detached:
@@ -81,28 +76,26 @@ def _go(draft: PlanBuilder, roles: set[str]) -> None:
             detached.setdefault(port.instance, []).append((port, connector))
     for name, attachments in detached.items():
         for port, connector in attachments:
-            _detach(draft, port, connector)
+            plan = _detach(plan, port, connector)
         if name in leaving:
-            draft.do(Remove(name))
+            plan = plan.do(Remove(name))
+    return plan
 
 
-def _detach(draft: PlanBuilder, port: PortRef, connector: str) -> None:
-    seeds = consumers_of(draft.configuration, port, connector)
-    after = draft.configuration.without_attachment(port, connector)
-    affected = _affected(after, seeds)
-    draft.touched.update(dict.fromkeys(affected))
-    draft.lower_to(affected)
-    draft.do(Detach(port, connector))
+def _detach(plan: PlanBuilder, port: PortRef, connector: str) -> PlanBuilder:
+    seeds = consumers_of(plan.configuration, port, connector)
+    affected = _affected(plan.configuration.without_attachment(port, connector), seeds)
+    return plan.touching(affected).lower_to(affected).do(Detach(port, connector))
 
 
 def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
-    """AffectedFuncs and AffectedConns to their end: whoever is not satisfied any more goes to its last mode."""
+    """The closure of AffectedFuncs and AffectedConns: each functionality no longer satisfied, in its last mode."""
     overlay: Modes = {}
-    judge = Evaluator(after, overlay)
+    evaluator = Evaluator(after, overlay)
     pending = list(seeds)
     while pending:
         ref = pending.pop()
-        if ref in overlay or judge.satisfied(ref):
+        if ref in overlay or evaluator.satisfied(ref):
             continue
         functionality = after.functionality(ref)
         overlay[ref] = functionality.last_mode
@@ -112,53 +105,52 @@ def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
     return overlay
 
 
-def _lower_to_last(draft: PlanBuilder, refs: Iterable[FunctionalityRef]) -> None:
-    configuration = draft.configuration
+def _lower_to_last(plan: PlanBuilder, refs: Iterable[FunctionalityRef]) -> PlanBuilder:
+    configuration = plan.configuration
     modes = {
         ref: last for ref in refs if configuration.modes[ref] != (last := configuration.functionality(ref).last_mode)
     }
-    draft.touched.update(dict.fromkeys(modes))
-    draft.lower_to(modes)
+    return plan.touching(modes).lower_to(modes)
 
 
 # -- steps 3 to 6 --------------------------------------------------------------------------------------
 
 
-def _come(draft: PlanBuilder, roles: set[str]) -> None:
-    change = draft.change
+def _bring(plan: PlanBuilder, roles: set[str]) -> PlanBuilder:
+    change = plan.change
     attached: dict[str, list[Attachment]] = {}
     for port, connector in change.attached:
         if change.role_of(port.instance) in roles:
             attached.setdefault(port.instance, []).append((port, connector))
     for instance in change.coming:
         if instance.role in roles:
-            _bring(draft, instance, attached.pop(instance.name, []))
+            plan = _bring_instance(plan, instance, attached.pop(instance.name, []))
     for attachments in attached.values():
-        for port, connector in attachments:
-            _possible(draft, Attach(port, connector))
-            draft.attach(port, connector)
-        draft.rise()
+        plan = _attach_possible(plan, attachments).raise_touched()
+    return plan
 
 
-def _bring(draft: PlanBuilder, instance: Instance, attachments: list[Attachment]) -> None:
-    _possible(draft, Create(instance))
-    draft.create(instance)
+def _bring_instance(plan: PlanBuilder, instance: Instance, attachments: list[Attachment]) -> PlanBuilder:
+    _check_possible(plan, Create(instance))
     inputs = [pair for pair in attachments if pair[0].port in instance.component.inputs]
     outputs = [pair for pair in attachments if instance.component.has_output(pair[0].port)]
-    for port, connector in inputs:
-        draft.attach(port, connector)
+    plan = plan.create(instance).attach(*inputs)
     for ref in instance.functionality_refs():
-        index = Evaluator(draft.configuration).best_satisfied_mode(ref, 0)
-        if index < draft.configuration.modes[ref]:
-            draft.raise_to({ref: index})
-    for port, connector in outputs:
-        _possible(draft, Attach(port, connector))
-        draft.attach(port, connector)
-    draft.rise()
+        index = Evaluator(plan.configuration).best_satisfied_mode(ref, 0)
+        if index < plan.configuration.modes[ref]:
+            plan = plan.raise_to({ref: index})
+    return _attach_possible(plan, outputs).raise_touched()
 
 
-def _possible(draft: PlanBuilder, action: Action) -> None:
-    """Refuse where an ``order`` lets something come before what it needs to be gone is."""
-    if reasons := action.check(draft.configuration):
+def _attach_possible(plan: PlanBuilder, attachments: Iterable[Attachment]) -> PlanBuilder:
+    for port, connector in attachments:
+        _check_possible(plan, Attach(port, connector))
+        plan = plan.attach((port, connector))
+    return plan
+
+
+def _check_possible(plan: PlanBuilder, action: Action) -> None:
+    """Refuse where an ``order`` lets something come before what is in its way has been removed."""
+    if reasons := action.check(plan.configuration):
         because = "; ".join(str(reason) for reason in reasons)
         raise PlanRefused(f"in the order that the constraints ask for, {action.describe()} is impossible: {because}")

@@ -1,23 +1,21 @@
-"""A plan: the steps from a running configuration to a target, and what they cost (semantics.md section 6)."""
+"""A plan: the steps from a running configuration to a target, and what they cost (docs/semantics.md section 6)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 from midstride.model.action import Action
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
+from midstride.plan import explain
 from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
+from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.schedule import dependencies, makespan
 from midstride.plan.step import Step
-
-if TYPE_CHECKING:
-    from midstride.plan.explain import Degradation, LevelShift
 
 
 @dataclass(frozen=True)
@@ -26,7 +24,7 @@ class Plan:
 
     ``disruption`` is in weighted functionality-seconds, ``makespan`` the critical path of the
     steps that do not commute, ``seconds`` the plain sum. ``fallen`` names roles' functionalities
-    that ever stand below the baseline. ``proved_minimal`` is claimed only where it is proved.
+    that are ever below the baseline. ``proved_minimal`` is claimed only where it is proved.
     """
 
     strategy: str
@@ -41,16 +39,15 @@ class Plan:
 
     @classmethod
     def of(cls, strategy: str, change: Change, steps: Sequence[Step], levels: Levels | None = None) -> Plan:
-        """The plan that consists of ``steps``, with its costs worked out.
+        """The plan that consists of ``steps``, with its costs.
 
-        Nothing costs less than nothing, so a plan without disruption is proved minimal by that
-        alone; of any other, nothing is claimed.
+        No disruption is less than 0, so a plan without disruption is minimal; of any other, nothing is claimed.
         """
-        meter = DisruptionMeter(levels or Levels(change))
+        meter = DisruptionMeter.at_start(levels or Levels(change))
         configuration = change.start
         for step in steps:
             configuration = step.action.effect(configuration)
-            meter.step(step.action, step.seconds, configuration)
+            meter = meter.after(step.action, step.seconds, configuration)
         return cls(
             strategy=strategy,
             change=change,
@@ -84,20 +81,16 @@ class Plan:
             yield configuration
 
     @cached_property
-    def falls(self) -> tuple[Degradation, ...]:
-        """Why each functionality falls, from which step to which, and for how long."""
-        from midstride.plan.explain import falls
-
-        return falls(self)
+    def degradations(self) -> tuple[Degradation, ...]:
+        """Why each functionality degrades, from which step to which, and for how long."""
+        return explain.degradations(self.change, self.steps)
 
     @cached_property
-    def shifts(self) -> tuple[LevelShift, ...]:
-        """What stands otherwise after the plan than before it, for good."""
-        from midstride.plan.explain import shifts
-
-        return shifts(self)
+    def level_shifts(self) -> tuple[LevelShift, ...]:
+        """The functionalities that are in another mode after the plan than before it."""
+        return explain.level_shifts(self.change, self.steps)
 
     @cached_property
     def dependencies(self) -> tuple[tuple[int, ...], ...]:
-        """For each step, the earlier ones it does not commute with: it must wait for these alone."""
+        """For each step, the earlier ones with which it does not commute, and for which it must wait."""
         return dependencies(self.change, self.steps, Levels(self.change))

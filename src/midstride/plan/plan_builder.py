@@ -1,126 +1,133 @@
 """A plan in the making: structural actions go in, the mode changes they need come with them.
 
-Every strategy writes its plan through this. What differs between strategies is when they call
-what; that the steps are valid and ordered well is seen to here (semantics.md section 5, F3).
+Every strategy writes its plan with this. The strategies differ in what they call and when; that the steps are
+valid and in a good order is ensured here (docs/semantics.md section 5, F3).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 
 from immutables import Map
 
 from midstride.model.action import Action, Attach, Create, Detach, Handover, Remove, SetParameters, Swap
 from midstride.model.best import consumers_of, lowered, rebalanced
-from midstride.model.component import FunctionalityRef, ParameterValue, PortRef
-from midstride.model.configuration import Instance
+from midstride.model.component import FunctionalityRef, ParameterValue
+from midstride.model.configuration import Configuration, Instance
 from midstride.plan.change import Attachment, Change
 from midstride.plan.constraints import ConstraintMonitor
-from midstride.plan.disruption import DisruptionMeter, Levels, instances_touched
+from midstride.plan.disruption import DisruptionMeter, Levels
 from midstride.plan.mode_ordering import Modes, degradations, upgrades
 from midstride.plan.step import Step, mode_changes
 
 Ceiling = Callable[[FunctionalityRef], int]
 
 
+@dataclass(frozen=True, slots=True)
 class PlanBuilder:
-    """The configuration reached, the steps that led there, and what they have cost so far.
+    """The configuration reached, the steps that led there (``numbered`` from 1), and their cost.
 
-    ``touched`` are the functionalities that might stand better since something changed;
-    :meth:`rise` raises them. ``ceiling``, where given, bounds how far anybody is raised; ``watch``, where given,
-    notes which of the user's constraints are broken.
+    An immutable value: each method yields the plan with further steps.
+    ``touched`` holds the functionalities that might be able to enter a better mode since something changed;
+    :meth:`raise_touched` raises them, at most to their ``ceiling`` if there is one. ``monitor`` keeps track of the
+    user's constraints.
     """
 
-    __slots__ = ("ceiling", "change", "configuration", "meter", "steps", "touched", "watch")
+    change: Change
+    configuration: Configuration
+    meter: DisruptionMeter
+    touched: Map[FunctionalityRef, None] = field(default_factory=Map)
+    ceiling: Ceiling | None = None
+    monitor: ConstraintMonitor | None = None
+    numbered: Map[int, Step] = field(default_factory=Map)
 
-    def __init__(
-        self, change: Change, levels: Levels, ceiling: Ceiling | None = None, watch: ConstraintMonitor | None = None
-    ) -> None:
-        self.change = change
-        self.configuration = change.start
-        self.steps: list[Step] = []
-        self.meter = DisruptionMeter(levels)
-        self.touched: dict[FunctionalityRef, None] = dict.fromkeys(change.pending)
-        self.ceiling = ceiling
-        self.watch = watch
+    @classmethod
+    def at_start(
+        cls, change: Change, levels: Levels, ceiling: Ceiling | None = None, monitor: ConstraintMonitor | None = None
+    ) -> PlanBuilder:
+        """The plan without a step."""
+        touched: Map[FunctionalityRef, None] = Map((ref, None) for ref in change.pending)
+        return cls(change, change.start, DisruptionMeter.at_start(levels), touched, ceiling, monitor)
+
+    @property
+    def steps(self) -> tuple[Step, ...]:
+        return tuple(self.numbered[number] for number in range(1, len(self.numbered) + 1))
 
     @property
     def is_doomed(self) -> bool:
-        """Whether a constraint is broken that no further step can mend."""
-        return self.watch is not None and self.watch.is_doomed(self.meter)
+        """Whether a constraint is broken that no further step can repair."""
+        return self.monitor is not None and self.monitor.is_doomed(self.meter)
 
-    def copy(self) -> PlanBuilder:
-        twin = PlanBuilder.__new__(PlanBuilder)
-        twin.change, twin.configuration, twin.ceiling = self.change, self.configuration, self.ceiling
-        twin.steps, twin.meter, twin.touched = list(self.steps), self.meter.copy(), dict(self.touched)
-        twin.watch = None if self.watch is None else self.watch.copy()
-        return twin
+    def do(self, *actions: Action) -> PlanBuilder:
+        """Append actions as they are."""
+        if not actions:
+            return self
+        configuration, meter, monitor, numbered = self.configuration, self.meter, self.monitor, self.numbered
+        for number, action in enumerate(actions, start=len(numbered) + 1):
+            roles = tuple(dict.fromkeys(self.change.role_of(name) for name in action.instances()))
+            component = action.instance.component if isinstance(action, Create) else None
+            if isinstance(action, Remove):
+                component = configuration.component(action.instance)
+            seconds = self.change.seconds(action.kind, component)
+            step = Step(action, seconds, roles, mode_changes(configuration, action))
+            numbered = numbered.set(number, step)
+            configuration = action.effect(configuration)
+            meter = meter.after(action, seconds, configuration)
+            if monitor is not None:
+                monitor = monitor.after(number, step, configuration)
+        return PlanBuilder(self.change, configuration, meter, self.touched, self.ceiling, monitor, numbered)
 
-    def do(self, action: Action) -> None:
-        """Append one action as it is."""
-        roles = tuple(dict.fromkeys(self.change.role_of(name) for name in instances_touched(action)))
-        component = action.instance.component if isinstance(action, Create) else None
-        if isinstance(action, Remove):
-            component = self.configuration.component(action.instance)
-        seconds = self.change.seconds(action.kind, component)
-        step = Step(action, seconds, roles, mode_changes(self.configuration, action))
-        self.configuration = action.effect(self.configuration)
-        self.meter.step(action, seconds, self.configuration)
-        self.steps.append(step)
-        if self.watch is not None:
-            self.watch.note(step, self.configuration)
+    def touching(self, refs: Iterable[FunctionalityRef]) -> PlanBuilder:
+        """Have :meth:`raise_touched` look at ``refs`` as well."""
+        return replace(self, touched=self.touched.update(dict.fromkeys(refs)))
 
     # -- modes ---------------------------------------------------------------------------------------
 
-    def rise(self) -> None:
-        """Upgrade whoever can stand better since the last time."""
-        if self.touched:
-            live = [ref for ref in self.touched if ref.instance in self.configuration.instances]
-            self.touched = {}
-            self.raise_to(rebalanced(self.configuration, live, self.ceiling))
+    def raise_touched(self) -> PlanBuilder:
+        """Upgrade every functionality that has become able to enter a better mode since the last call."""
+        if not self.touched:
+            return self
+        live = [ref for ref in self.touched if ref.instance in self.configuration.instances]
+        modes = rebalanced(self.configuration, live, self.ceiling)
+        return replace(self, touched=Map()).raise_to(modes)
 
-    def raise_to(self, modes: Modes) -> None:
+    def raise_to(self, modes: Modes) -> PlanBuilder:
         """Upgrade to ``modes``, upstream first."""
-        for upgrade in upgrades(self.configuration, modes):
-            self.do(upgrade)
+        return self.do(*upgrades(self.configuration, modes)) if modes else self
 
-    def lower_to(self, modes: Modes) -> None:
+    def lower_to(self, modes: Modes) -> PlanBuilder:
         """Degrade to ``modes``, downstream first."""
-        for degradation in degradations(self.configuration, modes):
-            self.do(degradation)
+        return self.do(*degradations(self.configuration, modes)) if modes else self
 
     # -- structure -----------------------------------------------------------------------------------
 
-    def create(self, instance: Instance) -> None:
-        self.do(Create(instance))
-        self.touched.update(dict.fromkeys(instance.functionality_refs()))
+    def create(self, *instances: Instance) -> PlanBuilder:
+        created = self.do(*(Create(instance) for instance in instances))
+        return created.touching(ref for instance in instances for ref in instance.functionality_refs())
 
-    def attach(self, port: PortRef, connector: str) -> None:
-        """Attach; :meth:`rise` later, once for many."""
-        self.do(Attach(port, connector))
-        self.touched.update(dict.fromkeys(consumers_of(self.configuration, port, connector)))
+    def attach(self, *attachments: Attachment) -> PlanBuilder:
+        """Attach; call :meth:`raise_touched` later, once for many."""
+        attached = self.do(*(Attach(port, connector) for port, connector in attachments))
+        affected = (consumers_of(attached.configuration, port, connector) for port, connector in attachments)
+        return attached.touching(ref for refs in affected for ref in refs)
 
-    def hand_over(self, swaps: Sequence[Swap]) -> None:
-        self.do(Handover(tuple(swaps)))
-        for swap in swaps:
-            self.touched.update(dict.fromkeys(self.configuration.consumers(swap.connector)))
+    def hand_over(self, swaps: Sequence[Swap]) -> PlanBuilder:
+        consumers = (ref for swap in swaps for ref in self.configuration.consumers(swap.connector))
+        return self.do(Handover(tuple(swaps))).touching(consumers)
 
-    def detach(self, attachments: Iterable[Attachment]) -> None:
+    def detach(self, attachments: Iterable[Attachment]) -> PlanBuilder:
         """Degrade to ``best`` of what will remain without all of these, then detach them one by one."""
-        self.rise()
-        pairs = list(attachments)
-        left = self.configuration
+        raised, pairs = self.raise_touched(), list(attachments)
+        remaining = raised.configuration
         seeds: dict[FunctionalityRef, None] = {}
         for port, connector in pairs:
-            seeds.update(dict.fromkeys(consumers_of(left, port, connector)))
-            left = left.without_attachment(port, connector)
-        self.lower_to(lowered(left, seeds))
-        for port, connector in pairs:
-            self.do(Detach(port, connector))
+            seeds.update(dict.fromkeys(consumers_of(remaining, port, connector)))
+            remaining = remaining.without_attachment(port, connector)
+        return raised.lower_to(lowered(remaining, seeds)).do(*(Detach(port, connector) for port, connector in pairs))
 
-    def remove(self, name: str) -> None:
-        self.rise()
-        self.do(Remove(name))
+    def remove(self, *names: str) -> PlanBuilder:
+        return self.raise_touched().do(*(Remove(name) for name in names))
 
-    def set(self, name: str, parameters: Map[str, ParameterValue]) -> None:
-        self.do(SetParameters(name, parameters))
+    def set_parameters(self, parameters: Iterable[tuple[str, Map[str, ParameterValue]]]) -> PlanBuilder:
+        return self.do(*(SetParameters(name, values) for name, values in parameters))

@@ -1,6 +1,6 @@
-"""Strategy ``quiesce``: Kramer and Magee's discipline, for comparison (semantics.md section 6).
+"""Strategy ``quiesce``: Kramer and Magee's discipline, for comparison (docs/semantics.md section 6).
 
-As ``paper``, but first everything that the change can reach stands still: every functionality of what
+As ``paper``, but first everything that the change can reach is degraded to its last mode: every functionality of what
 changes, then along output, topic and input every functionality that uses them, and so on.
 """
 

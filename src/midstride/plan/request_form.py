@@ -12,7 +12,7 @@ from midstride.codec.specification import SpecificationForm, node_of
 from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import component_names, specification_names
 from midstride.model.specification import Node
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 
 Strategy: TypeAlias = Literal["minimal", "paper", "quiesce"]
 Replacement: TypeAlias = Annotated[tuple[Name, Name], field("a replacement", "[node, component]")]
@@ -55,9 +55,9 @@ class ChangeRequest(Form, frozen=True):
     ] = []
     strategy: Strategy = "minimal"
 
-    def request(self) -> Request:
+    def request(self) -> PlanRequest:
         """The request as the planners know it; names are not checked. Raises ValueError as the parts do."""
-        return Request(
+        return PlanRequest(
             replace=tuple(self.replace),
             add=tuple(form.node() for form in self.add),
             remove=tuple(self.remove),
@@ -67,12 +67,12 @@ class ChangeRequest(Form, frozen=True):
         )
 
 
-def decode_request(document: object) -> Request:
+def decode_request(document: object) -> PlanRequest:
     """The request that a document states. Raises SpecificationError with every fault of form and of names in it."""
     return decode(document, ChangeRequest, ChangeRequest.request, request_names)
 
 
-def request_names(request: Request) -> Iterable[Problem]:
+def request_names(request: PlanRequest) -> Iterable[Problem]:
     """The faults in the names of what a request declares."""
     if request.to is not None:
         yield from under("to", specification_names(request.to))

@@ -1,13 +1,13 @@
 """Which steps of a plan commute, and how long it takes when those that do overlap.
 
-Each step leaves *marks*: what it claims of an instance, an attachment, a mode, a functionality's
-support, a cap or a capacity. Two steps commute unless two of their marks clash. The table rests on
-monotonicity (semantics.md, F2 and F3): support that is there a step earlier, or gone a step later,
-hinders nobody. So every order that keeps the clashing pairs in theirs is valid, step for step.
+Each step leaves *marks*: what it claims of an instance, an attachment, a mode, a functionality's support, a cap or a
+capacity. Two steps commute unless two of their marks clash. The table relies on monotonicity (docs/semantics.md
+section 5, F2 and F3): support that arrives earlier, or is withdrawn later, does no harm. So every order that preserves
+the order of clashing pairs is valid, step by step.
 
-Two more things keep their order, which validity alone does not ask for: the steps that decide
-how a replaced role stands, and a step by which something falls below its baseline, which waits for
-every creation and removal before it. Overlapping must not make a fall longer than the sequence does.
+Two more kinds of steps keep their order, although validity alone does not require it: the steps that determine the
+level of a replaced role, and a step by which a functionality falls below its baseline, which waits for every earlier
+creation and removal. Overlapping must not keep a functionality below its baseline for longer than the sequence does.
 """
 
 from __future__ import annotations
@@ -32,12 +32,15 @@ class Claim(Enum):
     OWN = auto()
     USE = auto()
     SUPPORT = auto()
-    STAND = auto()
+    DEPEND = auto()
     WITHDRAW = auto()
     RELEASE = auto()
     ACQUIRE = auto()
     BEFORE = auto()
     AFTER = auto()
+
+    # By identity: the hash that Enum defines in Python is a tenth of a plan's time.
+    __hash__ = object.__hash__
 
 
 # A step with the second claim on a thing waits for each earlier step with one of the first on it.
@@ -45,8 +48,8 @@ _WAITS_FOR: Final[dict[Claim, tuple[Claim, ...]]] = {
     Claim.OWN: (Claim.OWN, Claim.USE),
     Claim.USE: (Claim.OWN,),
     Claim.SUPPORT: (),
-    Claim.STAND: (Claim.SUPPORT,),
-    Claim.WITHDRAW: (Claim.SUPPORT, Claim.STAND),
+    Claim.DEPEND: (Claim.SUPPORT,),
+    Claim.WITHDRAW: (Claim.SUPPORT, Claim.DEPEND),
     Claim.RELEASE: (),
     Claim.ACQUIRE: (Claim.RELEASE,),
     Claim.BEFORE: (),
@@ -138,7 +141,7 @@ class _Marks:
     def _mode(self, ref: FunctionalityRef, better: bool) -> Iterator[Mark]:
         yield ("live", ref.instance), Claim.USE
         yield ("mode", ref), Claim.OWN
-        yield ("support", ref), Claim.STAND
+        yield ("support", ref), Claim.DEPEND
         yield from self._role(self.change.role_of(ref.instance))
         claim = Claim.SUPPORT if better else Claim.WITHDRAW
         for output in self.change.component_of(ref.instance).functionalities[ref.functionality].outputs:
@@ -149,7 +152,7 @@ class _Marks:
                         yield ("support", consumer), claim
 
     def _consumers_of(self, connector: str) -> Iterable[FunctionalityRef]:
-        """Whoever uses an input that is attached to ``connector`` at some time during the plan."""
+        """The functionalities that use an input attached to ``connector`` at some time during the plan."""
         known = self._consumers.get(connector)
         if known is None:
             found = dict.fromkeys(self.change.start.consumers(connector))
@@ -160,25 +163,26 @@ class _Marks:
         return known
 
 
-def _falling(change: Change, steps: Sequence[Step], levels: Levels) -> set[int]:
-    """The steps by which something falls below its baseline, or further below it."""
-    meter, configuration, found = DisruptionMeter(levels), change.start, set()
+def _degrading(change: Change, steps: Sequence[Step], levels: Levels) -> set[int]:
+    """The steps by which a functionality falls below its baseline, or further below it."""
+    meter, configuration, found = DisruptionMeter.at_start(levels), change.start, set()
     for index, step in enumerate(steps):
         configuration = step.action.effect(configuration)
-        if any(moved.after > moved.before for moved in meter.step(step.action, step.seconds, configuration)):
+        meter = meter.after(step.action, step.seconds, configuration)
+        if any(moved.after > moved.before for moved in meter.changes):
             found.add(index)
     return found
 
 
 def dependencies(change: Change, steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...], ...]:
     """For each step the earlier ones that it must wait for; the others it commutes with."""
-    marks, falling = _Marks(change), _falling(change, steps, levels)
+    marks, degrading = _Marks(change), _degrading(change, steps, levels)
     left: dict[Mark, list[int]] = defaultdict(list)
-    lasting: list[int] = []
+    structural_steps: list[int] = []
     found: list[tuple[int, ...]] = []
     for index, step in enumerate(steps):
         own = list(dict.fromkeys(marks.of(step)))
-        waits: set[int] = set(lasting) if index in falling else set()
+        waits: set[int] = set(structural_steps) if index in degrading else set()
         for thing, claim in own:
             for earlier in _WAITS_FOR[claim]:
                 waits.update(left.get((thing, earlier), ()))
@@ -186,18 +190,18 @@ def dependencies(change: Change, steps: Sequence[Step], levels: Levels) -> tuple
         for mark in own:
             left[mark].append(index)
         if isinstance(step.action, (Create, Remove)):
-            lasting.append(index)
+            structural_steps.append(index)
     return tuple(found)
 
 
 def makespan(change: Change, steps: Sequence[Step], levels: Levels) -> float:
     """The critical path (s): each step begins as soon as all those it waits for are done."""
-    marks, falling = _Marks(change), _falling(change, steps, levels)
+    marks, degrading = _Marks(change), _degrading(change, steps, levels)
     ends: dict[Mark, float] = defaultdict(float)
-    lasting = last = 0.0
+    structural_steps = last = 0.0
     for index, step in enumerate(steps):
         own = list(dict.fromkeys(marks.of(step)))
-        begin = lasting if index in falling else 0.0
+        begin = structural_steps if index in degrading else 0.0
         for thing, claim in own:
             for earlier in _WAITS_FOR[claim]:
                 begin = max(begin, ends.get((thing, earlier), 0.0))
@@ -205,6 +209,6 @@ def makespan(change: Change, steps: Sequence[Step], levels: Levels) -> float:
         for mark in own:
             ends[mark] = max(ends[mark], end)
         if isinstance(step.action, (Create, Remove)):
-            lasting = max(lasting, end)
+            structural_steps = max(structural_steps, end)
         last = max(last, end)
     return round(last, DIGITS)

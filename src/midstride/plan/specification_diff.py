@@ -1,7 +1,7 @@
-"""How two specifications differ, in the model's words: what `midstride diff` shows.
+"""How two specifications differ: what `midstride diff` shows.
 
-What becomes of each node is told as the planners will see it: added, removed, replaced, rewired, or with parameters
-set in place. The plan that takes one to the other is another matter.
+The change of each node is classified as the planners see it: added, removed, replaced, rewired, or with parameters set
+in place.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Difference(Form, frozen=True, omit_defaults=False):
 
 
 def differences(old: Specification, new: Specification) -> list[Difference]:
-    """Every difference, topics first; empty iff one may stand for the other."""
+    """Every difference, topics first; empty iff the two are equivalent."""
     return [
         *_topics(old, new),
         *_resources(old, new),
@@ -54,12 +54,12 @@ def _topics(old: Specification, new: Specification) -> Iterator[Difference]:
 def _topic(before: Connector, after: Connector) -> Iterator[str]:
     if not before.same_contract(after):
         yield _became("contract", before.guarantee, after.guarantee)
-        yield "another contract is another topic: what is attached is detached and attached again"
+        yield "a new contract makes a new topic: its ports are detached and attached again"
     if before.max_publishers != after.max_publishers:
-        told = [
+        allowed = [
             "any number" if cap is None else f"at most {cap}" for cap in (before.max_publishers, after.max_publishers)
         ]
-        yield _became("publishers", *told)
+        yield _became("publishers", *allowed)
 
 
 def _resources(old: Specification, new: Specification) -> Iterator[Difference]:
@@ -114,18 +114,18 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
     yield from _named("input", dict(before.inputs), dict(after.inputs))
     yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
     yield from _named("holds", dict(before.resource_usage), dict(after.resource_usage))
-    yield from _named("parameter", _told(before), _told(after))
+    yield from _named("parameter", _parameters(before), _parameters(after))
     allowed = [{str(endpoint): "" for endpoint in component.allows} for component in (before, after)]
     yield from _named("allows", allowed[0], allowed[1])
     for name in dict.fromkeys([*before.functionality_order, *after.functionality_order]):
         yield from _functionality(name, before, after)
 
 
-def _told(component: ComponentSpec) -> dict[str, str]:
-    def told(parameter: ParameterSpec) -> str:
+def _parameters(component: ComponentSpec) -> dict[str, str]:
+    def in_words(parameter: ParameterSpec) -> str:
         return f"{'changeable ' if parameter.changeable else ''}{parameter.value!r}"
 
-    return {name: told(parameter) for name, parameter in component.parameters.items()}
+    return {name: in_words(parameter) for name, parameter in component.parameters.items()}
 
 
 def _functionality(name: str, before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
@@ -167,7 +167,7 @@ def _nodes(old: Specification, new: Specification) -> Iterator[Difference]:
         before, after = old.nodes.get(role), new.nodes.get(role)
         subject = f"node {role}"
         if before is None and after is not None:
-            yield Difference(subject, "added", (f"a {after.component}",))
+            yield Difference(subject, "added", (f"component {after.component}",))
         elif after is None:
             yield Difference(subject, "removed")
         elif before is not None:
@@ -183,7 +183,7 @@ def _node(subject: str, old: Specification, new: Specification, before: Node, af
         details.append(_became("component", before.component, after.component))
     elif not was.same_body(will):
         kind = "replaced"
-        details.append(f"component {after.component} is declared otherwise")
+        details.append(f"component {after.component} is declared differently")
     then, now = old.parameters_of(before.role), new.parameters_of(after.role)
     for name in sorted({*then, *now}):
         if name in then and name in now and then[name] == now[name]:
@@ -238,5 +238,5 @@ def _named(what: str, before: dict[str, Any], after: dict[str, Any]) -> Iterator
 
 
 def _became(what: str, before: object, after: object) -> str:
-    told = ["not stated" if value is None else str(value) for value in (before, after)]
-    return f"{what}: {told[0]} -> {told[1]}"
+    values = ["not stated" if value is None else str(value) for value in (before, after)]
+    return f"{what}: {values[0]} -> {values[1]}"

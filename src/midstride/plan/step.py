@@ -1,10 +1,11 @@
-"""One step of a plan: an action of the model, with how long it takes and what it is called in words."""
+"""One step of a plan: an action of the model, with its duration and its mode changes by name."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, Upgrade
+from midstride.model import wording
+from midstride.model.action import Action, Degrade, Upgrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 
@@ -30,13 +31,13 @@ class Step:
     @property
     def is_structural(self) -> bool:
         """Whether it changes what is live or attached."""
-        return isinstance(self.action, (Create, Remove, Attach, Detach, Handover))
+        return self.action.is_structural
 
     def describe(self) -> str:
         """The step in words, modes by name."""
         if isinstance(self.action, (Degrade, Upgrade)):
-            told = ", ".join(f"{change.functionality} from {change.before} to {change.after}" for change in self.modes)
-            return f"{self.action.kind} {told}"
+            changes = ((str(change.functionality), change.before, change.after) for change in self.modes)
+            return wording.mode_changes(self.action.kind, changes)
         return self.action.describe()
 
     def __str__(self) -> str:

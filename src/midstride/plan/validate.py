@@ -1,8 +1,8 @@
-"""An independent replay of a plan: does it hold what it says? (semantics.md section 6)
+"""An independent replay of a plan: is it what it claims to be? (docs/semantics.md section 6)
 
-Nothing of the planners is used here but the plan itself: each step's precondition is judged by the
-model's own action, the end is compared with the target as it would start by itself, and the
-costs are worked out anew, slowly and straight from the definition. The verdict is data.
+No code of the planners is used, only the plan itself: the model's own actions check each step's precondition, the end
+is compared with the configuration in which the target starts, and the costs are computed again, slowly and straight
+from the definition. The result is data.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Levels = dict[FunctionalityRef, int]
 
 @dataclass(frozen=True, slots=True)
 class ReplayFinding:
-    """One thing wrong with a plan; ``step`` counts from 1, None is the plan as a whole."""
+    """One problem of a plan; ``step`` counts from 1, None means the plan as a whole."""
 
     step: int | None
     because: str
@@ -40,7 +40,7 @@ class ReplayFinding:
 
 @dataclass(frozen=True, slots=True)
 class ReplayResult:
-    """What the replay of ``steps`` steps has found."""
+    """The result of the replay of ``steps`` steps."""
 
     outcome: Literal["holds", "violated"]
     findings: tuple[ReplayFinding, ...]
@@ -57,7 +57,7 @@ class ReplayResult:
 
 
 def replay_document(document: object) -> ReplayResult:
-    """The verdict on a plan in its JSON form. What cannot be read, or does not fit together, is a finding."""
+    """The result for a plan in its JSON form. A document that cannot be read is a finding."""
     try:
         plan = decode_plan(document)
     except MidstrideError as error:
@@ -66,7 +66,7 @@ def replay_document(document: object) -> ReplayResult:
 
 
 def replay(plan: Plan) -> ReplayResult:
-    """The verdict on a plan. It stops at the first step that is refused, since what follows has no meaning."""
+    """The result for a plan. The replay stops at the first refused step, since what follows has no meaning."""
     findings: list[ReplayFinding] = []
     configuration = plan.change.start
     findings.extend(
@@ -88,7 +88,7 @@ def replay(plan: Plan) -> ReplayResult:
 
 
 def _misfits(plan: Plan, configuration: Configuration, action: Action) -> Iterator[str]:
-    """What is wrong with a new instance as such: its role, what it is, its name."""
+    """What is wrong with a new instance: its role, its declaration, its name."""
     if not isinstance(action, Create):
         return
     new, change = action.instance, plan.change
@@ -97,25 +97,25 @@ def _misfits(plan: Plan, configuration: Configuration, action: Action) -> Iterat
         return
     wanted = change.target.instance(new.role)
     if new.component != wanted.component or new.parameters != wanted.parameters:
-        yield f"{new.name} is not what the target says of {new.role}"
+        yield f"{new.name} differs from the declaration of {new.role} in the target"
     nodes = {*change.specification.nodes, *change.target.nodes}
     if new.name == new.role:
         if configuration.instances_of(new.role):
-            yield f"{new.name} would bear its role's name, and is not the first"
+            yield f"{new.name} has the name of its role, but is not its first instance"
     elif not new.name.startswith(f"{new.role}_") or new.name in nodes:
-        yield f"{new.name} is no name for an instance of {new.role}"
+        yield f"{new.name} is not a valid name for an instance of {new.role}"
 
 
 # -- the end ---------------------------------------------------------------------------------------------
 
 
 def _end(plan: Plan, configuration: Configuration) -> Iterator[str]:
-    """In what the configuration reached differs from the target as it would start by itself."""
+    """The differences between the configuration reached and the one in which the target starts."""
     target = initial(plan.change.target)
     for role in sorted({*configuration.instances_by_role, *target.instances_by_role}):
         names = [instance.name for instance in configuration.instances_of(role)]
         if role not in target.instances_by_role:
-            yield f"{', '.join(names)} is left of {role}, which the target does not have"
+            yield f"{', '.join(names)} still runs at the end, but the target has no node {role}"
         elif len(names) != 1:
             yield f"{role} has {len(names)} instances at the end ({', '.join(names) or 'none'})"
         else:
@@ -126,10 +126,10 @@ def _role_end(
     configuration: Configuration, instance: Instance, target: Configuration, wanted: Instance
 ) -> Iterator[str]:
     if not instance.component.same_body(wanted.component):
-        yield f"{instance.name} is a {instance.component.name} at the end, {wanted.component.name} is wanted"
+        yield f"{instance.name} is a {instance.component.name} at the end, not a {wanted.component.name}"
         return
     if instance.parameters != wanted.parameters:
-        yield f"{instance.name} has other parameters at the end than the target says"
+        yield f"the parameters of {instance.name} at the end differ from the target"
     for port in wanted.component.ports():
         attached = [
             configuration.context.connectors[name] for name in configuration.attached_to(PortRef(instance.name, port))
@@ -137,18 +137,18 @@ def _role_end(
         have = sorted({connector.topic for connector in attached})
         want = target.attached_to(PortRef(wanted.name, port))
         if have != want:
-            told = ", ".join(have) or "nothing", ", ".join(want) or "nothing"
-            yield f"{instance.name}.{port} is attached to {told[0]} at the end, {told[1]} is wanted"
+            actual, expected = ", ".join(have) or "nothing", ", ".join(want) or "nothing"
+            yield f"{instance.name}.{port} is attached to {actual} at the end, not to {expected}"
         for connector in attached:
             topic = connector.topic
             if topic in want and connector.guarantee != target.context.connectors[topic].guarantee:
-                yield f"{instance.name}.{port} is attached to the old {topic} at the end"
+                yield f"{instance.name}.{port} is still attached to {topic} with its old contract at the end"
     for functionality in wanted.component:
         now = configuration.modes[FunctionalityRef(instance.name, functionality.name)]
         then = target.modes[FunctionalityRef(wanted.name, functionality.name)]
         if now != then:
             names = functionality.modes[now].name, functionality.modes[then].name
-            yield f"{instance.name}.{functionality.name} is in mode {names[0]} at the end, {names[1]} is its best"
+            yield f"{instance.name}.{functionality.name} is in mode {names[0]} at the end, but could be in {names[1]}"
 
 
 # -- the costs -------------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ def _counted(start: Specification, target: Specification) -> Iterator[_Counted]:
 
 
 def _levels(configuration: Configuration, every: Iterable[_Counted]) -> Levels:
-    """The level of every role's functionality that both have: section 6, word for word."""
+    """The level of every functionality that both ends have, literally as section 6 defines it."""
     found: Levels = {}
     for counted in every:
         role, name = counted.ref
@@ -234,21 +234,21 @@ class _Ledger:
                 self.fallen.add(ref)
         for keep, threshold in self.keeps.items():
             if self.levels[keep.functionality] > threshold:
-                self.broken[f"`{keep}` is not kept after {action.describe()}"] = None
+                self.broken[f"`{keep}` does not hold after `{action.describe(start)}`"] = None
         structural = isinstance(action, (Create, Remove, Attach, Detach, Handover))
         named = _names(action) if structural else []
         self.roles.append({(start.instances.get(name) or after.instances[name]).role for name in named})
 
     def differences(self) -> Iterator[str]:
-        """In what the plan's own figures and promises differ from what was entered."""
+        """The differences between what the plan claims and what the replay found."""
         plan = self.plan
         if abs(plan.disruption - self.disruption) > _EPSILON:
-            yield f"its disruption is {self.disruption:g}, not {plan.disruption:g}"
+            yield f"its disruption is {self.disruption:g}, not {plan.disruption:g} as it claims"
         if abs(plan.seconds - self.seconds) > _EPSILON:
-            yield f"its steps take {self.seconds:g} s, not {plan.seconds:g} s"
+            yield f"its steps take {self.seconds:g} s, not {plan.seconds:g} s as it claims"
         if set(plan.fallen) != self.fallen:
-            told = [", ".join(str(ref) for ref in sorted(refs)) or "nothing" for refs in (self.fallen, plan.fallen)]
-            yield f"what falls is {told[0]}, not {told[1]}"
+            found, claimed = (", ".join(map(str, sorted(refs))) or "nothing" for refs in (self.fallen, plan.fallen))
+            yield f"it takes {found} below the baseline, not {claimed} as it claims"
         if plan.proved_minimal and plan.disruption - plan.lower_bound > _EPSILON:
             yield f"it is not proved minimal: its disruption is above the lower bound, {plan.lower_bound:g}"
         if plan.lower_bound - plan.disruption > _EPSILON:

@@ -52,7 +52,7 @@ class ActionDriver:
     client: ComponentClient
     launcher: Launcher
     tell: Tell
-    is_gone: Callable[[str], bool] = lambda _: False
+    has_exited: Callable[[str], bool] = lambda _: False
     lingering_readers: LingeringReaders = no_lingering_readers
     before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
     drain_timeout: float = DRAIN_TIMEOUT
@@ -90,13 +90,15 @@ class ActionDriver:
             case Attach(port, connector):
                 return _has_endpoint(configuration, port, connector)
             case Detach(port, connector):
-                return self.is_gone(port.instance) or _has_endpoint(configuration, port, connector)
-            case Degrade(modes):
-                return all(self.is_gone(ref.instance) for ref in modes)
+                return self._is_gone(port.instance) or _has_endpoint(configuration, port, connector)
             case Remove(component):
-                return self.is_gone(component)
+                return self.has_exited(component)
             case _:
                 return False
+
+    def _is_gone(self, instance: str) -> bool:
+        """Whether its process has exited, or is about to: the end of its connection is known first."""
+        return self.has_exited(instance) or self.client.is_lost(instance)
 
     async def _create(self, action: Create) -> None:
         await self.launcher.registered(action.instance)
@@ -146,28 +148,40 @@ class ActionDriver:
             self.tell("note", f"{port}: unknown whether its last messages on {topic} arrived", {})
 
     async def _set_modes(self, action: Degrade | Upgrade, configuration: Configuration, because: str) -> None:
-        """The functionalities of each component at once, the components one after the other."""
-        changed: list[tuple[str, dict[str, str]]] = []
+        """The functionalities of each instance at once, the instances one after the other."""
+        changed: list[tuple[str, ModesCommand]] = []
         try:
-            for component, modes in by_component(action.modes).items():
-                changed.append((component, {ref.functionality: configuration.mode(ref).name for ref in modes}))
-                wanted = {
-                    ref.functionality: configuration.functionality(ref).modes[index].name
-                    for ref, index in modes.items()
-                }
-                command = ModesCommand(modes=wanted, because=because, timeout=self.drain_timeout)
-                await self.client.change(component, command)
+            for instance, modes in by_instance(action.modes).items():
+                if isinstance(action, Degrade) and self._is_gone(instance):
+                    continue
+                before = {ref: configuration.modes[ref] for ref in modes}
+                changed.append((instance, self._modes_command(configuration, before, "roll-back")))
+                await self.client.change(instance, self._modes_command(configuration, modes, because))
         except Exception:
-            for component, before in reversed(changed):
-                undo = ModesCommand(modes=before, because="roll-back", timeout=self.drain_timeout)
-                await self.client.undo(component, undo)
+            for instance, undo in reversed(changed):
+                await self.client.undo(instance, undo)
             raise
+
+    async def lower(
+        self, instance: str, modes: Mapping[FunctionalityRef, int], configuration: Configuration, because: str
+    ) -> None:
+        """Degrade functionalities of ``instance`` that have lost what they assume. Raises MidstrideError.
+
+        Nothing is undone then: if only the reply was lost, undoing would raise them without their inputs.
+        """
+        if not self._is_gone(instance):
+            await self.client.change(instance, self._modes_command(configuration, modes, because))
+
+    def _modes_command(
+        self, configuration: Configuration, modes: Mapping[FunctionalityRef, int], because: str
+    ) -> ModesCommand:
+        names = {ref.functionality: configuration.functionality(ref).modes[index].name for ref, index in modes.items()}
+        return ModesCommand(modes=names, because=because, timeout=self.drain_timeout)
 
     async def _hand_over(self, action: Handover, configuration: Configuration) -> None:
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in action.swaps}):
-            if (
-                old != new and configuration.instances[old].role == configuration.instances[new].role
-            ):  # else nobody is replaced
+            same_role = configuration.instances[old].role == configuration.instances[new].role
+            if old != new and same_role:  # else nothing is replaced
                 await self._carry_state(old, new)
         if self.before_handover is not None:
             await self.before_handover(configuration, action)
@@ -196,8 +210,8 @@ class ActionDriver:
             raise
 
 
-def by_component(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:
-    """The modes of each component, the components in order of their names."""
+def by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:
+    """The modes of each instance, the instances in order of their names."""
     found: dict[str, dict[FunctionalityRef, int]] = {}
     for ref, index in sorted(modes.items()):
         found.setdefault(ref.instance, {})[ref] = index

@@ -19,7 +19,7 @@ from midstride.plan.change import Change
 from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.degradation_timer import DegradationTimer
@@ -64,12 +64,12 @@ class ChangeSession:
 
     # -- planning ----------------------------------------------------------------------------------
 
-    async def plan(self, request: Request) -> tuple[Plan, Specification]:
+    async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
         specification, configuration = self._system.specification, self._system.configuration
         return await asyncio.to_thread(_plan, request, specification, configuration)
 
-    async def change(self, request: Request, *, expected: int | None = None, verify: bool = False) -> Outcome:
+    async def change(self, request: PlanRequest, *, expected: int | None = None, verify: bool = False) -> Outcome:
         """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
         if expected is not None and expected != self._system.revision:
             because = "the configuration has changed since the plan was shown; look at the new plan"
@@ -139,6 +139,10 @@ class ChangeSession:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
             if outcome == "rolled_back":
                 system.configuration = before
+        except asyncio.CancelledError:
+            if system.configuration == plan.change.start:  # everything has been rolled back
+                system.configuration = before
+            raise
         seconds, fallen = self._clock.steady() - begun, timer.stop()
         await self._reconciler.reconcile_crashes()  # before measuring: what relied on it is to be lowered now
         if recording.subjects:
@@ -164,7 +168,9 @@ class ChangeSession:
         )
 
 
-def _plan(request: Request, specification: Specification, configuration: Configuration) -> tuple[Plan, Specification]:
+def _plan(
+    request: PlanRequest, specification: Specification, configuration: Configuration
+) -> tuple[Plan, Specification]:
     target = request.target(specification)
     if request.to is None and len(request.replace) + len(request.remove) + len(request.add) == 1:
         change = Change.of_request(configuration, specification, request, target)

@@ -81,6 +81,7 @@ class ComponentClient:
         self._channels: dict[str, Channel] = {}
         self._connecting: dict[str, asyncio.Lock] = {}
         self._latest: dict[str, LatestState] = {}
+        self._lost: set[str] = set()
         self._registrations: dict[str, asyncio.Future[Registration]] = {}
 
     # -- connections -------------------------------------------------------------------------------
@@ -135,6 +136,7 @@ class ComponentClient:
                 ended=ended,
             )
             made.append(channel)
+            self._lost.discard(instance)
             self._channels[instance] = channel
             return channel
 
@@ -150,6 +152,7 @@ class ComponentClient:
     def _ended(self, instance: str, channel: Channel) -> None:
         if self._channels.get(instance) is channel:
             self._drop(instance)
+            self._lost.add(instance)
             self._on_event(Disconnected(instance))
 
     def greeting(self, instance: str) -> Greeting | None:
@@ -160,6 +163,10 @@ class ComponentClient:
     def latest(self, instance: str) -> LatestState | None:
         """The state that the component last reported, while it is connected."""
         return self._latest.get(instance)
+
+    def is_lost(self, instance: str) -> bool:
+        """Whether the component has ended its last connection, and has not come back."""
+        return instance in self._lost
 
     def responsive(self, instance: str) -> ComponentState | None:
         """The state that the component last reported; None where it is gone or has been silent for ``SILENCE``."""

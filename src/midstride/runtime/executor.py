@@ -17,12 +17,12 @@ from immutables import Map
 from msgspec import UNSET
 
 from midstride.errors import MidstrideError, StepFailed
-from midstride.model.action import Action, Create, Degrade, Remove, SetParameters, Upgrade
+from midstride.model.action import Action, Create, Degrade, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.plan.disruption import instances_touched
 from midstride.plan.forms import AnyStep
-from midstride.runtime.action_driver import ActionDriver, by_component
+from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
 
@@ -56,7 +56,8 @@ class Executor:
         for index, action in enumerate(actions):
             step = forms[index] if index < len(forms) else UNSET
             position = {"index": index, "of": len(actions), "step": step}
-            self._tell("step", f"{index + 1}/{len(actions)} {self.describe(action)}", position)
+            what = action.describe(self.system.configuration)
+            self._tell("step", f"{index + 1}/{len(actions)} {what}", position)
             try:
                 if isinstance(action, Create):
                     await self._start_ahead(actions[index:])
@@ -64,7 +65,7 @@ class Executor:
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as error:
-                what, why = self.describe(action), _words(error)
+                why = _words(error)
                 self._tell("step_failed", f"{what} failed: {why}", position)
                 await self._abandon_started(actions[index:])
                 problem = await self._roll_back(done)
@@ -98,7 +99,7 @@ class Executor:
         """Check one action against the model, carry it out, and move the model on. Raises MidstrideError."""
         before = self.system.configuration
         after = action.apply(before)
-        await self.driver.perform(action, before, f"the plan asked for it: {self.describe(action)}")
+        await self.driver.perform(action, before, f"the plan asked for it: {action.describe(before)}")
         self._moved(after, instances_touched(action))
         match action:
             case Remove(instance):
@@ -115,36 +116,23 @@ class Executor:
 
         There is no order to keep and no precondition to check: what they assume is gone already.
         """
-        configuration = self.system.configuration
-        each = list(by_component(modes).values())
-        results = await asyncio.gather(*(self._lower(configuration, own, because) for own in each))
-        left = {ref for own, lowered in zip(each, results, strict=True) if not lowered for ref in own}
-        if len(left) < len(modes):
-            reached = {ref: index for ref, index in modes.items() if ref not in left}
-            self._moved(configuration.with_modes(reached), {ref.instance for ref in reached})
-        return left
+        groups = by_instance(modes)
+        results = await asyncio.gather(*(self._lower(name, group, because) for name, group in groups.items()))
+        failed = {ref for group, lowered in zip(groups.values(), results, strict=True) if not lowered for ref in group}
+        if len(failed) < len(modes):
+            reached = {ref: index for ref, index in modes.items() if ref not in failed}
+            self._moved(self.system.configuration.with_modes(reached), {ref.instance for ref in reached})
+        return failed
 
-    async def _lower(self, configuration: Configuration, modes: Mapping[FunctionalityRef, int], because: str) -> bool:
-        action = Degrade(Map(modes))
+    async def _lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> bool:
+        words = Degrade(Map(modes)).describe(self.system.configuration)
         try:
-            await self.driver.perform(action, configuration, because)
+            await self.driver.lower(instance, modes, self.system.configuration, because)
         except MidstrideError as error:
-            self._tell("note", f"{self.describe(action)} failed: {error}", {})
+            self._tell("note", f"{words} failed: {error}", {})
             return False
-        self._tell("degraded", self.describe(action), {})
+        self._tell("degraded", words, {})
         return True
-
-    def describe(self, action: Action) -> str:
-        """The action in words, with modes by name."""
-        if isinstance(action, (Degrade, Upgrade)):
-            told = [f"{ref} to {self._mode_name(ref, index)}" for ref, index in sorted(action.modes.items())]
-            return f"{action.kind} {', '.join(told)}"
-        return action.describe()
-
-    def _mode_name(self, ref: FunctionalityRef, index: int) -> str:
-        if ref.instance not in self.system.configuration.instances:
-            return str(index)
-        return self.system.configuration.functionality(ref).modes[index].name
 
     async def _roll_back(self, done: Done) -> str | None:
         """Undo what was done, last first. None, or why it could not be undone."""
@@ -154,10 +142,11 @@ class Executor:
         self.driver.rolling_back = True
         for action, before in reversed(done):
             for undoing in action.undo(before):
+                what = undoing.describe(self.system.configuration)
                 try:
                     await self.perform(undoing)
                 except Exception as error:
-                    problem = f"{self.describe(undoing)}: {_words(error)}"
+                    problem = f"{what}: {_words(error)}"
                     self._tell("rollback_failed", f"the roll-back is incomplete: {problem}", {})
                     return problem
         self._tell("rolled_back", "everything is as it was before", {})

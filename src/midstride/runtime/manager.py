@@ -25,7 +25,7 @@ from midstride.model.specification import Specification
 from midstride.plan.change import Change
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime import status
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
@@ -102,7 +102,7 @@ class Manager:
             client=self._client,
             launcher=self._launcher,
             tell=lambda kind, words, details: self.events.add(kind, words, **details),
-            is_gone=lambda name: name in crashes.unsettled,
+            has_exited=lambda name: name in crashes.unsettled,
             lingering_readers=self._backend.lingering_readers,
         )
         return Executor(driver, self.system, self._store, lambda instance: crashes.returned(instance.name))
@@ -239,7 +239,7 @@ class Manager:
         """Why a functionality is in the mode it is in. Raises PlanRefused for an unknown one."""
         return status.why(self.configuration, self._client, functionality)
 
-    async def plan(self, request: Request) -> Plan:
+    async def plan(self, request: PlanRequest) -> Plan:
         """The plan for ``request`` from the current configuration. Raises PlanRefused."""
         plan, _ = await self._session.plan(request)
         return plan
@@ -255,7 +255,7 @@ class Manager:
     # -- changing -----------------------------------------------------------------------------------
 
     async def change(
-        self, request: Request, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, id: str | None = None
     ) -> Outcome:
         """Carry out ``request``.
 

@@ -1,4 +1,4 @@
-"""Changes that are verified: the plan before anything is begun, and what is live after each of its steps.
+"""Changes that are verified: the plan before it begins, and the live configuration after each of its steps.
 
 Alloy takes half a second or more to start, during which a plan would leave somebody fallen. So the whole plan, with
 every configuration on its way, is judged beforehand. After a step, what the components tell is compared with the
@@ -18,7 +18,7 @@ from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
 from midstride.runtime.component_client import SILENCE
 from midstride.runtime.observed_configuration import ObservedConfiguration
-from midstride.verify.checking import Asking, verify_configuration, verify_plan
+from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan
 from midstride.verify.verdict import Verdict
 
 # How long Alloy may take, while other commands wait (s).
@@ -26,27 +26,27 @@ LIMIT: Final = 60.0
 
 
 class Verifier:
-    """Asks Alloy beside the manager's loop, which goes on meanwhile. Whoever is cancelled leaves no process behind."""
+    """Asks Alloy beside the manager's loop, which is not blocked. A cancelled question leaves no process behind."""
 
     async def plan(self, plan: Plan) -> Verdict:
-        return await self._beside(lambda asking: verify_plan(plan, asking=asking))
+        return await self._beside(lambda options: verify_plan(plan, options=options))
 
     async def configuration(self, configuration: Configuration) -> Verdict:
         return await self._beside(
-            lambda asking: verify_configuration(configuration, told="what is live", asking=asking)
+            lambda options: verify_configuration(configuration, subject="the live configuration", options=options)
         )
 
-    async def _beside(self, ask: Callable[[Asking], Verdict]) -> Verdict:
+    async def _beside(self, ask: Callable[[AlloyOptions], Verdict]) -> Verdict:
         stop = Event()
         try:
-            return await asyncio.to_thread(ask, Asking(limit=LIMIT, stop=stop))
+            return await asyncio.to_thread(ask, AlloyOptions(limit=LIMIT, stop=stop))
         finally:
             stop.set()
 
 
 @dataclass(slots=True)
 class StepVerifier:
-    """Looks at what is live after each step of a plan that has been judged."""
+    """Verifies the live configuration after each step of a plan that has been verified."""
 
     verifier: Verifier
     judged: tuple[Configuration, ...]
@@ -54,12 +54,12 @@ class StepVerifier:
     tell: Callable[[Verdict], object]
 
     async def look(self, configuration: Configuration) -> None:
-        """Raises VerificationError where what is live is not known, or is not known to be valid."""
+        """Raises VerificationError where the live configuration is unknown, or is not known to be valid."""
         found = self.observe(configuration)
         if found.silent:
             silent = ", ".join(found.silent)
             raise VerificationError(
-                f"what is live is not known: {silent} has reported nothing for more than {SILENCE:g} s"
+                f"the live configuration is unknown: {silent} has reported nothing for more than {SILENCE:g} s"
             )
         if found.configuration in self.judged:
             return

@@ -154,5 +154,5 @@ def _reasons(configuration: Configuration, ref: FunctionalityRef) -> list[str]:
         missing = [a for a in mode.assumptions if not evaluator.assumption_satisfied(ref, functionality, a)]
         reasons += [f"not {mode.name}: it {evaluator.why_assumption_unsatisfied(ref, a)}" for a in missing]
         if not missing:
-            reasons.append(f"not {mode.name}: all it assumes holds; it has not been upgraded yet")
+            reasons.append(f"not {mode.name}: its assumptions are satisfied, but it has not been upgraded yet")
     return reasons

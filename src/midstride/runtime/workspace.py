@@ -17,7 +17,7 @@ from typing import Final
 import psutil
 
 from midstride.errors import ManagerBusy, ManagerError
-from midstride.wire.sockets import COMPONENTS, workspace_folder, workspace_root
+from midstride.wire.folders import COMPONENTS, workspace_folder, workspace_root
 
 # What must fit on the disk before a manager is started (bytes): a small state, and the first lines of the logs.
 _ROOM: Final = 16_384

@@ -23,12 +23,11 @@ log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-# How long a manager that has failed waits for somebody to ask why (s).
+# How long a manager that has failed waits for a client to ask why (s).
 LINGER: Final = 5.0
-_TOLD_TO_END: Final = "the manager was told to end meanwhile, so what had been begun was broken off and taken back"
-_STILL_AT_IT: Final = (
-    "the manager was told to end meanwhile, and is still taking back what had been begun; "
-    "`midstride up` with the system's file finds what runs"
+_INTERRUPTED: Final = "the manager was terminated; the operation was interrupted and rolled back"
+_ROLLING_BACK: Final = (
+    "the manager was terminated and is still rolling back; `midstride up` with the system's file finds what is running"
 )
 
 
@@ -54,7 +53,7 @@ class Lifecycle:
         except MidstrideError as error:
             self.failure, self.phase = error, "failed"
         except asyncio.CancelledError:
-            self.failure, self.phase = ManagerError(f"the system is not up: {_TOLD_TO_END}"), "failed"
+            self.failure, self.phase = ManagerError(f"the system is not up: {_INTERRUPTED}"), "failed"
         except Exception as error:  # ours, not the user's: it must still end in an answer
             log.exception("bringing the system up failed")
             self.failure = ManagerError(f"internal error while bringing the system up: {error!r}")
@@ -74,7 +73,7 @@ class Lifecycle:
     async def carry_out(self, work: Coroutine[Any, Any, T], *, breakable: bool = True) -> T:
         """Await ``work`` even if the client that asked for it goes away meanwhile.
 
-        What is ``breakable`` is broken off when the manager is told to end, and raises ManagerError then.
+        ``breakable`` work is interrupted when the manager is terminated, and raises ManagerError then.
         """
         task = asyncio.ensure_future(work)
         for tasks in (self._tasks, self._breakable) if breakable else (self._tasks,):
@@ -84,13 +83,13 @@ class Lifecycle:
             return await asyncio.shield(task)
         except asyncio.CancelledError:
             if task.cancelled():
-                raise ManagerError(_TOLD_TO_END) from None
-            if self.ended.is_set():  # the doors have closed before all is taken back: who asked is told so
-                raise ManagerError(_STILL_AT_IT) from None
+                raise ManagerError(_INTERRUPTED) from None
+            if self.ended.is_set():  # the server closed before the roll-back was complete: tell the client so
+                raise ManagerError(_ROLLING_BACK) from None
             raise
 
     async def break_off(self) -> None:
-        """Have every change under way taken back, while the components can still be reached; returns when it is."""
+        """Interrupt every change and wait for its roll-back, while the components can still be reached."""
         for task in list(self._breakable):
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

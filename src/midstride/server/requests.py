@@ -12,7 +12,7 @@ from midstride.codec.form import Form, field
 from midstride.codec.reading import decode, parse_json, under
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import Problem
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.plan.request_form import ChangeRequest, request_names
 
 F = TypeVar("F", bound=msgspec.Struct)
@@ -35,17 +35,17 @@ class SubmittedChange(Form, frozen=True):
     id: Annotated[str, field("an id", max_length=100)] | None = None
 
 
-async def read_request(http: HttpRequest) -> Request:
+async def read_request(http: HttpRequest) -> PlanRequest:
     """The request in the body. Raises SpecificationError with every fault."""
     return await _read(http, ChangeRequest, ChangeRequest.request, request_names)
 
 
-async def read_change(http: HttpRequest) -> tuple[SubmittedChange, Request]:
+async def read_change(http: HttpRequest) -> tuple[SubmittedChange, PlanRequest]:
     """The change in the body, and its request. Raises SpecificationError with every fault."""
     return await _read(http, SubmittedChange, _parts, lambda parts: under("request", request_names(parts[1])))
 
 
-def _parts(form: SubmittedChange) -> tuple[SubmittedChange, Request]:
+def _parts(form: SubmittedChange) -> tuple[SubmittedChange, PlanRequest]:
     return form, form.request.request()
 
 

@@ -1,6 +1,6 @@
 """A component made from a description: ``python3 -m midstride.testing.puppet '{"component": …}'``.
 
-So any component of the model can be run on any back end. The description is JSON::
+It runs any component of the model on any back end. The description is JSON::
 
     {"component": <the component's document, its name in it>,
      "modes": {"talk.normal": {"rate": 50, "sleep": 0.5, "pause": 0.5, "raise": "words", "at_call": 3,
@@ -9,11 +9,11 @@ So any component of the model can be run on any back end. The description is JSO
      "at_import": {"sleep": 1, "raise": "words", "exit": 3}, "keeps_state": true,
      "latest": ["in"], "wrong_type": "out", "endless": true}
 
-Everything but ``component`` may be left out. A mode that guarantees a rate is called at the highest
-it guarantees; one that only assumes inputs, for every message; one that does neither, once. A call
-writes one message to each output its mode guarantees: the words it answers, or else "instance mode n".
-``sleep`` blocks, ``pause`` awaits, before the write; with ``at_call`` these and ``raise`` befall that
-call alone. The exported state tells what was received and called, and what was imported.
+Everything but ``component`` is optional. A mode that guarantees a rate is called at the highest rate that it
+guarantees; one that only assumes inputs, for every message; one that does neither, once. A call writes one message to
+each output that its mode guarantees: the text of the message it answers, or else "instance mode n". ``sleep`` blocks
+and ``pause`` awaits before the write; with ``at_call``, these and ``raise`` apply to that call only. The exported state
+lists what was received, called and imported.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ class Puppet:
             functionality.set_degraded_mode(function, name=mode.name, **arguments)
 
     def _assumed(self, declared: model.FunctionalitySpec, assumption: model.Assumption) -> Any:
-        """What names the inputs that count; None where only the environment meets the assumption."""
+        """The inputs that can meet the assumption; None where only the environment can."""
         if isinstance(assumption, Predicate):
             names = [name for name in declared.inputs if satisfies(self._declared.inputs[name], assumption)]
         else:
@@ -128,7 +128,7 @@ class Puppet:
     ) -> Callable[..., Any]:
         """The function of a mode: called with one message of each of ``inputs``."""
 
-        def befalls() -> bool:
+        def is_affected() -> bool:
             self._calls[key] = self._calls.get(key, 0) + 1
             return "at_call" not in behaviour or behaviour["at_call"] == self._calls[key]
 
@@ -139,24 +139,24 @@ class Puppet:
                 return " ".join(text_of(message) for message in messages)
             return f"{self.component.instance} {key.rpartition('.')[2]} {self._calls[key]}"
 
-        def finish(words: str, befallen: bool) -> None:
-            if befallen and "raise" in behaviour:
+        def finish(words: str, affected: bool) -> None:
+            if affected and "raise" in behaviour:
                 raise RuntimeError(behaviour["raise"])
             if not behaviour.get("silent"):
                 for output in outputs:
                     self._write(output, words)
 
         def blocking(*messages: Any) -> None:
-            befallen, words = befalls(), answer(messages)
-            if befallen and "sleep" in behaviour:
+            affected, words = is_affected(), answer(messages)
+            if affected and "sleep" in behaviour:
                 time.sleep(behaviour["sleep"])
-            finish(words, befallen)
+            finish(words, affected)
 
         async def awaiting(*messages: Any) -> None:
-            befallen, words = befalls(), answer(messages)
-            if befallen:
+            affected, words = is_affected(), answer(messages)
+            if affected:
                 await self.component.clock.sleep(behaviour["pause"])
-            finish(words, befallen)
+            finish(words, affected)
 
         return awaiting if "pause" in behaviour else blocking
 
@@ -176,7 +176,7 @@ class Puppet:
 
         return on_change
 
-    # -- hooks -------------------------------------------------------------------------------------
+    # -- callbacks -------------------------------------------------------------------------------------
 
     def _hooks(self) -> None:
         self.component.on_export_state(self._export)
@@ -188,8 +188,8 @@ class Puppet:
 
     def _export(self) -> bytes:
         latest = {name: text_of(self._inputs[name].latest) for name in self._description.get("latest", [])}
-        told = {"received": self._received, "calls": self._calls, "imported": self._imported, "latest": latest}
-        return json.dumps(told).encode()
+        document = {"received": self._received, "calls": self._calls, "imported": self._imported, "latest": latest}
+        return json.dumps(document).encode()
 
     def _import(self, state: bytes) -> None:
         self._imported = json.loads(state)
@@ -207,13 +207,13 @@ def _ports_of(entry: Any) -> list[Input]:
 
 
 def text_of(message: Any) -> str:
-    """What a message says, where it is words; its type else."""
+    """The text of a message that has one, else its type."""
     data = getattr(message, "data", None)
     return data if isinstance(data, str) else type(message).__name__
 
 
 def message_type(name: str) -> type:
-    """The class of ``std_msgs/msg/String``, of whichever ROS is there."""
+    """The class of ``std_msgs/msg/String``, of the installed ROS, or of the simulator."""
     package, _, short = name.partition("/")
     found: type = getattr(importlib.import_module(f"{package}.msg"), short.rpartition("/")[2])
     return found

@@ -21,12 +21,12 @@ from midstride.model.component import (
     Assumption,
     ComponentSpec,
     Connector,
-    Endpoint,
     EnvironmentGuarantee,
     FunctionalityRef,
     FunctionalitySpec,
     InputAlternatives,
     Mode,
+    NodeEndpoint,
     ParameterSpec,
     Resource,
 )
@@ -402,8 +402,8 @@ def scenes(draw: st.DrawFn, *, most: int = 6) -> GeneratedSystem:
 
 
 @cache
-def endpoints() -> st.SearchStrategy[Endpoint]:
-    return st.builds(Endpoint, st.sampled_from(("topic", "service", "action")), st.sampled_from(("~/reset", "/tf")))
+def endpoints() -> st.SearchStrategy[NodeEndpoint]:
+    return st.builds(NodeEndpoint, st.sampled_from(("topic", "service", "action")), st.sampled_from(("~/reset", "/tf")))
 
 
 def worlds() -> st.SearchStrategy[SystemContext]:

@@ -1,4 +1,4 @@
-"""Large systems as texts."""
+"""Large systems as specification texts."""
 
 from __future__ import annotations
 

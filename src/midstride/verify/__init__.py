@@ -1,7 +1,7 @@
-"""What backs the word "safe": the Alloy specification, dumps of configurations and plans, and proofs without bounds.
+"""The evidence for "safe": the Alloy specification, exact dumps of configurations and plans, unbounded proofs.
 
-`alloy/` is the specification (read it first), `library` its checks. `naming`, `universe`, `scene`, `formulas`, `text`
-and `export` turn what the model holds into Alloy text; `run` runs the Alloy Analyzer; `trace`, `chain` and `picture`
-tell what comes back in the file's own names; `verdict` holds the answers; `checking` puts these together. `prove/` is
-the SMT side.
+`alloy/` is the specification (read it first), `library` loads it and `specification` checks it. `alloy_names`,
+`alloy_atoms`, `world_encoder`, `formulas`, `alloy_text` and `export` turn model values into Alloy text; `run` runs the
+Alloy Analyzer; `trace`, `chain` and `diagram` turn its answer back into the names of the file; `verdict` holds the
+answers; `checking` puts these together. `prove/` has the proofs by SMT solvers.
 """

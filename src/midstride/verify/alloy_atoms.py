@@ -1,8 +1,8 @@
-"""The atoms and relations of a dump, and their Alloy text (semantics.md sections 1 to 3).
+"""The atoms and relations of a dump, and their Alloy text (docs/semantics.md, sections 1 to 3).
 
-What the model holds becomes one atom each, named after it. Predicates are atoms too: their satisfaction
-relation is computed by the model (`contract.satisfies`), and so are the sets of components that hold too much
-of a resource together; that the relation is a preorder is checked by Alloy. Several worlds may share a universe.
+Each value of the model becomes one atom, named after it. Predicates are atoms too. The model computes their
+satisfaction relation (`contract.satisfies`) and the sets of components that exceed a resource together; Alloy checks
+that the relation is a preorder. Several systems may share one set of atoms.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from midstride.model.contract import Predicate, satisfies
 from midstride.verify.alloy_names import Names
 
 # Alloy multiplies the atoms of a relation's columns, and Kodkod counts the result in 32 bits.
-MOST_ATOMS: Final = 1290
+MAX_ATOMS: Final = 1290
 _WIDTH: Final = 116
-_TOGETHER: Final = 6
-_FEW: Final = 2
+_TERMS_PER_UNION: Final = 6
+_MIN_COUNT: Final = 2
 
 Pair = tuple[str, ...]
 
 
 class TooLarge(Exception):
-    """The dump would have more atoms, or more sets of holders, than Alloy can take; ``str`` of it says which."""
+    """The dump would have more atoms, or more sets of holders, than Alloy can handle; the message says which."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,34 +41,34 @@ class ModeName:
 
 @dataclass(frozen=True, slots=True)
 class SystemName:
-    """A configuration of the dump: where in the plan it stands."""
+    """A configuration of the dump, by its position in the plan."""
 
     number: int
-    told: str
+    description: str
 
     def __str__(self) -> str:
-        return self.told
+        return self.description
 
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """A part of a precondition, or a rule, by what it says where it is broken."""
+    """A part of a precondition, or a rule, by its message if it is broken."""
 
-    told: str
+    message: str
 
     def __str__(self) -> str:
-        return self.told
+        return self.message
 
 
 class AlloyAtoms:
-    """Collects atoms and tuples; :meth:`text` writes them down."""
+    """Collects atoms and tuples; :meth:`text` renders them."""
 
     SIGS: Final = (
         "Predicate", "NamedInputs", "Input", "Output", "Connector", "Mode", "Functionality", "Component", "Publisher",
         "System", "Slot", "Overload",
     )  # fmt: skip
-    # What are fields of signatures in the specification are constants here: Alloy works these out once, whereas it
-    # would search for the values of fields.
+    # The fields of the specification's signatures are constants here: Alloy evaluates constants once, but searches for
+    # the values of fields.
     FIELDS: Final = {
         "sat": "Predicate Predicate",
         "named": "NamedInputs Input",
@@ -103,22 +103,23 @@ class AlloyAtoms:
         self.clauses: dict[str, str] = {}
         self._predicates: dict[Predicate, str] = {}
 
-    def atom(self, sig: str, wanted: str, bearer: object, told: str = "") -> str:
-        name = self.names.give(wanted, bearer)
-        self.sigs[sig][name] = told or str(bearer)
+    def atom(self, sig: str, base: str, meaning: object, comment: str = "") -> str:
+        """A new atom that stands for ``meaning``, named after ``base``."""
+        name = self.names.assign(base, meaning)
+        self.sigs[sig][name] = comment or str(meaning)
         return name
 
     def add(self, relation: str, *atoms: str) -> None:
         self.tuples[relation][atoms] = None
 
-    def clause(self, told: str) -> str:
+    def clause(self, message: str) -> str:
         """The atom of a clause."""
-        if told not in self.clauses:
-            self.clauses[told] = self.names.give(told, Clause(told))
-        return self.clauses[told]
+        if message not in self.clauses:
+            self.clauses[message] = self.names.assign(message, Clause(message))
+        return self.clauses[message]
 
     def predicate(self, contract: Predicate) -> str:
-        """The atom of a predicate; its satisfaction relation to every other one is kept complete."""
+        """The atom of a predicate. Relates it to every predicate so far."""
         known = self._predicates.get(contract)
         if known is not None:
             return known
@@ -138,9 +139,9 @@ class AlloyAtoms:
 
     @property
     def bitwidth(self) -> int:
-        """Bits that hold any count of publishers or slots of a capped topic: nothing else is counted.
+        """Bits for any count of publishers or slots of a capped topic; nothing else is counted.
 
-        One more than there ever are is counted as well, the one that `attach` may not add; Alloy's numbers wrap around.
+        There is room for one more than the maximum, the publisher that `attach` must refuse: Alloy's integers wrap.
         """
         publishers: dict[str, set[str]] = {connector: set() for connector in self.capped}
         slots: dict[str, set[str]] = {connector: set() for connector in self.capped}
@@ -152,27 +153,27 @@ class AlloyAtoms:
                 publishers[connector].add(publisher)
         for connector, slot in self.tuples["slots"]:
             slots[connector].add(slot)
-        most = max([_FEW, *(len(atoms) for counted in (publishers, slots) for atoms in counted.values())])
+        most = max([_MIN_COUNT, *(len(atoms) for counted in (publishers, slots) for atoms in counted.values())])
         return (most + 1).bit_length() + 1
 
     def scope(self) -> str:
-        """The scope in which the dump is exactly what it says. Findings is one atom more."""
+        """The scope that contains exactly these atoms, and the one of Findings."""
         exactly = ", ".join(f"exactly {len(atoms)} {sig}" for sig, atoms in self.sigs.items())
         return f"for 1 but {exactly}, {self.bitwidth} Int"
 
     # -- text -----------------------------------------------------------------------------------------
 
     def text(self) -> str:
-        """The signatures and facts. Raises TooLarge where Alloy could not take them."""
-        if self.size + 2**self.bitwidth > MOST_ATOMS:
-            raise TooLarge(f"{self.size} atoms, and Alloy takes {MOST_ATOMS - 2**self.bitwidth} at most")
+        """The signatures and relations. Raises TooLarge if they exceed what Alloy can handle."""
+        if self.size + 2**self.bitwidth > MAX_ATOMS:
+            raise TooLarge(f"{self.size} atoms, more than the {MAX_ATOMS - 2**self.bitwidth} that Alloy can handle")
         lines: list[str] = []
         for sig, atoms in self.sigs.items():
             if atoms:
                 width = max(len(name) for name in atoms)
                 lines += [
-                    f"one sig {name} extends {sig} {{}}{' ' * (width - len(name))}  -- {_comment(told)}"
-                    for name, told in atoms.items()
+                    f"one sig {name} extends {sig} {{}}{' ' * (width - len(name))}  -- {' '.join(comment.split())}"
+                    for name, comment in atoms.items()
                 ]
                 lines.append("")
         for name, columns in self.FIELDS.items():
@@ -183,26 +184,22 @@ class AlloyAtoms:
         return "\n".join(lines) + "\n"
 
     def _by_systems(self, relation: str) -> list[str]:
-        """A relation of configurations: what they have in common, and what only some of them have."""
-        having: dict[Pair, list[str]] = {}
+        """A relation of configurations, with the configurations grouped that share a tuple."""
+        systems_with: dict[Pair, list[str]] = {}
         for entry in self.tuples[relation]:
-            having.setdefault(entry[1:], []).append(entry[0])
-        alike: dict[Pair, list[Pair]] = {}
-        for rest, systems in having.items():
-            alike.setdefault(tuple(systems), []).append(rest)
+            systems_with.setdefault(entry[1:], []).append(entry[0])
+        shared: dict[Pair, list[Pair]] = {}
+        for rest, systems in systems_with.items():
+            shared.setdefault(tuple(systems), []).append(rest)
         every = len(self.sigs["System"])
         return [
             f"{'System' if len(systems) == every else _union(list(systems))} -> {_union(_terms(tuples), within=True)}"
-            for systems, tuples in alike.items()
+            for systems, tuples in shared.items()
         ]
 
 
-def _comment(told: str) -> str:
-    return " ".join(told.split())
-
-
 def _terms(tuples: Iterable[Pair]) -> list[str]:
-    """``a -> b``; tuples alike but for their last atom are drawn together."""
+    """``a -> b``; tuples that differ in their last atom alone are merged."""
     grouped: dict[Pair, list[str]] = {}
     for entry in tuples:
         grouped.setdefault(entry[:-1], []).append(entry[-1])
@@ -210,7 +207,7 @@ def _terms(tuples: Iterable[Pair]) -> list[str]:
 
 
 def _relation(name: str, sorts: list[str], terms: list[str]) -> list[str]:
-    """The sum of the terms, over lines that fit."""
+    """The union of the terms, wrapped."""
     body = _union(terms, outer=True) if terms else " -> ".join(["none"] * len(sorts))
     words = f"{body} }}".split(" ")
     lines, line = [], f"fun {name}: {' -> '.join(sorts)} {{"
@@ -223,12 +220,12 @@ def _relation(name: str, sorts: list[str], terms: list[str]) -> list[str]:
 
 
 def _union(terms: list[str], *, outer: bool = False, within: bool = False) -> str:
-    """A sum, in brackets within brackets where it is long: Alloy's type checker is cubic in the depth of a sum.
+    """A union, nested in brackets if it is long: Alloy's type checker is cubic in the depth of a union.
 
-    One term alone is bare, but for a product that stands ``within`` another one.
+    A single term needs no brackets, unless it is a product ``within`` another one.
     """
-    while len(terms) > _TOGETHER:
-        terms = [_union(terms[i : i + _TOGETHER]) for i in range(0, len(terms), _TOGETHER)]
+    while len(terms) > _TERMS_PER_UNION:
+        terms = [_union(terms[i : i + _TERMS_PER_UNION]) for i in range(0, len(terms), _TERMS_PER_UNION)]
     joined = " + ".join(terms)
     bare = outer or (len(terms) == 1 and not (within and "->" in joined))
     return joined if bare else f"({joined})"

@@ -1,4 +1,4 @@
-"""Verdicts on configurations and plans: dump, run Alloy, trace back (what `midstride verify` and the manager call)."""
+"""Verifies configurations and plans: encodes them, runs Alloy, traces the answer back."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from midstride.verify.alloy_atoms import TooLarge
 from midstride.verify.alloy_text import VERDICT
 from midstride.verify.export import Dump, dump_configuration, dump_plan
 from midstride.verify.run import TIME_LIMIT, Alloy, SolverOutcome, find
-from midstride.verify.trace import confirm, findings, first_failure, instance, unexplained
+from midstride.verify.trace import confirm, findings, first_failure, instance, step_to_explain
 from midstride.verify.verdict import Answer, Finding, Verdict
 
 Detail = Callable[[int | None], Dump]
 
 
 @dataclass(frozen=True, slots=True)
-class Asking:
-    """How Alloy is asked: by which Analyzer (None: the one that is found), how long it may take (s), who keeps the text
-    it is asked with, and what ends it before its time."""
+class AlloyOptions:
+    """How Alloy is run: which Analyzer (None: the one that is found), its time limit (s), what receives the Alloy text,
+    and an event that stops it early."""
 
     alloy: Alloy | Path | None = None
     limit: float = TIME_LIMIT
@@ -42,62 +42,62 @@ def verify_plan(
     name: str = "plan",
     *,
     start: Specification | None = None,
-    asking: Asking | None = None,
+    options: AlloyOptions | None = None,
 ) -> Verdict:
-    """Whether every step of a plan (or of its document) may be taken, does what it says and keeps the system valid.
+    """Whether every step of a plan (or of its document) is allowed, has its stated effect and keeps the system valid.
 
-    Where ``start`` is given, the plan must be one of that specification. UNKNOWN where an answer cannot be had, with
-    the reason: no Analyzer, no time, too large. Raises SpecificationError where the document is no plan.
+    If ``start`` is given, the plan must start from that specification. UNKNOWN, with the reason, where Alloy gives no
+    answer: it is missing, it takes too long, the plan is too large. Raises SpecificationError for an invalid document.
     """
     try:
         known = plan if isinstance(plan, Plan) else decode_plan(plan)
-    except PlanRefused as error:  # what it speaks of is not there: nothing of it can be told to Alloy
-        return _unfit(str(error))
+    except PlanRefused as error:  # it refers to something that does not exist, so it has no encoding
+        return _invalid_plan(str(error))
     if start is not None and (found := differences(start, known.start)):
         first = "; ".join(line.strip() for line in str(found[0]).splitlines())
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
-        return _unfit(f"it starts from another specification than the {start.name} given: {first}{more}")
+        return _invalid_plan(f"it starts from a specification that differs from {start.name}: {first}{more}")
     subject = f"the plan of {len(known.steps)} steps"
-    return _judged(subject, lambda number: dump_plan(known, name, number), asking or Asking())
+    return _verified(subject, lambda number: dump_plan(known, name, number), options or AlloyOptions())
 
 
 def verify_configuration(
     configuration: Configuration,
     name: str = "configuration",
-    told: str = "the configuration",
+    subject: str = "the configuration",
     *,
-    asking: Asking | None = None,
+    options: AlloyOptions | None = None,
 ) -> Verdict:
-    """Whether a configuration is valid. UNKNOWN as above."""
-    return _judged(told, lambda _: dump_configuration(configuration, name, told), asking or Asking())
+    """Whether a configuration is valid. UNKNOWN as for :func:`verify_plan`."""
+    return _verified(subject, lambda _: dump_configuration(configuration, name, subject), options or AlloyOptions())
 
 
-def verify_specification(specification: Specification, *, asking: Asking | None = None) -> Verdict:
-    """Whether the configuration that a specification starts as is valid. UNKNOWN as above."""
+def verify_specification(specification: Specification, *, options: AlloyOptions | None = None) -> Verdict:
+    """Whether the initial configuration of a specification is valid. UNKNOWN as for :func:`verify_plan`."""
     return verify_configuration(
-        initial(specification), specification.name, "the configuration it starts as", asking=asking
+        initial(specification), specification.name, "the initial configuration", options=options
     )
 
 
-def _judge(dump: Dump, alloy: Alloy, asking: Asking, detail: Detail) -> Verdict:
-    """The verdict on a dump; ``detail`` dumps one step with what makes it fail. Raises AlloyFailed."""
+def _verdict(dump: Dump, alloy: Alloy, options: AlloyOptions, detail: Detail) -> Verdict:
+    """The verdict on a dump; ``detail`` encodes one step with the reasons for its failure. Raises AlloyFailed."""
     begun, scope = time.monotonic(), dump.scope
-    outcomes = _solve(dump, alloy, "*", asking.limit, asking.stop)
+    outcomes = _solve(dump, alloy, "*", options.limit, options.stop)
     answer = instance(dump, outcomes)
     failed = first_failure(dump, answer) is not None
-    if (number := unexplained(dump, answer)) is not None:
+    if (number := step_to_explain(dump, answer)) is not None:
         dump = detail(number)
-        outcomes = _solve(dump, alloy, VERDICT, max(1.0, begun + asking.limit - time.monotonic()), asking.stop)
+        outcomes = _solve(dump, alloy, VERDICT, max(1.0, begun + options.limit - time.monotonic()), options.stop)
     found = tuple(findings(dump, outcomes))
     if failed and not found:
-        raise AlloyFailed(f"Alloy contradicts itself: it refuses step {number}, and by itself it finds nothing wrong")
+        raise AlloyFailed(f"Alloy contradicts itself: it refuses step {number} in the plan, but not on its own")
     if not found:
         confirm(dump, outcomes)
     return Verdict(
         answer=Answer.VIOLATED if found else Answer.HOLDS,
         subject=dump.subject,
         scope=scope,
-        by=alloy.told,
+        by=alloy.name,
         findings=found,
         seconds=round(time.monotonic() - begun, 3),
         steps=tuple(step.describe() for step in dump.steps or ()),
@@ -111,16 +111,16 @@ def _solve(dump: Dump, alloy: Alloy, commands: str, limit: float, stop: Event | 
         return alloy.solve(source, commands, limit=limit, stop=stop)
 
 
-def _unfit(because: str) -> Verdict:
+def _invalid_plan(because: str) -> Verdict:
     finding = Finding("document", None, "the plan", "its document", because)
     return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", (finding,))
 
 
-def _judged(subject: str, dump: Detail, asking: Asking) -> Verdict:
+def _verified(subject: str, dump: Detail, options: AlloyOptions) -> Verdict:
     try:
         whole = dump(None)
-        asking.keep(whole.text)
-        alloy = asking.alloy if isinstance(asking.alloy, Alloy) else find(asking.alloy)
-        return _judge(whole, alloy, asking, dump)
+        options.keep(whole.text)
+        alloy = options.alloy if isinstance(options.alloy, Alloy) else find(options.alloy)
+        return _verdict(whole, alloy, options, dump)
     except (TooLarge, VerificationError) as error:
-        return Verdict(Answer.UNKNOWN, subject, "nothing was judged", "Alloy", because=str(error))
+        return Verdict(Answer.UNKNOWN, subject, "nothing was verified", "Alloy", because=str(error))

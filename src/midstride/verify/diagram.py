@@ -1,7 +1,7 @@
-"""What a verdict found, drawn: as text, as Graphviz's dot, and for Mermaid. Pure text; others render it.
+"""Diagrams of a verdict's findings: as indented text, Graphviz dot and Mermaid.
 
-Each finding stands beside its chain: from the functionality by its assumption and inputs to their topics, and to who
-publishes there. What is not satisfied is red.
+Beside each finding is its chain: from the functionality through its assumption and inputs to their topics and
+publishers. Unsatisfied parts are red.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ _SHAPES: Final = {
 
 def chain_lines(link: CauseLink, depth: int = 0) -> Iterator[str]:
     """A chain as indented lines, from the functionality down."""
-    told = f"{link.name} ({link.told})" if link.told else link.name
-    yield f"{'  ' * depth}{told}: {'satisfied' if link.satisfied else 'not satisfied'}"
+    text = f"{link.name} ({link.detail})" if link.detail else link.name
+    yield f"{'  ' * depth}{text}: {'satisfied' if link.satisfied else 'not satisfied'}"
     for under in link.under:
         yield from chain_lines(under, depth + 1)
 
 
 @dataclass(frozen=True, slots=True)
-class _Drawn:
-    """One box of the picture, and the box it hangs from."""
+class _Box:
+    """One box of the diagram, and the box above it."""
 
     id: str
     above: str | None
     thing: Literal["finding", "functionality", "assumption", "input", "topic", "output", "environment"]
     lines: tuple[str, ...]
-    good: bool
+    satisfied: bool
 
 
 def to_dot(verdict: Verdict) -> str:
@@ -55,32 +55,32 @@ def to_dot(verdict: Verdict) -> str:
         '  node [fontname="Helvetica", fontsize=11, style=filled];',
         '  edge [color="#5f6368", arrowsize=0.7];',
     ]
-    for drawn in _drawn(verdict):
-        label = "\\n".join(_dot(line) for line in drawn.lines)
-        colour = _GREEN if drawn.good else _RED
-        lines.append(f'  {drawn.id} [shape={_SHAPES[drawn.thing][0]}, fillcolor="{colour}", label="{label}"];')
-        if drawn.above is not None:
-            lines.append(f"  {drawn.above} -> {drawn.id};")
+    for box in _boxes(verdict):
+        label = "\\n".join(_dot(line) for line in box.lines)
+        colour = _GREEN if box.satisfied else _RED
+        lines.append(f'  {box.id} [shape={_SHAPES[box.thing][0]}, fillcolor="{colour}", label="{label}"];')
+        if box.above is not None:
+            lines.append(f"  {box.above} -> {box.id};")
     return "\n".join([*lines, "}", ""])
 
 
 def to_mermaid(verdict: Verdict) -> str:
     """The findings of a verdict as a Mermaid flow chart."""
     lines = ["flowchart LR"]
-    for drawn in _drawn(verdict):
-        _, left, right = _SHAPES[drawn.thing]
-        text = "<br/>".join(_mermaid(line) for line in drawn.lines)
-        lines.append(f"  {drawn.id}{left}{text}{right}:::{'good' if drawn.good else 'bad'}")
-        if drawn.above is not None:
-            lines.append(f"  {drawn.above} --> {drawn.id}")
+    for box in _boxes(verdict):
+        _, left, right = _SHAPES[box.thing]
+        text = "<br/>".join(_mermaid(line) for line in box.lines)
+        lines.append(f"  {box.id}{left}{text}{right}:::{'good' if box.satisfied else 'bad'}")
+        if box.above is not None:
+            lines.append(f"  {box.above} --> {box.id}")
     lines += [f"  classDef good fill:{_GREEN},stroke:#5f6368", f"  classDef bad fill:{_RED},stroke:#5f6368", ""]
     return "\n".join(lines)
 
 
-def _drawn(verdict: Verdict) -> Iterator[_Drawn]:
+def _boxes(verdict: Verdict) -> Iterator[_Box]:
     for number, finding in enumerate(verdict.findings, start=1):
         name = f"f{number}"
-        yield _Drawn(name, None, "finding", tuple(_finding(finding)), False)
+        yield _Box(name, None, "finding", tuple(_finding(finding)), False)
         if finding.chain is not None:
             yield from _links(finding.chain, name, name)
 
@@ -90,12 +90,12 @@ def _finding(finding: Finding) -> Iterator[str]:
     yield from wrap(f"{finding.subject}: {finding.because}", _WIDTH)
 
 
-def _links(link: CauseLink, name: str, above: str) -> Iterator[_Drawn]:
-    own = f"{name}_1" if above == name else name
-    lines = [link.name, *wrap(link.told, _WIDTH)]
-    yield _Drawn(own, above, link.thing, tuple(lines), link.satisfied)
+def _links(link: CauseLink, name: str, above: str) -> Iterator[_Box]:
+    id = f"{name}_1" if above == name else name
+    lines = [link.name, *wrap(link.detail, _WIDTH)]
+    yield _Box(id, above, link.thing, tuple(lines), link.satisfied)
     for number, under in enumerate(link.under, start=1):
-        yield from _links(under, f"{own}_{number}", own)
+        yield from _links(under, f"{id}_{number}", id)
 
 
 def _dot(text: str) -> str:
@@ -103,5 +103,5 @@ def _dot(text: str) -> str:
 
 
 def _mermaid(text: str) -> str:
-    """Text that Mermaid takes for nothing else."""
+    """Text with everything escaped that Mermaid could interpret."""
     return "".join(c if c.isalnum() or c in " _-./:," else f"#{ord(c)};" for c in escape(text, quote=False))

@@ -1,7 +1,7 @@
-"""Configurations and plans as Alloy text (pure text: nothing is run here), and what the atoms in it stand for.
+"""Configurations and plans as Alloy text, with the meaning of its atoms. Nothing is run here.
 
-A dump is exact: every atom and every tuple is given, so the verdict on it is a verdict on that configuration
-or plan, not on a scope. It carries the specification along, so that it can be opened by itself.
+A dump is exact: it lists every atom and every tuple, so the verdict is about that configuration or plan, not about a
+scope. It includes the specification, so that Alloy can open it without other files.
 """
 
 from __future__ import annotations
@@ -16,35 +16,35 @@ from midstride.model.configuration import Configuration, Instance, configure
 from midstride.plan.plan import Plan
 from midstride.plan.step import Step
 from midstride.verify.alloy_atoms import AlloyAtoms
-from midstride.verify.alloy_text import Judged, JudgedStep, StepName, configuration_detail, step_detail, written
-from midstride.verify.formulas import NotInTheDump, formula
+from midstride.verify.alloy_text import Obligations, StepName, StepObligation, configuration_detail, render, step_detail
+from midstride.verify.formulas import NotEncoded, formula
 from midstride.verify.world_encoder import WorldEncoder
 
 
 @dataclass(frozen=True, slots=True)
-class Stray:
-    """What cannot be dumped, because the specification has no such thing. ``step`` is None for the start."""
+class Unencodable:
+    """Something that has no encoding because it does not exist. ``step`` is None for the start and the end."""
 
     step: int | None
-    told: str
+    reason: str
 
 
 @dataclass(frozen=True, slots=True)
 class Dump:
-    """Alloy text, what its atoms stand for, and the configurations it dumps.
+    """Alloy text, the meaning of its atoms, and the configurations that it encodes.
 
-    ``fields`` are those of the answer's Findings, ``checks`` what must hold where these are all empty. ``detail`` is
-    the step (0: the start) of which the dump says why it fails; ``steps`` is None where it is of no plan.
+    ``fields`` are those of the answer's Findings; where they are all empty, ``checks`` must hold. ``detail`` is the
+    step (0: the start) whose failure the dump explains; ``steps`` is None where the dump is not of a plan.
     """
 
     subject: str
     text: str
-    bearers: dict[str, object]
+    meanings: dict[str, object]
     configurations: tuple[Configuration, ...]
     fields: frozenset[str]
     checks: tuple[str, ...]
     steps: tuple[Step, ...] | None = None
-    strays: tuple[Stray, ...] = ()
+    unencodable: tuple[Unencodable, ...] = ()
     atoms: int = 0
     detail: int | None = None
 
@@ -54,74 +54,74 @@ class Dump:
         return f"exact: {count} configuration{'s' if count != 1 else ''}, {self.atoms} atoms"
 
 
-def dump_configuration(configuration: Configuration, name: str, told: str = "the configuration") -> Dump:
-    """One configuration, to be judged by the specification's validity. Raises TooLarge."""
-    universe = AlloyAtoms()
-    scene = WorldEncoder(universe, configuration.context)
+def dump_configuration(configuration: Configuration, name: str, subject: str = "the configuration") -> Dump:
+    """One configuration, to be checked for validity. Raises TooLarge."""
+    atoms = AlloyAtoms()
+    encoder = WorldEncoder(atoms, configuration.context)
     for instance in _sorted(configuration):
-        scene.instance(instance)
-    bare, strays = _attached(configuration)
-    scene.overloads()
-    system = scene.system(bare, 0, told)
-    judged = Judged(detail=configuration_detail(system))
+        encoder.instance(instance)
+    encodable, unencodable = _encodable(configuration)
+    encoder.overloads()
+    system = encoder.system(encodable, 0, subject)
+    obligations = Obligations(detail=configuration_detail(system))
     return Dump(
-        subject=told,
-        text=written(universe, f"{name}: {told}", judged),
-        bearers=universe.names.bearers,
+        subject=subject,
+        text=render(atoms, f"{name}: {subject}", obligations),
+        meanings=atoms.names.meanings,
         configurations=(configuration,),
-        fields=frozenset(judged.fields),
-        checks=judged.checks,
-        strays=strays,
-        atoms=universe.size,
+        fields=frozenset(obligations.fields),
+        checks=obligations.checks,
+        unencodable=unencodable,
+        atoms=atoms.size,
         detail=0,
     )
 
 
 def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
-    """Every step of a plan: precondition, effect, validity; and whether it arrives at ``best`` of its target.
+    """Every step of a plan (precondition, effect, validity), and whether the plan ends in ``best`` of its target.
 
-    The configurations on the way are the model's, as far as the steps can be taken at all; whether the preconditions
-    hold and the effects are right is Alloy's to say. With ``detail``, that step alone (0: the start), and why it
-    fails. Raises TooLarge.
+    The model computes the intermediate configurations, as far as the steps can be applied; Alloy decides whether
+    preconditions hold and effects are right. With ``detail``, that step alone (0: the start), and why it fails. Raises
+    TooLarge.
     """
-    universe = AlloyAtoms()
-    scene = WorldEncoder(universe, plan.change.start.context)
-    way = _Way(scene, plan)
-    goal, strays = _goal(plan, way.configurations[-1])
-    if goal is not None:
-        for instance in _sorted(goal):
-            scene.instance(instance)
-    scene.overloads()
-    asked = range(len(plan.steps) + 1) if detail is None else range(max(0, detail - 1), detail + 1)
+    atoms = AlloyAtoms()
+    encoder = WorldEncoder(atoms, plan.change.start.context)
+    walk = _PlanWalk(encoder, plan)
+    target, unencodable = _target(plan, walk.configurations[-1])
+    if target is not None:
+        for instance in _sorted(target):
+            encoder.instance(instance)
+    encoder.overloads()
+    encoded = range(len(plan.steps) + 1) if detail is None else range(max(0, detail - 1), detail + 1)
     systems: dict[int, str] = {}
-    for number in asked:
-        each = way.configurations[number]
-        same = number - 1 in systems and each is way.configurations[number - 1]
-        told = f"after step {number}" if number else "at the start"
-        systems[number] = systems[number - 1] if same else scene.system(each, number, told)
+    for number in encoded:
+        configuration = walk.configurations[number]
+        same = number - 1 in systems and configuration is walk.configurations[number - 1]
+        when = f"after step {number}" if number else "at the start"
+        systems[number] = systems[number - 1] if same else encoder.system(configuration, number, when)
     steps = []
     for number, step in enumerate(plan.steps, start=1):
-        if number in asked and number - 1 in asked and number not in way.impossible:
-            named = StepName(number, step.describe())
-            given = formula(scene, step.action, systems[number - 1], systems[number])
-            steps.append(JudgedStep(universe.names.give(f"step{number}", named), given, named))
-    judged = Judged(steps)
+        if number in encoded and number - 1 in encoded and number not in walk.impossible:
+            step_name = StepName(number, step.describe())
+            step_formula = formula(encoder, step.action, systems[number - 1], systems[number])
+            steps.append(StepObligation(atoms.names.assign(f"step{number}", step_name), step_formula, step_name))
+    obligations = Obligations(steps)
     if detail is not None:
-        judged.detail = configuration_detail(systems[detail])
-        judged.detail |= step_detail(universe, steps[0].formula) if steps else {}
-    elif goal is not None:
-        judged.end = (systems[len(plan.steps)], scene.system(goal, len(plan.steps) + 1, "at the target"))
-    text = written(universe, f"{name}: a plan of {len(plan.steps)} steps, by strategy {plan.strategy}", judged)
+        obligations.detail = configuration_detail(systems[detail])
+        obligations.detail |= step_detail(atoms, steps[0].formula) if steps else {}
+    elif target is not None:
+        obligations.end = (systems[len(plan.steps)], encoder.system(target, len(plan.steps) + 1, "at the target"))
+    text = render(atoms, f"{name}: a plan of {len(plan.steps)} steps, by strategy {plan.strategy}", obligations)
     return Dump(
         subject=f"the plan of {len(plan.steps)} steps",
         text=text,
-        bearers=universe.names.bearers,
-        configurations=way.configurations,
-        fields=frozenset(judged.fields),
-        checks=judged.checks,
+        meanings=atoms.names.meanings,
+        configurations=walk.configurations,
+        fields=frozenset(obligations.fields),
+        checks=obligations.checks,
         steps=plan.steps,
-        strays=(*way.strays, *strays),
-        atoms=universe.size + len(steps),
+        unencodable=(*walk.unencodable, *unencodable),
+        atoms=atoms.size + len(steps),
         detail=detail,
     )
 
@@ -130,79 +130,85 @@ def _sorted(configuration: Configuration) -> list[Instance]:
     return sorted(configuration.instances.values(), key=lambda instance: instance.name)
 
 
-class _Way:
-    """The configurations on the way of a plan, and the steps that speak of what there is not."""
+class _PlanWalk:
+    """The configurations that a plan passes through, and the steps that refer to something that does not exist."""
 
-    def __init__(self, scene: WorldEncoder, plan: Plan) -> None:
-        self.strays: list[Stray] = []
+    def __init__(self, encoder: WorldEncoder, plan: Plan) -> None:
+        self.unencodable: list[Unencodable] = []
         self.impossible: set[int] = set()
         configuration = plan.change.start
         for instance in _sorted(configuration):
-            scene.instance(instance)
+            encoder.instance(instance)
         taken = [configuration]
         for number, step in enumerate(plan.steps, start=1):
             action = step.action
             try:
                 if isinstance(action, Create):
-                    scene.instance(action.instance)
-                formula(scene, action, "s", "t")
-            except (NotInTheDump, ValueError) as error:
-                self.strays.append(Stray(number, str(error)))
+                    encoder.instance(action.instance)
+                formula(encoder, action, "s", "t")
+            except (NotEncoded, ValueError) as error:
+                self.unencodable.append(Unencodable(number, str(error)))
                 self.impossible.add(number)
             else:
-                if isinstance(action, SetParameters):  # parameters have no part in the specification
-                    self.strays += [Stray(number, str(reason)) for reason in action.check(configuration)]
-                self.strays += [Stray(number, told) for told in _told_otherwise(configuration, step)]
-                # Where it cannot even be carried out, that its precondition fails is for Alloy to say.
+                if isinstance(action, SetParameters):  # the specification has no parameters
+                    self.unencodable += [Unencodable(number, str(reason)) for reason in action.check(configuration)]
+                self.unencodable += [Unencodable(number, reason) for reason in _wrong_modes(configuration, step)]
+                # If it cannot be applied, its precondition fails, and Alloy reports that.
                 with suppress(KeyError):
                     configuration = action.effect(configuration)
             taken.append(configuration)
         self.configurations = tuple(taken)
 
 
-def _told_otherwise(configuration: Configuration, step: Step) -> Iterator[str]:
-    """Where a step says that a functionality leaves another mode than the one it is in."""
+def _wrong_modes(configuration: Configuration, step: Step) -> Iterator[str]:
+    """Functionalities that a step takes to be in another mode than they are."""
     for change in step.modes:
         if (
             change.functionality in configuration.modes
             and configuration.mode(change.functionality).name != change.before
         ):
             now = configuration.mode(change.functionality).name
-            yield f"it says that {change.functionality} is in mode {change.before}, and there it is in mode {now}"
+            yield f"it assumes that {change.functionality} is in mode {change.before}, but it is in mode {now}"
 
 
-def _attached(configuration: Configuration) -> tuple[Configuration, tuple[Stray, ...]]:
-    """``configuration`` without the attachments that cannot be dumped, since they are none of this system."""
-    strays = []
+def _encodable(configuration: Configuration) -> tuple[Configuration, tuple[Unencodable, ...]]:
+    """``configuration`` without the attachments whose port or topic does not exist."""
+    unencodable = []
     for port, connector in sorted(configuration.attachments()):
         if connector not in configuration.context.connectors or not configuration.has_port(port):
             missing = connector if configuration.has_port(port) else port
-            strays.append(Stray(None, f"{port} is attached to {connector}, and there is no {missing} in this system"))
+            unencodable.append(
+                Unencodable(None, f"{port} is attached to {connector}, but there is no {missing} in this system")
+            )
             configuration = configuration.without_attachment(port, connector)
-    return configuration, tuple(strays)
+    return configuration, tuple(unencodable)
 
 
-def _goal(plan: Plan, end: Configuration) -> tuple[Configuration | None, list[Stray]]:
-    """The structure of the target, its instances called what they are called at the end of the plan.
+def _target(plan: Plan, end: Configuration) -> tuple[Configuration | None, list[Unencodable]]:
+    """The target configuration, with the instance names that the plan ends with.
 
-    Parameters are compared here: they have no part in the specification.
+    Parameters are compared here, since the specification has none.
     """
     change, target = plan.change, plan.change.target
-    instances, attachments, strays = [], [], []
+    instances, attachments, unencodable = [], [], []
     for role in target.nodes:
-        wanted = target.instance(role)
-        there = end.instances_of(role)
-        if len(there) == 1 and there[0].component.same_body(wanted.component):
-            wanted = replace(wanted, name=there[0].name, component=there[0].component)
-            if there[0].parameters != wanted.parameters:
-                strays.append(Stray(None, f"at the end {wanted.name} has other parameters than the target says"))
+        expected = target.instance(role)
+        found = end.instances_of(role)
+        if len(found) == 1 and found[0].component.same_body(expected.component):
+            expected = replace(expected, name=found[0].name, component=found[0].component)
+            if found[0].parameters != expected.parameters:
+                unencodable.append(
+                    Unencodable(None, f"at the end {expected.name} has parameters that differ from the target's")
+                )
         else:
-            names = ", ".join(instance.name for instance in there)
-            told = f"{names} is there" if names else "nothing is there"
-            strays.append(Stray(None, f"at the end {role} should be one {wanted.component.name}, and {told}"))
-        instances.append(wanted)
-        for port, connector in target.attachments_of(role, wanted.name):
+            names = ", ".join(instance.name for instance in found)
+            actual = f"there is {names}" if names else "there is none"
+            unencodable.append(
+                Unencodable(None, f"at the end {role} should be one {expected.component.name}, but {actual}")
+            )
+        instances.append(expected)
+        for port, connector in target.attachments_of(role, expected.name):
             attachments.append((port, change.identities.get(connector, connector)))
-    if strays:
-        return None, strays
-    return best(configure(change.start.context, instances, attachments)), strays
+    if unencodable:
+        return None, unencodable
+    return best(configure(change.start.context, instances, attachments)), unencodable

@@ -1,4 +1,4 @@
-"""Actions as formulas of the Alloy specification: precondition, whole action, and what to say where it fails."""
+"""Actions as formulas of the Alloy specification: precondition, whole action, and the reasons for a failure."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ from midstride.verify.world_encoder import WorldEncoder
 _Key = TypeVar("_Key", bound=Hashable)
 
 
-class NotInTheDump(Exception):
-    """An action speaks of something that the dump has no atom for; ``str`` of it says what."""
+class NotEncoded(Exception):
+    """An action refers to something for which the dump has no atom; the message names it."""
 
 
 @dataclass(frozen=True, slots=True)
 class Formula:
     """An action in a configuration.
 
-    ``whole`` holds of the configurations before and after iff the precondition ``may`` holds before and the effect is
-    as the action says. ``clauses`` are the parts of the precondition that need no witness, each with what it
-    says where it fails. ``lacking`` is the set of functionality -> assumption that would not be satisfied any more,
-    ``attached`` of topic -> port that would have to be detached first.
+    ``whole`` holds between the configurations before and after iff the precondition ``may`` holds before and the effect
+    is the action's. ``clauses`` are the parts of the precondition that need no witness, each with its message if it
+    fails. ``lacking`` is the set of functionality -> assumption that would no longer be satisfied, ``attached`` that of
+    topic -> port that would have to be detached first.
     """
 
     may: str
@@ -44,26 +44,26 @@ class Formula:
     attached: str = "none -> none"
 
 
-def formula(scene: WorldEncoder, action: Action, before: str, after: str) -> Formula:
-    """``action`` taken in the system ``before``, leading to ``after``. Raises NotInTheDump."""
+def formula(encoder: WorldEncoder, action: Action, before: str, after: str) -> Formula:
+    """``action`` from the system ``before`` to the system ``after``. Raises NotEncoded."""
     s, t = before, after
     match action:
         case Create():
-            return _create(_component(scene, action.instance.name), s, t)
+            return _create(_component(encoder, action.instance.name), s, t)
         case Remove():
-            return _remove(_component(scene, action.instance), s, t)
+            return _remove(_component(encoder, action.instance), s, t)
         case Attach():
-            return _attach(_port(scene, action.port), _connector(scene, action.connector), s, t)
+            return _attach(_port(encoder, action.port), _connector(encoder, action.connector), s, t)
         case Detach():
-            return _detach(_port(scene, action.port), _connector(scene, action.connector), s, t)
+            return _detach(_port(encoder, action.port), _connector(encoder, action.connector), s, t)
         case Degrade():
-            return _modes(scene, action.modes, s, t, "degrade_all")
+            return _modes(encoder, action.modes, s, t, "degrade_all")
         case Upgrade():
-            return _modes(scene, action.modes, s, t, "upgrade_all")
+            return _modes(encoder, action.modes, s, t, "upgrade_all")
         case Handover():
-            return _handover(scene, action, s, t)
+            return _handover(encoder, action, s, t)
         case SetParameters():
-            return _set(_component(scene, action.instance), s, t)
+            return _set(_component(encoder, action.instance), s, t)
     raise TypeError(f"no formula for {action!r}")
 
 
@@ -72,7 +72,7 @@ def _create(c: str, s: str, t: str) -> Formula:
         f"can_create_within[{s}, {c}]",
         f"can_create_within[{s}, {c}] and create[{s}, {t}, {c}]",
         (
-            ("it is live already", f"{c} not in {s}.comps"),
+            ("it is already live", f"{c} not in {s}.comps"),
             ("a resource would be exceeded", f"capacities_hold[{s}.comps + {c}]"),
         ),
     )
@@ -93,7 +93,7 @@ def _attach(p: str, k: str, s: str, t: str) -> Formula:
         f"can_attach_within[{s}, {k}, {p}] and attach[{s}, {t}, {k}, {p}]",
         (
             ("its component is not live", f"{p} in ports[{s}.comps]"),
-            ("it is attached there already", f"{k} -> {p} not in {s}.roles"),
+            ("it is already attached there", f"{k} -> {p} not in {s}.roles"),
             ("the contracts do not fit", f"fits[{k}, {p}]"),
             ("the cap on publishers would be exceeded", f"cap_holds[{s}, {s}.roles + {k} -> {p}, {k}]"),
         ),
@@ -110,11 +110,11 @@ def _detach(p: str, k: str, s: str, t: str) -> Formula:
     )
 
 
-def _modes(scene: WorldEncoder, modes: Mapping[FunctionalityRef, int], s: str, t: str, name: str) -> Formula:
+def _modes(encoder: WorldEncoder, modes: Mapping[FunctionalityRef, int], s: str, t: str, name: str) -> Formula:
     pairs = sorted(modes.items())
-    to = " + ".join(f"{_functionality(scene, ref)} -> {_mode(scene, ref, index)}" for ref, index in pairs)
+    to = " + ".join(f"{_functionality(encoder, ref)} -> {_mode(encoder, ref, index)}" for ref, index in pairs)
     to = to or "none -> none"
-    fs = " + ".join(_functionality(scene, ref) for ref, _ in pairs) or "none"
+    fs = " + ".join(_functionality(encoder, ref) for ref, _ in pairs) or "none"
     worse = name == "degrade_all"
     among = f"{s}.comps.funcs" if worse else f"({fs})"
     direction = (
@@ -134,12 +134,13 @@ def _modes(scene: WorldEncoder, modes: Mapping[FunctionalityRef, int], s: str, t
     )
 
 
-def _handover(scene: WorldEncoder, action: Handover, s: str, t: str) -> Formula:
+def _handover(encoder: WorldEncoder, action: Handover, s: str, t: str) -> Formula:
     swaps = [
-        (_connector(scene, swap.connector), _output(scene, swap.old), _output(scene, swap.new)) for swap in action.swaps
+        (_connector(encoder, swap.connector), _output(encoder, swap.old), _output(encoder, swap.new))
+        for swap in action.swaps
     ]
-    # What the specification has no tuple for is judged here: the same swap twice is one tuple, an input is in none.
-    outputs = [each for each in swaps if all(port in scene.universe.sigs["Output"] for port in each[1:])]
+    # Checked here because the specification cannot express it: a repeated swap is the same tuple, an input is in none.
+    outputs = [each for each in swaps if all(port in encoder.atoms.sigs["Output"] for port in each[1:])]
     swap = " + ".join(" -> ".join(each) for each in outputs) or "none -> none -> none"
     new = " and ".join(f"satisfies_now[{s}, {k}, {n}]" for k, _, n in outputs) or "some univ"
     once = "some univ" if len(set(swaps)) == len(swaps) else "some none"
@@ -152,7 +153,7 @@ def _handover(scene: WorldEncoder, action: Handover, s: str, t: str) -> Formula:
             ("a port occurs twice on one topic", f"{once} and each_once[{swap}]"),
             ("a port is not an output of a live component", f"{only} and ({_ports(outputs)}) in {s}.comps.outputs"),
             ("the old output is not attached", f"leaving[{swap}] in {s}.roles"),
-            ("the new output is attached already", f"no coming[{swap}] & {s}.roles"),
+            ("the new output is already attached", f"no coming[{swap}] & {s}.roles"),
             ("the new output does not satisfy the topic in its current mode", new),
             (
                 "the cap on publishers would be exceeded",
@@ -167,7 +168,7 @@ def _ports(swaps: list[tuple[str, str, str]]) -> str:
 
 
 def _set(c: str, s: str, t: str) -> Formula:
-    """Whether a parameter is changeable is the model's to say: parameters have no part in the specification."""
+    """The model checks whether a parameter is changeable, since the specification has no parameters."""
     return Formula(
         f"{c} in {s}.comps", f"{c} in {s}.comps and unchanged[{s}, {t}]", (("it is not live", f"{c} in {s}.comps"),)
     )
@@ -177,38 +178,38 @@ def _unsatisfied(s: str, among: str, roles: str, mode: str) -> str:
     return f"unsatisfied[{s}, {among}, {roles}, {mode}]"
 
 
-def _found(table: Mapping[_Key, str], key: _Key, kind: str) -> str:
+def _lookup(table: Mapping[_Key, str], key: _Key, kind: str) -> str:
     atom = table.get(key)
     if atom is None:
-        raise NotInTheDump(f"there is no {kind} {key}")
+        raise NotEncoded(f"there is no {kind} {key}")
     return atom
 
 
-def _component(scene: WorldEncoder, name: str) -> str:
-    return _found(scene.components, name, "component")
+def _component(encoder: WorldEncoder, name: str) -> str:
+    return _lookup(encoder.components, name, "component")
 
 
-def _port(scene: WorldEncoder, ref: PortRef) -> str:
-    return _found(scene.ports, ref, "port")
+def _port(encoder: WorldEncoder, ref: PortRef) -> str:
+    return _lookup(encoder.ports, ref, "port")
 
 
-def _output(scene: WorldEncoder, ref: PortRef) -> str:
-    port = _port(scene, ref)
-    if port not in scene.universe.sigs["Output"]:
-        raise NotInTheDump(f"{ref} is an input, not an output")
+def _output(encoder: WorldEncoder, ref: PortRef) -> str:
+    port = _port(encoder, ref)
+    if port not in encoder.atoms.sigs["Output"]:
+        raise NotEncoded(f"{ref} is an input, not an output")
     return port
 
 
-def _connector(scene: WorldEncoder, name: str) -> str:
-    return _found(scene.connectors, name, "topic")
+def _connector(encoder: WorldEncoder, name: str) -> str:
+    return _lookup(encoder.connectors, name, "topic")
 
 
-def _functionality(scene: WorldEncoder, ref: FunctionalityRef) -> str:
-    return _found(scene.functionalities, ref, "functionality")
+def _functionality(encoder: WorldEncoder, ref: FunctionalityRef) -> str:
+    return _lookup(encoder.functionalities, ref, "functionality")
 
 
-def _mode(scene: WorldEncoder, ref: FunctionalityRef, index: int) -> str:
-    atom = scene.modes.get((ref, index))
+def _mode(encoder: WorldEncoder, ref: FunctionalityRef, index: int) -> str:
+    atom = encoder.modes.get((ref, index))
     if atom is None:
-        raise NotInTheDump(f"{ref} has no mode number {index}")
+        raise NotEncoded(f"{ref} has no mode number {index}")
     return atom

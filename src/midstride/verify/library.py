@@ -1,4 +1,4 @@
-"""The Alloy specification as text: modules, their commands with what is expected, what a dump takes along."""
+"""The Alloy specification as text: its modules, their commands with the expected results, and the part for dumps."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from functools import cache
 from importlib.resources import files
 from typing import Final, Literal
 
-# The paper's listings as printed do not parse (docs/paper.md): they are kept, and no check runs on them.
+# The paper's listings as printed do not parse (docs/paper.md), so no check runs on them.
 PRINTED: Final = "printed"
-# In the order in which one reads them.
+# In reading order.
 MODULES: Final = (
-    "completed", "core", "system", "actions", "groups", "handover", "limits", "best", "telling",
+    "completed", "core", "system", "actions", "groups", "handover", "limits", "best", "diagnosis",
 )  # fmt: skip
-# What a dump carries along.
-_CARRIED: Final = ("system", "actions", "groups", "handover", "limits", "telling")
+# The modules that a dump includes.
+_BUNDLED: Final = ("system", "actions", "groups", "handover", "limits", "diagnosis")
 _CHECKS: Final = re.compile(r"^/\* ---- checks\b", re.MULTILINE)
 _COMMAND: Final = re.compile(
     r"^(?P<kind>check|run) (?P<name>\w+)\b(?P<rest>.*?)\bexpect (?P<expect>[01])$", re.MULTILINE | re.DOTALL
@@ -26,12 +26,12 @@ _SIGNATURE: Final = re.compile(
 _DECLARED: Final = re.compile(r"^(?:abstract )?(?:sig|pred|fun) (\w+)", re.MULTILINE)
 _FIELD: Final = re.compile(r"(\w+)\s*:")
 _SCOPE: Final = re.compile(r"\bfor (\d+)((?: but)? [\w ,]+?)? expect [01]$")
-_BIG: Final = 5
+_FULL_SCOPE: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
 class AlloyCommand:
-    """A ``check`` (expected to have no counterexample, mostly) or a ``run`` of a module."""
+    """A ``check`` or a ``run`` of a module; ``expected`` says whether it should have a counterexample or instance."""
 
     module: str
     name: str
@@ -48,15 +48,15 @@ def source(module: str) -> str:
     return (files("midstride.verify") / "alloy" / f"{module}.als").read_text(encoding="utf-8")
 
 
-def scoped(module: str, scope: int) -> str:
-    """The text of a module, its checks to ``scope`` where they are stated to scope 5. The rest stays."""
-    return source(module).replace(f"for {_BIG} but", f"for {min(scope, _BIG)} but")
+def with_scope(module: str, scope: int) -> str:
+    """The text of a module, with the checks of scope 5 limited to ``scope``."""
+    return source(module).replace(f"for {_FULL_SCOPE} but", f"for {min(scope, _FULL_SCOPE)} but")
 
 
-def commands(module: str, scope: int = _BIG) -> list[AlloyCommand]:
-    """The commands of a module, in their order, each with whether an instance is expected."""
+def commands(module: str, scope: int = _FULL_SCOPE) -> list[AlloyCommand]:
+    """The commands of a module, in order."""
     found = []
-    for match in _COMMAND.finditer(scoped(module, scope)):
+    for match in _COMMAND.finditer(with_scope(module, scope)):
         kind: Literal["check", "run"] = "check" if match["kind"] == "check" else "run"
         stated = _SCOPE.search(match[0])
         assert stated is not None, f"{module}.{match['name']} states no scope"
@@ -64,13 +64,13 @@ def commands(module: str, scope: int = _BIG) -> list[AlloyCommand]:
     return found
 
 
-def carried() -> str:
-    """The specification for a dump to carry along: one text, without its modules' headings and checks.
+def bundled() -> str:
+    """The specification as one text for a dump, without the modules' headings and checks.
 
-    Its signatures are without their fields: a dump gives these as constants of the same names.
+    Its signatures have no fields: a dump defines constants of the same names.
     """
     parts = []
-    for module in _CARRIED:
+    for module in _BUNDLED:
         text = source(module)
         if found := _CHECKS.search(text):
             text = text[: found.start()]
@@ -80,8 +80,8 @@ def carried() -> str:
 
 
 @cache
-def declared() -> frozenset[str]:
-    """The names of all that a dump carries along: signatures, fields, predicates and functions."""
-    text = "\n".join(source(module) for module in _CARRIED)
+def declared_names() -> frozenset[str]:
+    """The names that a dump includes: signatures, fields, predicates and functions."""
+    text = "\n".join(source(module) for module in _BUNDLED)
     fields = " ".join(match[0].partition("{")[2] for match in _SIGNATURE.finditer(text))
     return frozenset(_DECLARED.findall(text)) | frozenset(_FIELD.findall(fields))

@@ -1,7 +1,7 @@
-"""The Alloy Analyzer as a subprocess: found, started, bounded in time, read.
+"""Finds the Alloy Analyzer, runs it as a subprocess with a time limit, and reads its answer.
 
-This is the only module of `verify` that starts processes. Where the Analyzer or Java is missing, or does not
-answer, that is an error with its reason; it is never taken for a pass.
+No other module of `verify` starts processes. A missing Analyzer or Java, or no answer, is an error with its reason,
+never a pass.
 """
 
 from __future__ import annotations
@@ -32,19 +32,20 @@ ARTIFACT: Final = f"org.alloytools:org.alloytools.alloy.dist:{VERSION}"
 JAR: Final = f"org.alloytools.alloy.dist-{VERSION}.jar"
 VARIABLE: Final = "MIDSTRIDE_ALLOY"
 JAVA: Final = 17
-# How long a dump may take (s), where nothing else is said; a check of the specification has its own.
+# The default time limit of a dump (s).
 TIME_LIMIT: Final = 300.0
-_GRACE: Final = 2.0
-_LOOK: Final = 0.2
+# How long a process may take to end on SIGTERM, and how often a stop event is looked at (s).
+_STOP_TIMEOUT: Final = 2.0
+_POLL: Final = 0.2
 
-_HOW: Final = (
-    f"`make alloy` fetches it (with Maven, {ARTIFACT}); or name the file with --alloy or the variable {VARIABLE}"
+_HOW_TO_GET: Final = (
+    f"`make alloy` fetches it (with Maven, {ARTIFACT}); or give the file with --alloy or the variable {VARIABLE}"
 )
 
 
 @dataclass(frozen=True, slots=True)
 class SolverOutcome:
-    """What one command came to: whether it has an instance, and the instance's fields, atom by atom."""
+    """The result of one command: whether it has an instance, and the instance's fields, atom by atom."""
 
     satisfiable: bool
     values: Mapping[str, Mapping[str, list[list[str]]]] = field(default_factory=dict)
@@ -54,11 +55,11 @@ class SolverOutcome:
 
 @dataclass(frozen=True, slots=True)
 class Alloy:
-    """An Alloy Analyzer that is there. ``told`` names it; a file other than the one checked here is said to be."""
+    """An installed Alloy Analyzer. ``name`` is its version, or the file if that is not the release known here."""
 
     java: str
     jar: Path
-    told: str
+    name: str
 
     def solve(
         self,
@@ -71,10 +72,10 @@ class Alloy:
         quick: bool = True,
         stop: Event | None = None,
     ) -> dict[str, SolverOutcome]:
-        """Execute the commands of a file whose names fit the pattern, in one process.
+        """Execute the commands of a file whose names match the pattern, in one process.
 
-        ``limit`` bounds the whole (s), ``memory`` the Java heap (MiB); ``quick`` is for what is solved in seconds,
-        where starting up is what takes the time. Raises AlloyFailed, with the reason, where no answer comes.
+        ``limit`` bounds the total time (s), ``memory`` the Java heap (MiB); ``quick`` saves start-up time for problems
+        that are solved in seconds. Raises AlloyFailed, with the reason, where there is no answer.
         """
         with tempfile.TemporaryDirectory(prefix="midstride-alloy-") as folder:
             options = [*(["-XX:TieredStopAtLevel=1"] if quick else []), *([f"-Xmx{memory}m"] if memory else [])]
@@ -83,68 +84,68 @@ class Alloy:
             return self._execute([*line, "-c", commands, str(source)], output, limit, stop)
 
     def solvers(self) -> list[str]:
-        """The solvers that can be had on this machine. Raises AlloyFailed where no answer comes."""
+        """The solvers available on this machine. Raises AlloyFailed where there is no answer."""
         with tempfile.TemporaryDirectory(prefix="midstride-alloy-") as folder:
             return run([*self._java(folder), "solvers", "-l"], 60.0).text.split()
 
     def _java(self, folder: str, *options: str) -> list[str]:
-        """How a command of the Analyzer begins. It leaves files in its temporary folder: that is ``folder``."""
+        """The start of a command line of the Analyzer, with ``folder`` for its temporary files."""
         headless = "-Djava.awt.headless=true"
         return [self.java, f"-Djava.io.tmpdir={folder}", headless, "-XX:+UseSerialGC", *options, "-jar", str(self.jar)]
 
     def _execute(self, line: Sequence[str], output: Path, limit: float, stop: Event | None) -> dict[str, SolverOutcome]:
-        said = run(line, limit, stop)
+        ended = run(line, limit, stop)
         receipt = output / "receipt.json"
-        if said.code != 0 or not receipt.is_file():
-            raise AlloyFailed(_reason(said.text))
+        if ended.code != 0 or not receipt.is_file():
+            raise AlloyFailed(_reason(ended.text))
         try:
             document = json.loads(receipt.read_text(encoding="utf-8"))
             return {name: _outcome(entry) for name, entry in document["commands"].items()}
         except (ValueError, KeyError, TypeError, OSError) as error:
-            raise AlloyFailed(f"Alloy's answer cannot be read ({type(error).__name__}: {error})") from error
+            raise AlloyFailed(f"cannot read Alloy's answer ({type(error).__name__}: {error})") from error
 
 
 @dataclass(frozen=True, slots=True)
 class AlloyOutput:
-    """How a process ended, and what it wrote."""
+    """The exit status and the output of a process."""
 
     code: int
     text: str
 
 
 def run(line: Sequence[str], limit: float, stop: Event | None = None) -> AlloyOutput:
-    """A process in a group of its own. After ``limit`` (s), or by ``stop``, it ends with its children: AlloyFailed."""
+    """Run a process in its own group. After ``limit`` (s), or on ``stop``, kill the group and raise AlloyFailed."""
     try:
         process = subprocess.Popen(
             line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
         )
     except OSError as error:
-        raise AlloyMissing(f"{line[0]} cannot be started: {error}") from error
+        raise AlloyMissing(f"cannot start {line[0]}: {error}") from error
     try:
-        text = _listened(process, limit, stop)
+        text = _output(process, limit, stop)
     finally:
         if process.poll() is None:
-            _end(process)
+            _kill(process)
     return AlloyOutput(process.returncode, text.decode("utf-8", "replace"))
 
 
-def _listened(process: subprocess.Popen[bytes], limit: float, stop: Event | None) -> bytes:
-    """What the process writes until its end. Only where somebody may set ``stop`` is it looked at, now and then."""
+def _output(process: subprocess.Popen[bytes], limit: float, stop: Event | None) -> bytes:
+    """What the process writes until it ends. Polls ``stop`` only if it is given."""
     end = time.monotonic() + limit
     while (left := end - time.monotonic()) > 0:
         try:
-            return process.communicate(timeout=left if stop is None else min(left, _LOOK))[0]
+            return process.communicate(timeout=left if stop is None else min(left, _POLL))[0]
         except subprocess.TimeoutExpired:
             if stop is not None and stop.is_set():
                 raise AlloyFailed("stopped") from None
     raise AlloyFailed(f"no answer within {limit:g} s")
 
 
-def _end(process: subprocess.Popen[bytes]) -> None:
+def _kill(process: subprocess.Popen[bytes]) -> None:
     for number in (signal.SIGTERM, signal.SIGKILL):
         try:
             os.killpg(process.pid, number)
-            process.wait(_GRACE)
+            process.wait(_STOP_TIMEOUT)
             break
         except subprocess.TimeoutExpired:
             continue
@@ -168,7 +169,7 @@ _NOISE: Final = re.compile(r"^(\s+at |\s+\.\.\. |\[main\] ERROR|Error$|\s*\d+\. 
 
 
 def _reason(text: str) -> str:
-    """What Alloy complains of, without its stack."""
+    """Alloy's error message, without its stack trace."""
     if "OutOfMemoryError" in text:
         return "Alloy ran out of memory"
     lines = [line for line in text.splitlines() if line.strip() and not _NOISE.match(line)]
@@ -179,13 +180,13 @@ def _reason(text: str) -> str:
 
 
 def find(named: Path | None = None) -> Alloy:
-    """The Analyzer: ``named``, else what the environment names, else what `make alloy` has fetched.
+    """The Analyzer: ``named``, else that of the environment variable, else the one that `make alloy` fetched.
 
-    Raises AlloyMissing, which says what is missing and how to get it.
+    Raises AlloyMissing, with what is missing and how to get it.
     """
     jar = _jar(named)
     java = _java()
-    return Alloy(java, jar, f"Alloy {VERSION}" if digest(jar) == SHA256 else f"the Alloy of {jar}")
+    return Alloy(java, jar, f"Alloy {VERSION}" if digest(jar) == SHA256 else f"Alloy from {jar}")
 
 
 def _jar(named: Path | None) -> Path:
@@ -194,22 +195,22 @@ def _jar(named: Path | None) -> Path:
         if chosen.is_dir():
             chosen = chosen / JAR
         if not chosen.is_file():
-            raise AlloyMissing(f"there is no Alloy Analyzer at {chosen}: {_HOW}")
+            raise AlloyMissing(f"there is no Alloy Analyzer at {chosen}: {_HOW_TO_GET}")
         return chosen
-    for place in places():
-        if (place / JAR).is_file():
-            if digest(place / JAR) != SHA256:
-                raise AlloyMissing(f"{place / JAR} is not Alloy {VERSION} (its SHA-256 differs): remove it, and {_HOW}")
-            return place / JAR
-    raise AlloyMissing(f"the Alloy Analyzer {VERSION} is not here: {_HOW}")
+    for folder in jar_folders():
+        if (jar := folder / JAR).is_file():
+            if digest(jar) != SHA256:
+                raise AlloyMissing(f"{jar} is not Alloy {VERSION} (its SHA-256 differs): remove it, and {_HOW_TO_GET}")
+            return jar
+    raise AlloyMissing(f"the Alloy Analyzer {VERSION} is not installed: {_HOW_TO_GET}")
 
 
-def places() -> list[Path]:
-    """Where it is looked for: beside the Makefile of a checkout (`make alloy`), and in the user's cache."""
+def jar_folders() -> list[Path]:
+    """Where to look for it: in the cache of a checkout (`make alloy`) and of the user."""
     checkout = Path(__file__).resolve().parents[3]
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    beside = [checkout / ".cache" / "alloy"] if (checkout / "Makefile").is_file() else []
-    return [*beside, home / "midstride" / "alloy"]
+    in_checkout = [checkout / ".cache" / "alloy"] if (checkout / "Makefile").is_file() else []
+    return [*in_checkout, home / "midstride" / "alloy"]
 
 
 def digest(path: Path) -> str:
@@ -227,10 +228,10 @@ def _java() -> str:
     java = shutil.which("java", path=str(Path(home) / "bin")) if home else None
     java = java or shutil.which("java")
     if java is None:
-        raise AlloyMissing(f"there is no Java here, and the Alloy Analyzer needs Java {JAVA} or later (a JRE will do)")
+        raise AlloyMissing(f"Java is not installed; the Alloy Analyzer needs Java {JAVA} or later (a JRE is enough)")
     version = _java_version(java)
     if version is not None and version < JAVA:
-        raise AlloyMissing(f"{java} is Java {version}, and the Alloy Analyzer needs Java {JAVA} or later")
+        raise AlloyMissing(f"{java} is Java {version}; the Alloy Analyzer needs Java {JAVA} or later")
     return java
 
 
@@ -245,7 +246,7 @@ def _java_version(java: str) -> int | None:
 
 @cache
 def fast_solver(alloy: Alloy) -> str:
-    """The quickest solver that this machine has: a native one where there is one."""
+    """The fastest solver on this machine: a native one if there is one."""
     try:
         return "glucose" if "glucose" in alloy.solvers() else "sat4j"
     except AlloyFailed:

@@ -1,7 +1,7 @@
-"""The Alloy specification put to the Analyzer: every `check` and `run` of it must come out as it says it will.
+"""Checks the Alloy specification: every `check` and `run` must have the result that it states.
 
-Small scopes take little but starting up, so there a module's commands share one process; large ones run one
-command a process, several at a time where processors and memory allow.
+At small scopes start-up dominates, so the commands of a module share one process. At large scopes each command has its
+own, several at a time as processors and memory allow.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from midstride.verify.library import AlloyCommand
 from midstride.verify.run import Alloy, SolverOutcome, available_memory, fast_solver
 from midstride.verify.verdict import Answer
 
-# MiB that one process may use, and how long (s) it may take where nothing else is said.
+# The heap of one process (MiB), and its default time limit (s).
 MEMORY: Final = 2048
 SECONDS: Final = 1800.0
 SCOPES: Final = (3, 5)
@@ -33,7 +33,7 @@ _EXPECT: Final = re.compile(r"\s+expect [01]$", re.MULTILINE)
 
 @dataclass(frozen=True, slots=True)
 class Task:
-    """What one process is asked: one command, or all of a module."""
+    """The commands that one process runs: one command, or all of a module."""
 
     module: str
     commands: tuple[AlloyCommand, ...]
@@ -42,13 +42,14 @@ class Task:
         return str(self.commands[0]) if len(self.commands) == 1 else self.module
 
     @property
-    def asked(self) -> str:
+    def pattern(self) -> str:
+        """Alloy's pattern for these commands."""
         return self.commands[0].name if len(self.commands) == 1 else "*"
 
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """How a task came out. HOLDS: each of its commands as expected; UNKNOWN: the Analyzer gave no answer."""
+    """The result of a task. HOLDS: every command as expected; UNKNOWN: the Analyzer gave no answer."""
 
     task: Task
     answer: Answer
@@ -56,8 +57,8 @@ class Checked:
     because: str | None = None
 
     @property
-    def told(self) -> str:
-        """What was asked, in words."""
+    def claim(self) -> str:
+        """What was checked."""
         if len(self.task.commands) > 1:
             checks = [command.scope for command in self.task.commands if command.kind == "check"]
             runs = len(self.task.commands) - len(checks)
@@ -72,7 +73,7 @@ class Checked:
         return {
             "check": str(self.task),
             "commands": [command.name for command in self.task.commands],
-            "claim": self.told,
+            "claim": self.claim,
             "verdict": self.answer.value,
             "because": self.because,
             "seconds": round(self.seconds, 3),
@@ -84,7 +85,7 @@ def _counted(number: int, what: str) -> str:
 
 
 def tasks(scope: int, modules: Sequence[str] | None = None) -> list[Task]:
-    """All commands of the modules, as they are run; what takes longest, checked to the full scope, comes first."""
+    """All commands of the modules, those with the largest scope first, which take longest."""
     known = {module: tuple(library.commands(module, scope)) for module in modules or library.MODULES}
     if scope <= _SMALL:
         return [Task(module, commands) for module, commands in known.items()]
@@ -92,7 +93,7 @@ def tasks(scope: int, modules: Sequence[str] | None = None) -> list[Task]:
     return sorted(single, key=lambda task: -task.commands[0].scope)
 
 
-def at_once() -> int:
+def parallel_jobs() -> int:
     """How many processes this machine has processors and memory for; at least one."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min(processors, available_memory() // MEMORY))
@@ -107,16 +108,16 @@ def check_specification(
     jobs: int | None = None,
     limit: float = SECONDS,
 ) -> Generator[Checked, None, None]:
-    """Run every command of the specification, its checks to ``scope``; each task as it is done, in no order.
+    """Run every command of the specification, with checks to ``scope``; yields each task when it is done, in any order.
 
-    ``limit`` bounds each task (s); ``texts`` stand in for modules, by name. Ends its processes when left early.
+    ``limit`` bounds each task (s); ``texts`` replace modules, by name. Closing the generator stops its processes.
     """
     stop = Event()
     solver = "sat4j" if scope <= _SMALL else fast_solver(alloy)
     with tempfile.TemporaryDirectory(prefix="midstride-specification-") as folder:
         for module in library.MODULES:
-            text = (texts or {}).get(module) or library.scoped(module, scope)
-            # What to expect is compared here, not by Alloy, which would end there without an answer.
+            text = (texts or {}).get(module) or library.with_scope(module, scope)
+            # The expectation is compared here: Alloy would stop without an answer where it is wrong.
             (Path(folder) / f"{module}.als").write_text(_EXPECT.sub("", text), encoding="utf-8")
 
         def checked(task: Task) -> Checked:
@@ -124,7 +125,7 @@ def check_specification(
             answer, because = _checked(alloy, Path(folder), task, solver, scope <= _SMALL, limit, stop)
             return Checked(task, answer, time.monotonic() - begun, because)
 
-        with ThreadPoolExecutor(jobs or at_once()) as pool:
+        with ThreadPoolExecutor(jobs or parallel_jobs()) as pool:
             waiting = [pool.submit(checked, task) for task in tasks(scope, modules)]
             try:
                 for done in as_completed(waiting):
@@ -140,7 +141,7 @@ def _checked(
     try:
         outcomes = alloy.solve(
             folder / f"{task.module}.als",
-            task.asked,
+            task.pattern,
             limit=limit,
             solver=solver,
             memory=MEMORY,
@@ -154,20 +155,20 @@ def _checked(
         return Answer.UNKNOWN, f"Alloy did not answer {', '.join(unanswered)}"
     wrong = [command for command in task.commands if outcomes[command.name].satisfiable is not command.expected]
     if wrong:
-        return Answer.VIOLATED, "; ".join(_otherwise(command, outcomes[command.name]) for command in wrong)
+        return Answer.VIOLATED, "; ".join(_mismatch(command, outcomes[command.name]) for command in wrong)
     return Answer.HOLDS, None
 
 
-def _otherwise(command: AlloyCommand, outcome: SolverOutcome) -> str:
-    """What came out instead, and of what."""
+def _mismatch(command: AlloyCommand, outcome: SolverOutcome) -> str:
+    """How the result differs from the expectation."""
     if not outcome.satisfiable:
         missing = "a counterexample" if command.kind == "check" else "an instance"
-        return f"{command} should have {missing} at scope {command.scope}, and has none"
+        return f"{command} should have {missing} at scope {command.scope}, but has none"
     name = f"${command.name}_"
     bound = {skolem.removeprefix(name): tuples for skolem, tuples in outcome.skolems.items()}
-    told = ", ".join(f"{who} = {_tuples(tuples)}" for who, tuples in bound.items())
-    kind = "a counterexample" if command.kind == "check" else "an instance"
-    return f"{command} has {kind}, and should have none" + (f": {told}" if told else "")
+    values = ", ".join(f"{variable} = {_tuples(tuples)}" for variable, tuples in bound.items())
+    kind = "counterexample" if command.kind == "check" else "instance"
+    return f"{command} should have no {kind}, but has one" + (f": {values}" if values else "")
 
 
 def _tuples(tuples: Sequence[Sequence[str]]) -> str:

@@ -1,7 +1,7 @@
-"""From Alloy's instance back to the file's own names: what does not hold, where, and why.
+"""From Alloy's instance back to the names of the file: what does not hold, where, and why.
 
-That something does not hold is Alloy's word alone. The reason is worked out on the configuration by the model; where
-the model sees none, that is said, since one of the two is then wrong.
+Alloy alone decides what does not hold; the model works out the reason. If the model finds none, the finding says so,
+since one of the two must be wrong.
 """
 
 from __future__ import annotations
@@ -22,33 +22,33 @@ from midstride.verify.run import SolverOutcome
 from midstride.verify.verdict import Finding
 
 _FINDINGS = "Findings$0"
-_DISAGREE = "so says Alloy; the model sees no reason, so one of the two is wrong: please report it"
+_DISAGREE = "according to Alloy; Midstride's model finds no reason, so one of the two is wrong: please report this"
 
 
 class AlloyInstance:
-    """The fields of an Alloy instance, its atoms turned into what they stand for."""
+    """The fields of an Alloy instance, with the meanings of its atoms."""
 
-    def __init__(self, outcome: SolverOutcome, bearers: Mapping[str, object], fields: frozenset[str]) -> None:
+    def __init__(self, outcome: SolverOutcome, meanings: Mapping[str, object], fields: frozenset[str]) -> None:
         self._values = outcome.values.get(_FINDINGS, {})
-        self._bearers = bearers
+        self._bearers = meanings
         if missing := sorted(fields - self._values.keys()):
-            raise AlloyFailed(f"Alloy's answer does not say all that was asked ({', '.join(missing)})")
+            raise AlloyFailed(f"Alloy's answer is incomplete: no {', '.join(missing)}")
 
-    def bearer(self, atom: str) -> object:
+    def meaning(self, atom: str) -> object:
         try:
             return self._bearers[_name(atom)]
         except KeyError:
-            raise AlloyFailed(f"Alloy's answer speaks of {atom}, which is not in the dump") from None
+            raise AlloyFailed(f"Alloy's answer contains {atom}, which is not in the dump") from None
 
     def field(self, field: str) -> list[tuple[object, ...]]:
-        """The tuples of a field of Findings; none where the dump does not ask for it."""
-        return [tuple(self.bearer(each) for each in entry) for entry in self._values.get(field, [])]
+        """The tuples of a field of Findings; none if the dump has no such field."""
+        return [tuple(self.meaning(each) for each in entry) for entry in self._values.get(field, [])]
 
     def steps(self, field: str) -> list[StepName]:
-        return [named for (named,) in self.field(field) if isinstance(named, StepName)]
+        return [name for (name,) in self.field(field) if isinstance(name, StepName)]
 
     def systems(self, field: str) -> list[SystemName]:
-        return [named for (named,) in self.field(field) if isinstance(named, SystemName)]
+        return [name for (name,) in self.field(field) if isinstance(name, SystemName)]
 
 
 def _name(atom: str) -> str:
@@ -56,33 +56,33 @@ def _name(atom: str) -> str:
 
 
 def instance(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> AlloyInstance:
-    """What the dump's `Verdict` found. Raises AlloyFailed where there is none: the dump must have an instance."""
-    told = outcomes.get(VERDICT)
-    if told is None or not told.satisfiable:
+    """The instance of the dump's `Verdict`. Raises AlloyFailed where there is none: the dump must have one."""
+    verdict = outcomes.get(VERDICT)
+    if verdict is None or not verdict.satisfiable:
         raise AlloyFailed("the dump contradicts itself: Alloy finds no instance of it")
-    return AlloyInstance(told, dump.bearers, dump.fields)
+    return AlloyInstance(verdict, dump.meanings, dump.fields)
 
 
 def confirm(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> None:
-    """That nothing was found is said a second time, by the checks. Raises AlloyFailed where they say otherwise."""
+    """Confirm with the checks that nothing was found. Raises AlloyFailed where one does not hold."""
     for check in dump.checks:
         if check not in outcomes or outcomes[check].satisfiable:
-            raise AlloyFailed(f"Alloy contradicts itself: it finds nothing, and the check {check} does not hold")
+            raise AlloyFailed(f"Alloy contradicts itself: it finds no violation, but the check {check} does not hold")
 
 
 def first_failure(dump: Dump, found: AlloyInstance) -> int | None:
-    """The first step (0: the start) that fails, or whose configuration is not valid; None where there is none."""
-    numbers = [stray.step for stray in dump.strays if stray.step is not None]
-    numbers += [named.number for field in ("refused", "wrong") for named in found.steps(field)]
-    numbers += [named.number for named in found.systems("invalid") if named.number < len(dump.configurations)]
+    """The first step (0: the start) that fails or whose configuration is invalid; None where there is none."""
+    numbers = [each.step for each in dump.unencodable if each.step is not None]
+    numbers += [step.number for field in ("refused", "wrong") for step in found.steps(field)]
+    numbers += [system.number for system in found.systems("invalid") if system.number < len(dump.configurations)]
     return min(numbers, default=None)
 
 
-def unexplained(dump: Dump, found: AlloyInstance) -> int | None:
-    """The first step that fails, where only its own detailed dump tells why; None where this one does."""
+def step_to_explain(dump: Dump, found: AlloyInstance) -> int | None:
+    """The first step that fails, if a detailed dump of it is needed to know why."""
     number = first_failure(dump, found)
-    strays = {stray.step for stray in dump.strays}
-    if number in {None, dump.detail} | strays or number in {named.number for named in found.steps("wrong")}:
+    unencodable = {each.step for each in dump.unencodable}
+    if number in {None, dump.detail} | unencodable or number in {step.number for step in found.steps("wrong")}:
         return None
     return number
 
@@ -90,7 +90,7 @@ def unexplained(dump: Dump, found: AlloyInstance) -> int | None:
 def findings(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> list[Finding]:
     """What does not hold: the declarations, else the start, else the first step that fails, else the end.
 
-    Why a step fails is in the answers to its detailed dump. Raises AlloyFailed where the answer is none.
+    The reasons for a failed step are in the answer to its detailed dump. Raises AlloyFailed for an invalid answer.
     """
     tracer = _Tracer(dump, instance(dump, outcomes))
     parts: tuple[Callable[[], Iterator[Finding]], ...] = (
@@ -109,24 +109,24 @@ class _Tracer:
     def __init__(self, dump: Dump, found: AlloyInstance) -> None:
         self.dump = dump
         self.instance = found
-        self.refused = {named.number for named in found.steps("refused")}
-        self.wrong = {named.number for named in found.steps("wrong")}
-        self.invalid = {named.number for named in found.systems("invalid")}
+        self.refused = {step.number for step in found.steps("refused")}
+        self.wrong = {step.number for step in found.steps("wrong")}
+        self.invalid = {system.number for system in found.systems("invalid")}
 
-    def _all(self, field: str) -> list[tuple[object, ...]]:
+    def _tuples(self, field: str) -> list[tuple[object, ...]]:
         return self.instance.field(field)
 
-    # -- the parts, in the order in which they matter -----------------------------------------------------
+    # -- the parts, in the order of their priority -----------------------------------------------------
 
     def rules(self) -> Iterator[Finding]:
-        for (clause,) in self._all("faults"):
+        for (clause,) in self._tuples("faults"):
             yield Finding("rule", None, "the declarations", "rule", str(clause))
 
     def start(self) -> Iterator[Finding]:
         where = "the configuration" if self.dump.steps is None else "at the start"
         if self.dump.steps is None:
-            for stray in self.dump.strays:
-                yield Finding("attachment", None, where, "attachment", stray.told)
+            for each in self.dump.unencodable:
+                yield Finding("attachment", None, where, "attachment", each.reason)
         if 0 in self.invalid:
             yield from self._configuration(0, where)
 
@@ -139,17 +139,17 @@ class _Tracer:
         if self.dump.steps is None:
             return
         where = "at the end"
-        for stray in self.dump.strays:
-            if stray.step is None:
-                yield Finding("end", None, where, "target", stray.told.removeprefix("at the end "))
-        for connector, port in self._all("missing"):
-            yield Finding("end", None, where, str(port), f"it should be attached to {connector}, and is not")
-        for connector, port in self._all("extra"):
-            yield Finding("end", None, where, str(port), f"it is attached to {connector}, and should not be")
-        for (component,) in self._all("absent"):
-            yield Finding("end", None, where, str(component), "it should be live, and is not")
-        for (component,) in self._all("left"):
-            yield Finding("end", None, where, str(component), "it is live, and should not be")
+        for each in self.dump.unencodable:
+            if each.step is None:
+                yield Finding("end", None, where, "target", each.reason.removeprefix("at the end "))
+        for connector, port in self._tuples("missing"):
+            yield Finding("end", None, where, str(port), f"it should be attached to {connector}")
+        for connector, port in self._tuples("extra"):
+            yield Finding("end", None, where, str(port), f"it should not be attached to {connector}")
+        for (component,) in self._tuples("absent"):
+            yield Finding("end", None, where, str(component), "it should be live")
+        for (component,) in self._tuples("left"):
+            yield Finding("end", None, where, str(component), "it should not be live")
         if best is not None and best.satisfiable:
             yield from self._better(best, where)
 
@@ -157,28 +157,28 @@ class _Tracer:
 
     def _step(self, number: int, step: Step) -> Iterator[Finding]:
         where = f"step {number}, {step.describe()}"
-        strays = [stray for stray in self.dump.strays if stray.step == number]
-        if strays:
-            yield from (Finding("name", number, where, step.action.kind, stray.told) for stray in strays)
+        unencodable = [each for each in self.dump.unencodable if each.step == number]
+        if unencodable:
+            yield from (Finding("name", number, where, step.action.kind, each.reason) for each in unencodable)
             return
         if number in self.refused:
             yield from self._refused(number, step.action, where)
         elif number in self.wrong:
-            yield Finding("effect", number, where, step.action.kind, "its effect is not what the action does")
+            yield Finding("effect", number, where, step.action.kind, "its effect is not that of the action")
         else:
             yield from self._configuration(number, f"after step {number}, {step.describe()}")
 
     def _refused(self, number: int, action: Action, where: str) -> Iterator[Finding]:
         before, after = self.dump.configurations[number - 1 : number + 1]
         found = False
-        for ref, assumption in self._all("lacking"):
+        for ref, assumption in self._tuples("lacking"):
             found = True
             yield self._lacking(after, ref, assumption, number, where, "precondition")
-        for connector, port in self._all("attached"):
+        for connector, port in self._tuples("attached"):
             found = True
             yield Finding("precondition", number, where, str(port), f"it is still attached to {connector}")
         reasons = [str(reason) for reason in action.check(before)]
-        for (clause,) in self._all("broken"):
+        for (clause,) in self._tuples("broken"):
             found = True
             because = "; ".join(reasons) or _DISAGREE
             yield Finding("precondition", number, where, action.kind, f"{clause} ({because})")
@@ -189,21 +189,21 @@ class _Tracer:
     def _configuration(self, at: int, where: str) -> Iterator[Finding]:
         configuration, number = self.dump.configurations[at], at or None
         found = False
-        for ref, assumption in self._all("unsatisfied"):
+        for ref, assumption in self._tuples("unsatisfied"):
             found = True
             yield self._lacking(configuration, ref, assumption, number, where, "assumption")
-        for (connector,) in self._all("crowded"):
+        for (connector,) in self._tuples("crowded"):
             found = True
             violation = cap_violation(configuration, str(connector))
             because = _DISAGREE if violation is None else violation.because
             yield Finding("cap", number, where, str(connector), because)
-        for (group,) in self._all("overloaded"):
+        for (group,) in self._tuples("overloaded"):
             found = True
             together = ", ".join(str(name) for name in group) if isinstance(group, tuple) else str(group)
-            yield Finding("capacity", number, where, together, "together they hold more of a resource than there is")
+            yield Finding("capacity", number, where, together, "together they exceed a resource")
         if not found:
             yield Finding(
-                "attachment", number, where, "structure", "a mode or an attachment belongs to nothing that is live"
+                "attachment", number, where, "structure", "a mode or an attachment belongs to no live component"
             )
 
     def _lacking(
@@ -212,21 +212,21 @@ class _Tracer:
         assert isinstance(ref, FunctionalityRef)
         model: Assumption = assumption  # type: ignore[assignment]
         functionality = configuration.functionality(ref)
-        judge = Evaluator(configuration)
-        agreed = not judge.assumption_satisfied(ref, functionality, model)
-        because = judge.why_assumption_unsatisfied(ref, model) if agreed else f"assumes {model}: {_DISAGREE}"
+        evaluator = Evaluator(configuration)
+        agreed = not evaluator.assumption_satisfied(ref, functionality, model)
+        because = evaluator.why_assumption_unsatisfied(ref, model) if agreed else f"assumes {model}: {_DISAGREE}"
         subject = f"{ref} in mode {configuration.mode(ref).name}"
-        told = chain(configuration, ref, model)
+        causes = chain(configuration, ref, model)
         if kind == "precondition":
-            return Finding("precondition", number, where, subject, because, str(model), told)
-        return Finding("assumption", number, where, subject, because, str(model), told)
+            return Finding("precondition", number, where, subject, because, str(model), causes)
+        return Finding("assumption", number, where, subject, because, str(model), causes)
 
     def _better(self, best: SolverOutcome, where: str) -> Iterator[Finding]:
         raised = [entry for name, tuples in best.skolems.items() if name.endswith("_to") for entry in tuples]
-        better = [self.instance.bearer(mode) for _, mode in raised]
-        told = [mode for mode in better if isinstance(mode, ModeName)]
-        if not told:
+        better = [self.instance.meaning(mode) for _, mode in raised]
+        modes = [mode for mode in better if isinstance(mode, ModeName)]
+        if not modes:
             yield Finding("end", None, where, "modes", "some functionality could be in a better mode")
-        for mode in told:
-            together = " (together with the others)" if len(told) > 1 else ""
+        for mode in modes:
+            together = " (together with the others)" if len(modes) > 1 else ""
             yield Finding("end", None, where, str(mode.functionality), f"it could be in mode {mode.mode}{together}")

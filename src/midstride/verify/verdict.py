@@ -1,4 +1,4 @@
-"""Verdicts are data: HOLDS, VIOLATED or UNKNOWN, with what was judged, by what, how far, and what does not hold."""
+"""Verdicts as data: HOLDS, VIOLATED or UNKNOWN, with the subject, the verifier, the scope, and the findings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from midstride.codec.form import Form
 
 
 class Answer(Enum):
-    """UNKNOWN is neither a yes nor a no: nothing could be judged, and ``Verdict.because`` says why."""
+    """UNKNOWN is neither yes nor no: ``Verdict.because`` says why there is no answer."""
 
     HOLDS = "holds"
     VIOLATED = "violated"
@@ -25,18 +25,18 @@ Kind = Literal[
 ]
 
 
-class CauseLink(Form, frozen=True):
-    """One link of the chain from an assumption to what falls short, for the picture."""
+class CauseLink(Form, frozen=True, rename={"detail": "told"}):
+    """One link of the chain from an assumption to its unmet cause, for diagrams."""
 
     thing: Literal["functionality", "assumption", "input", "topic", "output", "environment"]
     name: str
-    told: str
+    detail: str
     satisfied: bool
     under: tuple[CauseLink, ...] = ()
 
 
 class Finding(Form, frozen=True, omit_defaults=False):
-    """One thing that does not hold, in the file's own names.
+    """One violation, in the names of the file.
 
     ``step`` counts from 1; None is the configuration at the start (or the only one), the declarations, or the end.
     """
@@ -55,7 +55,7 @@ class Finding(Form, frozen=True, omit_defaults=False):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """The answer to one question. ``steps`` are a judged plan's, in words; ``failed`` is the first that fails."""
+    """The answer to one question. ``steps`` are a plan's; ``failed`` is the first that fails."""
 
     answer: Answer
     subject: str
@@ -72,7 +72,7 @@ class Verdict:
 
     @property
     def headline(self) -> str:
-        """What was judged, and the answer."""
+        """The answer, and its subject."""
         return f"{self.answer}: {self.subject}"
 
     @property
@@ -86,8 +86,8 @@ class Verdict:
         return min((finding.step for finding in self.findings if finding.step is not None), default=None)
 
     def __str__(self) -> str:
-        told = f"{self.headline} ({self.scope}; {self.by})"
-        return told if self.because is None else f"{told}: {self.because}"
+        text = f"{self.headline} ({self.scope}; {self.by})"
+        return text if self.because is None else f"{text}: {self.because}"
 
 
 class VerdictForm(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):

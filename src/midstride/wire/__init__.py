@@ -1,8 +1,8 @@
 """The control plane: what crosses between the manager and its components, and how it travels.
 
-Each component listens on an address of its own; the manager connects to it, and so does the component's
-peer of a hand-over. :mod:`.commands` are the typed commands, each with its reply; :mod:`.state` is what a
-component says of itself; :mod:`.frames` is the envelope and its one codec; :mod:`.transport` says what a
-transport is, :mod:`.sockets` is the one of real systems (Unix sockets), :mod:`.pipe` an in-memory one.
-:mod:`.channel` and :mod:`.command_server` are the two ends of a connection. Nothing here uses ROS.
+Each component listens on its own address; the manager connects to it, and so does its peer of a hand-over.
+:mod:`.commands` has the typed commands, each with its reply; :mod:`.state` what a component reports; :mod:`.frames` the
+envelope and its codec. :mod:`.transport` defines what a transport is: :mod:`.sockets` is that of real systems (Unix
+sockets, in the folders of :mod:`.folders`), :mod:`.pipe` an in-memory one. :mod:`.channel` and :mod:`.command_server`
+are the two ends of a connection. Nothing here uses ROS.
 """

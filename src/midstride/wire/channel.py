@@ -88,7 +88,7 @@ class Channel:
         return await self.send(request, timeout)
 
     async def send(self, request: Request, timeout: float) -> Reply:
-        """As :meth:`request`, for a request that is made already. Its id must not be that of one under way."""
+        """As :meth:`request`, for a complete request. Its id must not be that of one under way."""
         name = self.greeting.instance
         if self.closed.is_set():
             raise Unreachable(f"{name} has closed its control connection")
@@ -101,12 +101,14 @@ class Channel:
             await self._connection.send(encode(request))
             return await waiting
         finally:
-            self._waiting.pop(request.id, None)
+            if self._waiting.get(request.id) is waiting:  # not that of a repetition
+                del self._waiting[request.id]
             if waiting.done() and not waiting.cancelled():
                 waiting.exception()  # retrieved: the connection may have ended while the request was being sent
 
     def close(self) -> None:
-        """Close it from here; ``ended`` is not called."""
+        """Close the connection; neither ``report`` nor ``ended`` is called any more."""
+        self._report = lambda _: None
         self._ended = lambda: None
         self._reading.cancel()
         self._end("the connection was closed at this end")
@@ -130,7 +132,7 @@ class Channel:
     def _take(self, line: bytes) -> None:
         frame = decode_from_component(line)
         if isinstance(frame, Reply):
-            waiting = self._waiting.pop(frame.id, None)  # None: the request was given up, and its reply is late
+            waiting = self._waiting.pop(frame.id, None)  # None: the request has timed out, and its reply is late
             if waiting is not None and not waiting.done():
                 waiting.set_result(frame)
         elif isinstance(frame, (Registration, StateChanged)):
@@ -170,12 +172,12 @@ async def _within(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T
 
 
 def result_of(reply: Reply, command: Command[R]) -> R:
-    """What the command came to. Raises CommandRefused with the component's reason, ProtocolError."""
+    """The result of the command. Raises CommandRefused with the component's reason, ProtocolError."""
     if reply.refused is not None:
         raise CommandRefused(reply.refused)
     try:
         result: Any = msgspec.json.decode(reply.result, type=command.reply)
     except INVALID as error:
-        raise ProtocolError(f"the reply to `{command.name}` is not one: {error}") from None
+        raise ProtocolError(f"the reply to `{command.name}` is malformed: {error}") from None
     found: R = result
     return found

@@ -50,7 +50,7 @@ class _Client:
         self._flushed.set()
 
     def put(self, frame: Frame) -> None:
-        """Send ``frame`` after what was put before, save that a state not yet sent is replaced."""
+        """Send ``frame`` after earlier ones; a state replaces an earlier one that is not yet sent."""
         if isinstance(frame, StateChanged):
             waiting, self._state = self._state, frame
             if waiting is not None:
@@ -144,7 +144,7 @@ class CommandServer:
             connection.close()
 
     async def _hello(self, connection: Connection) -> Hello | None:
-        """The client's greeting; None where there is none, or one of another version: ours says which is spoken."""
+        """The client's greeting; None where it is missing, or of another version (ours names the right one)."""
         receiving = asyncio.ensure_future(self._receive(connection))
         try:
             await asyncio.wait({receiving}, timeout=HELLO_TIMEOUT)
@@ -160,7 +160,7 @@ class CommandServer:
         self._clients.append(client)
         tasks = {asyncio.ensure_future(work) for work in (self._read(client, token), client.write())}
         try:
-            # The writer finds out first that a client is gone whose requests are not read because of UNDER_WAY.
+            # Only the writer notices the end of a client whose requests are not read because of UNDER_WAY.
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
         finally:
             self._clients.remove(client)
@@ -168,7 +168,7 @@ class CommandServer:
                 task.cancel()
 
     async def _read(self, client: _Client, token: str) -> None:
-        with contextlib.suppress(Unreachable, ProtocolError):  # it is gone, or sends what is not a request
+        with contextlib.suppress(Unreachable, ProtocolError):  # it is gone, or has sent something else
             await client.room.acquire()
             while isinstance(request := await self._receive(client.connection), Request):
                 answering = asyncio.ensure_future(self._answer(client, request, token))

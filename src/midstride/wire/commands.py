@@ -1,7 +1,7 @@
 """The commands of the control plane, each with its reply.
 
-Times are integers of nanoseconds on the ROS clock unless said otherwise; durations are seconds. A *gate* stands in
-front of each attached output: closed, it counts and type-checks what the component writes and passes nothing on.
+Times are integers of nanoseconds on the ROS clock unless stated otherwise; durations are seconds. Each attached output
+has a *gate*: while it is closed, what the component writes is counted and type-checked, and not published.
 
 A *reading* command changes nothing and needs no revision. A *changing* one names the revision that its sender expects
 the component to be at; the component refuses it at any other. A command between the two components of a hand-over is
@@ -27,7 +27,7 @@ CutOutcome: TypeAlias = Literal["waiting", "done", "resumed", "cancelled"]
 
 
 class Done(Value, frozen=True, kw_only=True):
-    """Carried out; there is nothing to add."""
+    """Carried out; there is nothing to report."""
 
 
 class Grid(Value, frozen=True, kw_only=True):
@@ -44,7 +44,7 @@ class Grid(Value, frozen=True, kw_only=True):
 
 
 class Receipt(msgspec.Struct, frozen=True, array_like=True):
-    """One received message: when (steady ns), and what the middleware tells of it, None where it does not."""
+    """One received message: when (steady ns), and what the middleware reports about it, None where it does not."""
 
     received: int
     source: int | None
@@ -67,7 +67,7 @@ class ExportedState(Value, frozen=True, kw_only=True):
 
 
 class GatedWrites(Value, frozen=True, kw_only=True):
-    """How many messages were written behind the gate; ``wrong_type`` says what was wrong with the last that failed."""
+    """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one."""
 
     gated: int
     wrong_type: str | None
@@ -83,7 +83,7 @@ class LastWrite(Value, frozen=True, kw_only=True):
 class CutResult(Value, frozen=True, kw_only=True):
     """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
 
-    Old side: *done* once it has passed the cut and the new side has written. *waiting*: not over within the time-out.
+    Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
     """
 
     outcome: CutOutcome
@@ -117,13 +117,13 @@ class ParametersBefore(Value, frozen=True, kw_only=True):
 
 
 class Recording(Value, frozen=True, kw_only=True):
-    """Since when it records, or no longer does: steady ns."""
+    """When recording started or stopped: steady ns."""
 
     now: int
 
 
 class Relieved(Value, frozen=True, kw_only=True):
-    """``resumed``: too late, the old side writes again."""
+    """``resumed``: it is too late, and the old side writes again."""
 
     resumed: bool
 
@@ -132,7 +132,7 @@ class Relieved(Value, frozen=True, kw_only=True):
 
 
 class Command(Value, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
-    """``timeout`` is how long the component may take over it (s); ``reply`` is the class of its reply."""
+    """``timeout`` is how long the component may take (s); ``reply`` is the class of its reply."""
 
     kind: ClassVar[Kind] = "changing"
     reply: ClassVar[type[Value]] = Done
@@ -174,7 +174,7 @@ class RecordsCommand(Command[Records], frozen=True, kw_only=True, tag="records")
 
 
 class ExportStateCommand(Command[ExportedState], frozen=True, kw_only=True, tag="export_state"):
-    """The component's own state, for its replacement."""
+    """The state of the component's user code, for its replacement."""
 
     kind = "reading"
     reply = ExportedState
@@ -231,7 +231,7 @@ class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
 
 
 class ModesCommand(Command[ModesBefore], frozen=True, kw_only=True, tag="modes"):
-    """Change modes between two calls of user code; refused, and taken back, if a call does not return in time."""
+    """Change modes between two calls of user code; refused, and withdrawn, if a call does not return in time."""
 
     reply = ModesBefore
     modes: dict[str, str]
@@ -260,7 +260,7 @@ class RecordCommand(Command[Recording], frozen=True, kw_only=True, tag="record")
 
 
 class MeetCommand(Command[Done], frozen=True, kw_only=True, tag="meet"):
-    """Connect to the peer of a hand-over, at its address, and have it answer."""
+    """Connect to the peer of a hand-over at its address, and ping it."""
 
     peer: str
     address: str

@@ -1,4 +1,4 @@
-"""The environment variables that tell a component's process which instance of which system it is."""
+"""The environment variables from which a component's process learns which instance of which system it is."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ ENV_NAMESPACE: Final = "MIDSTRIDE_NAMESPACE"
 ENV_TOKEN: Final = "MIDSTRIDE_TOKEN"
 ENV_BACKEND: Final = "MIDSTRIDE_BACKEND"
 ENV_PARAMETERS: Final = "MIDSTRIDE_PARAMETERS"
-# The folder of the system's control sockets, which the manager passes on.
+# The folder of the system's control sockets.
 ENV_CONTROL: Final = "MIDSTRIDE_CONTROL"
 # The system that a component started by hand belongs to, by name.
 ENV_SYSTEM: Final = "MIDSTRIDE_SYSTEM"

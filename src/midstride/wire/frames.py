@@ -26,7 +26,7 @@ class Frame(Value, frozen=True, kw_only=True, tag_field="frame"):
 
 
 class Greeting(Frame, frozen=True, kw_only=True, tag="greeting"):
-    """The component's first words. ``start_token`` is the token it was started with, empty where started by hand."""
+    """The component's first frame. ``start_token`` is the token it was started with, empty where started by hand."""
 
     protocol: int
     instance: str
@@ -36,7 +36,7 @@ class Greeting(Frame, frozen=True, kw_only=True, tag="greeting"):
 
 
 class Hello(Frame, frozen=True, kw_only=True, tag="hello"):
-    """The client's first words."""
+    """The client's first frame."""
 
     protocol: int
     token: str
@@ -45,7 +45,7 @@ class Hello(Frame, frozen=True, kw_only=True, tag="hello"):
 class Request(Frame, frozen=True, kw_only=True, tag="request"):
     """A command. A request repeated with the same ``id`` gets the first reply again and changes nothing.
 
-    ``revision``: the one its sender expects the component to be at; None for what changes nothing.
+    ``revision``: the one that the sender expects the component to be at; None for commands that change nothing.
     """
 
     id: str
@@ -54,7 +54,7 @@ class Request(Frame, frozen=True, kw_only=True, tag="request"):
 
 
 class Reply(Frame, frozen=True, kw_only=True, tag="reply"):
-    """What came of a request. ``refused`` is None where it was carried out; ``revision`` is the component's now."""
+    """The outcome of a request. ``refused``: the reason, None where it was carried out. ``revision``: that it is at."""
 
     id: str
     revision: int
@@ -74,7 +74,7 @@ class Registration(Frame, frozen=True, kw_only=True, tag="registration"):
 
 
 class StateChanged(Frame, frozen=True, kw_only=True, tag="state"):
-    """The component's state, after every change and now and then."""
+    """The component's state, after every change and at regular intervals."""
 
     state: ComponentState
 
@@ -156,7 +156,7 @@ def decode_command(request: Request) -> Command[Any]:
 
 
 def command_name(request: Request) -> str:
-    """The name that a request gives its command, whether that is one or not."""
+    """The name of a request's command, known or not."""
     try:
         return _named.decode(request.command).command
     except INVALID:

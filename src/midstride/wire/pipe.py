@@ -37,7 +37,7 @@ class PipeEnd:
         return self._frames.popleft()
 
     def arrive(self, frame: bytes | None) -> None:
-        """A frame from the other end, or its end."""
+        """A frame from the other end; None when that end has closed."""
         if not self.closed:
             self._frames.append(frame)
             self._arrived.set()
@@ -83,6 +83,9 @@ class PipeNetwork:
     def address(self, instance: str) -> str:
         return f"{_SCHEME}{instance}"
 
+    def instance(self, address: str) -> str:
+        return address.removeprefix(_SCHEME)
+
     def present(self) -> dict[str, str]:
         return {instance: self.address(instance) for instance in sorted(self.listeners)}
 
@@ -93,7 +96,7 @@ class PipeNetwork:
         return self.listeners[instance]
 
     async def connect(self, address: str) -> PipeEnd:
-        listener = self.listeners.get(address.removeprefix(_SCHEME))
+        listener = self.listeners.get(self.instance(address))
         if listener is None:
             raise Unreachable(f"nothing listens at {address}")
         ours, theirs = pipe()

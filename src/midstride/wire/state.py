@@ -1,4 +1,4 @@
-"""What a component says of itself: its registration, once, and its state, after every change."""
+"""What a component reports: its registration, once, and its state, after every change."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class LinkState(Value, frozen=True, kw_only=True):
 
 
 class ComponentState(Value, frozen=True, kw_only=True):
-    """``revision`` counts the component's changes. ``waiting`` says what it waits for, if anything.
+    """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
 
     ``stopping`` is how long it may take to end in order (s). ``ports`` maps port -> topic -> attachment.
     """

@@ -1,4 +1,4 @@
-"""What a transport of the control plane is: addresses, connections, and a way to listen and to find who listens."""
+"""What a transport of the control plane is: addresses, connections, listening, and finding components."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ Serve = Callable[[Connection], Awaitable[None]]
 
 
 class Listener(Protocol):
-    """Somewhere a component listens."""
+    """A component that listens."""
 
     def close(self) -> None:
         """No further connections; those that are open stay."""
@@ -32,7 +32,7 @@ class Listener(Protocol):
 
 
 class Transport(Protocol):
-    """Where the components of one system listen. An address is a word: it can be sent and stored."""
+    """Where the components of one system listen. An address is a string that can be sent and stored."""
 
     async def listen(self, instance: str, serve: Serve) -> Listener:
         """Have ``serve`` called with each connection to ``instance``. Raises NodeError where the name is taken."""
@@ -47,5 +47,5 @@ class Transport(Protocol):
         ...
 
     def present(self) -> dict[str, str]:
-        """The components that have an address now, dead ones perhaps included: instance -> address."""
+        """The components that have an address now, possibly dead ones among them: instance -> address."""
         ...

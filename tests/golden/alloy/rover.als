@@ -1,11 +1,11 @@
 /*
  * rover: a plan of 4 steps, by strategy minimal
  *
- * Every atom below is one thing of the file, and every relation is given in full. To judge it, execute
- *   Verified     no counterexample: configurations are valid, steps may be taken and do as they say
- *   Rules        no counterexample: satisfaction is a preorder, and the declarations keep M1 and M2
- *   Verdict      always has an instance: the fields of Findings say what does not hold
- *   Best         no counterexample: at the end nothing could be in a better mode
+ * Each atom below is one element of the file, and every relation is complete. Execute
+ *   Verified     no counterexample: configurations are valid, steps are allowed and have the stated effect
+ *   Rules        no counterexample: satisfaction is a preorder, and the declarations obey M1 and M2
+ *   Verdict      always has an instance: the fields of Findings list what does not hold
+ *   Best         no counterexample: at the end no functionality could be in a better mode
  */
 
 one sig Twist_10Hz extends Predicate {}  -- geometry_msgs/msg/Twist @ 10 Hz
@@ -110,7 +110,7 @@ one sig step2 extends Step {}
 pred step2_may { can_upgrade_all[S1, left_2_see_f -> left_2_see_normal] }
 pred step2_holds { upgrade_all[S1, S2, left_2_see_f -> left_2_see_normal] }
 
-/* step 3: hand over /image: left.out -> left_2.out */
+/* step 3: hand over /image from left.out to left_2.out */
 one sig step3 extends Step {}
 pred step3_may { some univ and some univ and can_handover_within[S2, topic_image -> left_out -> left_2_out] }
 pred step3_holds { some univ and some univ and can_handover_within[S2, topic_image -> left_out -> left_2_out] and handover[S2, S3, topic_image -> left_out -> left_2_out] }
@@ -123,9 +123,9 @@ pred step4_holds { remove[S3, S4, left] }
 /* What does not hold. */
 abstract sig Clause {}
 one sig the_satisfaction_relation_is_not_reflexive_and_transitive extends Clause {}
-one sig a_port_functionality_or_mode_is_not_declared_as_one_component_s_own extends Clause {}
+one sig a_port_functionality_or_mode_does_not_belong_to_exactly_one_component extends Clause {}
 one sig the_modes_of_a_functionality_are_not_a_chain extends Clause {}
-one sig a_last_mode_assumes_something extends Clause {}
+one sig a_last_mode_has_an_assumption extends Clause {}
 one sig a_worse_mode_guarantees_what_a_better_one_does_not extends Clause {}
 one sig Findings {
   refused: set Step,
@@ -139,7 +139,7 @@ one sig Findings {
 }
 pred findings {
   Findings.invalid = { s: System | not valid[s] }
-  Findings.faults = (preorder implies none else the_satisfaction_relation_is_not_reflexive_and_transitive) + (declared implies none else a_port_functionality_or_mode_is_not_declared_as_one_component_s_own) + (chains implies none else the_modes_of_a_functionality_are_not_a_chain) + (M1 implies none else a_last_mode_assumes_something) + (M2 implies none else a_worse_mode_guarantees_what_a_better_one_does_not)
+  Findings.faults = (preorder implies none else the_satisfaction_relation_is_not_reflexive_and_transitive) + (declared implies none else a_port_functionality_or_mode_does_not_belong_to_exactly_one_component) + (chains implies none else the_modes_of_a_functionality_are_not_a_chain) + (M1 implies none else a_last_mode_has_an_assumption) + (M2 implies none else a_worse_mode_guarantees_what_a_better_one_does_not)
   Findings.missing = S5.roles - S4.roles
   Findings.extra = S4.roles - S5.roles
   Findings.absent = S5.comps - S4.comps
@@ -154,7 +154,7 @@ pred findings {
   step4 in Findings.wrong iff step4_may and not step4_holds
 }
 
-/* The better modes there are at the end; none of them may be entered. */
+/* The better modes that exist at the end; no upgrade to any of them is allowed. */
 fun better: Functionality -> Mode {
   { f: S4.comps.funcs, m: f.modes | S4.cur_mode[f] in m.worse }
 }

@@ -1,11 +1,11 @@
 /*
  * talker: a plan of 7 steps, by strategy paper
  *
- * Every atom below is one thing of the file, and every relation is given in full. To judge it, execute
- *   Verified     no counterexample: configurations are valid, steps may be taken and do as they say
- *   Rules        no counterexample: satisfaction is a preorder, and the declarations keep M1 and M2
- *   Verdict      always has an instance: the fields of Findings say what does not hold
- *   Best         no counterexample: at the end nothing could be in a better mode
+ * Each atom below is one element of the file, and every relation is complete. Execute
+ *   Verified     no counterexample: configurations are valid, steps are allowed and have the stated effect
+ *   Rules        no counterexample: satisfaction is a preorder, and the declarations obey M1 and M2
+ *   Verdict      always has an instance: the fields of Findings list what does not hold
+ *   Best         no counterexample: at the end no functionality could be in a better mode
  */
 
 one sig String_10Hz extends Predicate {}  -- std_msgs/msg/String @ 10 Hz
@@ -119,9 +119,9 @@ pred step7_holds { upgrade_all[S6, S7, listener_listen_f -> listener_listen_norm
 /* What does not hold. */
 abstract sig Clause {}
 one sig the_satisfaction_relation_is_not_reflexive_and_transitive extends Clause {}
-one sig a_port_functionality_or_mode_is_not_declared_as_one_component_s_own extends Clause {}
+one sig a_port_functionality_or_mode_does_not_belong_to_exactly_one_component extends Clause {}
 one sig the_modes_of_a_functionality_are_not_a_chain extends Clause {}
-one sig a_last_mode_assumes_something extends Clause {}
+one sig a_last_mode_has_an_assumption extends Clause {}
 one sig a_worse_mode_guarantees_what_a_better_one_does_not extends Clause {}
 one sig Findings {
   refused: set Step,
@@ -135,7 +135,7 @@ one sig Findings {
 }
 pred findings {
   Findings.invalid = { s: System | not valid[s] }
-  Findings.faults = (preorder implies none else the_satisfaction_relation_is_not_reflexive_and_transitive) + (declared implies none else a_port_functionality_or_mode_is_not_declared_as_one_component_s_own) + (chains implies none else the_modes_of_a_functionality_are_not_a_chain) + (M1 implies none else a_last_mode_assumes_something) + (M2 implies none else a_worse_mode_guarantees_what_a_better_one_does_not)
+  Findings.faults = (preorder implies none else the_satisfaction_relation_is_not_reflexive_and_transitive) + (declared implies none else a_port_functionality_or_mode_does_not_belong_to_exactly_one_component) + (chains implies none else the_modes_of_a_functionality_are_not_a_chain) + (M1 implies none else a_last_mode_has_an_assumption) + (M2 implies none else a_worse_mode_guarantees_what_a_better_one_does_not)
   Findings.missing = S8.roles - S7.roles
   Findings.extra = S7.roles - S8.roles
   Findings.absent = S8.comps - S7.comps
@@ -156,7 +156,7 @@ pred findings {
   step7 in Findings.wrong iff step7_may and not step7_holds
 }
 
-/* The better modes there are at the end; none of them may be entered. */
+/* The better modes that exist at the end; no upgrade to any of them is allowed. */
 fun better: Functionality -> Mode {
   { f: S7.comps.funcs, m: f.modes | S7.cur_mode[f] in m.worse }
 }

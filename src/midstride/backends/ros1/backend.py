@@ -28,7 +28,7 @@ from midstride.wire.environment import ENV_INSTANCE
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Transport
 
-# How long taking back what a dead node has registered may delay the news of its death (s).
+# How long taking back the registrations of a dead node may delay the report of its end (s).
 _TIDY: Final = 1.0
 
 

@@ -92,7 +92,7 @@ class Ros1Host:
                 "(the master would end the first of two of one name)"
             )
 
-    # -- data side -----------------------------------------------------------------------------------
+    # -- data thread ---------------------------------------------------------------------------------
 
     @property
     def logger(self) -> Any:
@@ -123,7 +123,7 @@ class Ros1Host:
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros1GridTimer:
         return Ros1GridTimer(self._clock, period, epoch, callback)
 
-    # -- control side --------------------------------------------------------------------------------
+    # -- control thread ------------------------------------------------------------------------------
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
@@ -144,11 +144,11 @@ class Ros1Host:
         self._parameters.set(values)
 
     def _show_parameter(self, name: str, value: Any) -> None:
-        """On the data side: the parameter server may take its time."""
+        """On the data thread, which does not wait for the parameter server."""
 
         async def show() -> None:
             with contextlib.suppress(BackendError):
-                await self._master.ask("setParam", self._node, f"{self._node}/{name}", value)
+                await self._master.call("setParam", self._node, f"{self._node}/{name}", value)
 
         asyncio.run_coroutine_threadsafe(show(), self._loop)
 
@@ -165,26 +165,27 @@ class Ros1Host:
     async def _run(self, main: Callable[[], Awaitable[None]]) -> None:
         self._loop = asyncio.get_running_loop()
         task = asyncio.ensure_future(main())  # it answers its manager, and waits for the data thread
+        joining = asyncio.ensure_future(common.on_thread(self._join, _start_thread))
+        opened = False
         with common.ending_on_signals(task) as signals:
             try:
-                await asyncio.to_thread(self._join)
-            except BaseException:
-                task.cancel()
-                await asyncio.gather(task, return_exceptions=True)
-                raise
-            self._open(task)
-            if not signals:
-                self._data.start()
-            try:
+                await asyncio.wait({task, joining}, return_when=asyncio.FIRST_COMPLETED)
+                if joining.done() and not signals:
+                    joining.result()
+                    self._open(task)
+                    opened = True
                 await task
             except asyncio.CancelledError:
                 if not signals and not self._shut_down_because:
                     raise
             finally:
-                await self._close()
+                task.cancel()
+                await asyncio.gather(task, return_exceptions=True)
+                if opened:
+                    await self._close()
 
     def _join(self) -> None:
-        """Join ROS, in a thread: rospy waits for the master."""
+        """Join ROS. In a thread: rospy waits for the master, without a deadline."""
         rospy.init_node(self._node_name, argv=[sys.argv[0], *self._arguments], disable_signals=True)
         publishing.prepare()
         self._node = rospy.get_name()
@@ -193,12 +194,13 @@ class Ros1Host:
         common.with_short_pauses()
 
     def _open(self, main: asyncio.Future[None]) -> None:
-        """What the data thread needs, before it begins."""
+        """The node has joined: create its topics, and start the data thread."""
         loop, uri = self._loop, rospy.core.get_node_uri()
         self._publishers: Registrar[NumberedTopic] = Registrar("Publisher", self._master, self._node, uri, loop)
         self._subscribers: Registrar[FramedTopic] = Registrar("Subscriber", self._master, self._node, uri, loop)
         self._states = PortPublisher(names.STATE, String, _LATCHED, self.now, self._publishers)
         rospy.core.add_client_shutdown_hook(lambda: self._shut_down_by_others(loop, main))
+        self._data.start()
 
     async def _close(self) -> None:
         self._states.destroy()
@@ -209,7 +211,7 @@ class Ros1Host:
         """They are this instance's; the next one of its name must not find them."""
         with contextlib.suppress(BackendError):
             for name in self._parameters.names():
-                await self._master.ask("deleteParam", self._node, f"{self._node}/{name}", timeout=0.5)
+                await self._master.call("deleteParam", self._node, f"{self._node}/{name}", timeout=0.5)
 
     def _shut_down_by_others(self, loop: asyncio.AbstractEventLoop, main: asyncio.Future[None]) -> None:
         """rospy shuts down (`rosnode kill`, or another node of the name came up): end in order first."""
@@ -233,6 +235,10 @@ class Ros1Host:
                 with manager.cond:
                     manager.cond.notify_all()
             leaving.join(0.01)
+
+
+def _start_thread(function: Callable[[], None]) -> None:
+    threading.Thread(target=function, daemon=True).start()
 
 
 def _renamed(given: list[str], name: str) -> str:

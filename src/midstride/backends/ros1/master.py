@@ -42,7 +42,7 @@ class Master:
         self.uri = uri
         self.caller = caller
 
-    async def ask(self, method: str, *arguments: Any, timeout: float = rpc.PATIENCE) -> Any:
+    async def call(self, method: str, *arguments: Any, timeout: float = rpc.PATIENCE) -> Any:
         """The value that a method of the master returns. Raises BackendError with the master's own words."""
         answer = await rpc.call(self.uri, method, *arguments, timeout=timeout)
         if not isinstance(answer, list) or len(answer) != 3:
@@ -55,19 +55,19 @@ class Master:
     async def process(self, timeout: float = PROBE) -> int | None:
         """The pid of the master; None where no master answers."""
         try:
-            return int(await self.ask("getPid", self.caller, timeout=timeout))
+            return int(await self.call("getPid", self.caller, timeout=timeout))
         except (Unreachable, CallTimeout):
             return None
 
     async def state(self) -> SystemState:
-        publishers, subscribers, services = await self.ask("getSystemState", self.caller)
+        publishers, subscribers, services = await self.call("getSystemState", self.caller)
         kinds = [{name: tuple(nodes) for name, nodes in kind} for kind in (publishers, subscribers, services)]
         return SystemState(*kinds)
 
     async def address_of(self, node: str) -> str | None:
         """The address that a node has registered; None where the master knows no such node."""
         try:
-            return str(await self.ask("lookupNode", self.caller, node))
+            return str(await self.call("lookupNode", self.caller, node))
         except (Unreachable, CallTimeout):
             raise
         except BackendError:
@@ -83,12 +83,12 @@ class Master:
             for method, kind in (("Publisher", state.publishers), ("Subscriber", state.subscribers)):
                 for topic, nodes in kind.items():
                     if node in nodes:
-                        await self.ask(f"unregister{method}", node, topic, where)
+                        await self.call(f"unregister{method}", node, topic, where)
             for service, nodes in state.services.items():
                 if node in nodes:
-                    served_at = await self.ask("lookupService", self.caller, service)
-                    await self.ask("unregisterService", node, service, served_at)
-            await self.ask("unsubscribeParam", node, where, _PARAMETER)
+                    served_at = await self.call("lookupService", self.caller, service)
+                    await self.call("unregisterService", node, service, served_at)
+            await self.call("unsubscribeParam", node, where, _PARAMETER)
             if await self.address_of(node) is None:
                 return
             await self._forget_parameters(node, where)
@@ -106,8 +106,8 @@ class Master:
                 _, writer = await asyncio.open_connection(host, port)
         except ConnectionRefusedError:
             service, nowhere = f"{node}/gone", "http://127.0.0.1:1/"
-            await self.ask("registerService", node, service, "rosrpc://127.0.0.1:1", nowhere)
-            await self.ask("unregisterService", node, service, "rosrpc://127.0.0.1:1")
+            await self.call("registerService", node, service, "rosrpc://127.0.0.1:1", nowhere)
+            await self.call("unregisterService", node, service, "rosrpc://127.0.0.1:1")
         except (OSError, asyncio.TimeoutError):
             pass
         else:

@@ -25,8 +25,8 @@ ENV_STARTED: Final = "MIDSTRIDE_ROS1_MASTER"
 _START: Final = 10.0
 _GRACE: Final = 2.0
 _POLL: Final = 0.02
-# The stock master tells subscribers of new publishers by three workers that look for work ten times a second: a new
-# publisher is found after 50 to 100 ms, and three frozen subscribers keep all others waiting. These do better.
+# The stock master notifies subscribers of new publishers from three workers that look for work ten times a second: a
+# new publisher is found after 50 to 100 ms, and three frozen subscribers keep all others waiting. These do better.
 _PROGRAM: Final = """
 import sys
 from rosmaster import rosmaster_main, threadpool

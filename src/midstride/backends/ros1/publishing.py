@@ -1,13 +1,12 @@
-"""The publishers of a component: rospy's, with numbers and source times where a subscriber asks for them.
+"""The publishers of a component: rospy's, with numbers and source times where a subscriber requests them.
 
-A message of ROS 1 carries no number and no time of publication (semantics.md section 7 wants both). But
-connections begin with headers (:mod:`.connection_headers`): where a subscriber asks, each message on that connection
-ends with some bytes more, beyond the message's own length. Every other subscriber gets exactly what rospy
-would send. The header also names the publisher anew each time, so that two of one name, one after the
-other, are told apart.
+A message of ROS 1 carries no number and no time of publication, and Midstride needs both (docs/semantics.md section 7).
+But connections begin with headers (:mod:`.connection_headers`): where a subscriber requests it, each message on that
+connection is followed by a trailer, beyond the message's own length. Every other subscriber gets exactly what rospy
+would send. The header names each publisher by a new identity, which distinguishes two of one name, one after the other.
 
-To rospy a node has one connection to each subscriber of a topic, however many of its outputs are
-attached there: so the trailer says which of them wrote.
+A node has one connection to each subscriber of a topic, however many of its outputs are attached there, so the trailer
+also says which output wrote the message.
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from midstride.backends.ros1.subscriber_connection import SubscriberConnection
 from midstride.errors import NodeError
 from midstride.model.contract import QoS
 
-# What follows a message to who has asked for it: its number, from 1, when it was published (ns), which output of the
-# node wrote it, and whether it is one that was held for late joiners.
+# What follows a message where it was requested: its number, from 1, when it was published (ns), which output of the
+# node wrote it, and whether it was held for late joiners.
 TRAILER: Final = struct.Struct("<QQIB")
 _LENGTH: Final = struct.Struct("<I")
 # How long the end of a publisher may take: for the last messages to be sent, and for subscribers to have read them (s).
@@ -49,8 +48,8 @@ _joining = threading.local()
 def prepare() -> None:
     """Once, after rospy's start: let publishers see the headers of their subscribers.
 
-    And accept each connection in a thread of its own: rospy reads their headers one after another, so that
-    one peer that is frozen in the middle of its own keeps all others out, commands included.
+    And accept each connection in its own thread: rospy reads their headers one after another, so one peer that freezes
+    in the middle of its header would keep all others out.
     """
     server = rospy.impl.tcpros_base._tcpros_server
     handle = server.topic_connection_handler
@@ -76,7 +75,7 @@ def _joining_header() -> dict[str, str]:
 
 
 class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
-    """What rospy keeps of a topic that this node publishes; shared by the outputs that are attached to it."""
+    """rospy's object of a topic that this node publishes; shared by the outputs that are attached to it."""
 
     def __init__(self, topic: str, type_: Any, offered: QoS, control: asyncio.AbstractEventLoop) -> None:
         self._headers: dict[str, str] = {}
@@ -116,7 +115,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         return True
 
     def remove_connection(self, connection: Any) -> None:
-        """rospy, once a connection is closed: told by what it is, since its file's number may be another's by now."""
+        """rospy, once a connection is closed. Compared by identity: its file descriptor may be another one's by now."""
         with self.c_lock:
             self.connections = [
                 peer for peer in self.connections if peer is not connection and peer.transport is not connection
@@ -151,7 +150,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         return plain, b"".join((length, memoryview(plain)[4:], TRAILER.pack(number, source, port.index, held)))
 
     def publish(self, message: Any, connection_override: Any = None) -> bool:
-        """For an author who publishes on a port's topic by rospy's means: as if the first port had."""
+        """For an author's own rospy publisher on a port's topic: as if the first port had written."""
         if self.ports:
             self.send(self.ports[0], message, time.time_ns())
         return True
@@ -160,11 +159,11 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         return sum(not peer.gone.is_set() for peer in self.connections)
 
     def connected(self) -> int:
-        """Subscribers that are there, and request no more than is offered."""
+        """Subscribers that are connected and request no more than is offered."""
         return sum(peer.compatible and not peer.gone.is_set() for peer in self.connections)
 
     async def drained(self, timeout: float) -> bool:
-        """Whether every subscriber's machine has all that was written, within ``timeout`` seconds."""
+        """Whether every subscriber's machine has everything that was written, within ``timeout`` seconds."""
         deadline = time.monotonic() + timeout
         while not all(peer.idle for peer in self.connections):
             if time.monotonic() > deadline:
@@ -173,7 +172,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         return True
 
     async def leave(self) -> None:
-        """On the control side, once the last port has gone: everybody reads to the end, then the connections close."""
+        """On the control thread, without ports: every subscriber reads to the end, then the connections close."""
         peers: list[SubscriberConnection] = list(self.connections)
         await self.drained(FLUSH)
         for peer in peers:
@@ -186,7 +185,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
 
 
 class PortPublisher:
-    """See :class:`midstride.node.host.Publisher`. ``registrar`` is told of topics that are new, or given up."""
+    """See :class:`midstride.node.host.Publisher`. ``registrar`` registers new topics and unregisters the others."""
 
     def __init__(
         self, topic: str, type_: Any, qos: QoS, now: Callable[[], int], registrar: Registrar[NumberedTopic]
@@ -220,15 +219,15 @@ class PortPublisher:
         self._send(self, message, self._now())
 
     def matched(self) -> int:
-        """-1 until the master knows of it, and everybody who was there has had the time to connect."""
+        """-1 until the master lists it and the subscribers there have had time to connect."""
         return self.topic.connected() if self.topic.registered else -1
 
     async def acknowledged(self, timeout: float) -> bool | None:
-        """Whether every subscriber's machine has all; what its node has not read yet, it reads before the end."""
+        """Whether every subscriber's machine has all; what its node has not read yet, it still reads."""
         return await self.topic.drained(timeout) or None
 
     def destroy(self) -> None:
-        """What has been written still arrives."""
+        """Messages already written still arrive."""
         topic, manager = self.topic, get_topic_manager()
         with manager.lock:
             topic.ports = tuple(port for port in topic.ports if port is not self)

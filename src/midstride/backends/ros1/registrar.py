@@ -1,9 +1,9 @@
-"""What a component tells the master of its topics, and whether that has had its effect.
+"""Registers a component's topics with the master, and checks that the registration has had its effect.
 
-rospy tells the master in the thread that asks, without a deadline: a master that is frozen would hold
-user code for good. Here it is told on the control side. And where a subscriber that the master knows of does
-not connect (rospy's overlook a publisher that comes back while they are inside a callback), the master
-is told again, which makes it tell them again.
+rospy registers in the calling thread and without a deadline: a frozen master would block user code for ever. Here it
+happens on the control thread. And where a subscriber that the master lists does not connect (rospy's overlook a
+publisher that comes back while they are inside a callback), the topic is registered again, and the master notifies them
+again.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from rospy.impl.registration import RegManager, get_registration_listeners
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError
 
-# After how long (s), again and again, it is looked whether all have connected that should.
-_LOOKS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
-# A master that does not answer is asked again after this (s).
-_AGAIN: Final = 0.2
-# How long those whom the master knows on a topic are waited for (s), strangers to Midstride included. A dead node's
-# registration costs that much.
-_EVERYBODY: Final = 0.5
+# The pauses before each check that all nodes of a topic have connected (s).
+_CHECKS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
+# A master that does not answer is called again after this (s).
+_RETRY: Final = 0.2
+# How long to wait for the nodes that the master lists on a topic (s), Midstride's or not. A dead node's registration
+# costs as much.
+_PATIENCE: Final = 0.5
 _POLL: Final = 0.002
 
 
 class RegisteredTopic(Protocol):
-    """What rospy keeps of a topic, as far as it matters here.
+    """rospy's object of a topic, as far as it matters here.
 
-    ``registered``: the master knows of it, and whom the master knew of has had the time to connect.
+    ``registered``: the master lists it, and the nodes that the master listed there have had time to connect.
     """
 
     resolved_name: str
@@ -40,7 +40,7 @@ class RegisteredTopic(Protocol):
     given_up: bool
 
     def joined(self) -> int:
-        """How many others are connected, whatever they ask for."""
+        """How many others are connected, compatible or not."""
         ...
 
     async def leave(self) -> None: ...
@@ -62,16 +62,16 @@ class Registrar(Generic[T]):
         self._leaving: set[asyncio.Task[None]] = set()
 
     def join(self, topic: T) -> None:
-        """Have the master know of ``topic``."""
+        """Register ``topic``."""
         self.loop.call_soon_threadsafe(self._begin, self._join(topic), self._tasks)
 
     def leave(self, topic: T) -> None:
-        """``topic`` is given up: close it in order, and have the master forget it."""
+        """``topic`` is given up: close it in order, and unregister it."""
         self.loop.call_soon_threadsafe(self._begin, self._leave(topic), self._leaving)
 
     async def end(self, timeout: float) -> None:
-        """The component ends: what is being given up gets ``timeout`` seconds to be so."""
-        await asyncio.sleep(0)  # what has been asked for by now has begun
+        """The component ends: topics that are being given up have ``timeout`` seconds."""
+        await asyncio.sleep(0)  # what was queued by now has begun
         for task in self._tasks:
             task.cancel()
         if self._leaving:
@@ -84,17 +84,17 @@ class Registrar(Generic[T]):
 
     async def _join(self, topic: T) -> None:
         expected = -1
-        async with self._turns[topic.resolved_name]:  # one given up before must be gone before
+        async with self._turns[topic.resolved_name]:  # an earlier one that is being given up comes first
             while expected < 0 and not topic.given_up:
                 try:
                     expected = await self._register(topic)
                 except BackendError:
-                    await asyncio.sleep(_AGAIN)
-            deadline = self.loop.time() + _EVERYBODY
+                    await asyncio.sleep(_RETRY)
+            deadline = self.loop.time() + _PATIENCE
             while topic.joined() < expected and not topic.given_up and self.loop.time() < deadline:
                 await asyncio.sleep(_POLL)
             topic.registered = True
-        for pause in _LOOKS:
+        for pause in _CHECKS:
             if topic.given_up or topic.joined() >= expected:
                 return
             await asyncio.sleep(pause)
@@ -102,9 +102,9 @@ class Registrar(Generic[T]):
                 expected = await self._register(topic)
 
     async def _register(self, topic: T) -> int:
-        """Tell the master; how many others it knows on the topic."""
+        """Register with the master; how many others it lists on the topic."""
         node, uri = self._identity
-        others = await self._master.ask(f"register{self._kind}", node, topic.resolved_name, topic.type, uri)
+        others = await self._master.call(f"register{self._kind}", node, topic.resolved_name, topic.type, uri)
         if self._kind == "Subscriber":
             _connect(topic.resolved_name, others)
         return len(set(others))
@@ -113,12 +113,12 @@ class Registrar(Generic[T]):
         async with self._turns[topic.resolved_name]:
             await topic.leave()
             node, uri = self._identity
-            with suppress(BackendError):  # a master that is gone knows of nothing
-                await self._master.ask(f"unregister{self._kind}", node, topic.resolved_name, uri)
+            with suppress(BackendError):  # a master that is gone lists nothing
+                await self._master.call(f"unregister{self._kind}", node, topic.resolved_name, uri)
 
 
 def managers() -> list[Any]:
-    """rospy's threads that connect to publishers (one, once it has started)."""
+    """rospy's managers of connections to publishers (one, once a node has started)."""
     return [found for found in get_registration_listeners().listeners if isinstance(found, RegManager)]
 
 

@@ -1,8 +1,8 @@
-"""The publishing end of one connection: written to from the data side, never blocking it.
+"""The publishing end of one connection: written to from the data thread, which it never blocks.
 
-rospy's own either blocks the publisher until the slowest subscriber has read, or keeps a thread for each
-connection and forgets what it holds when the topic is closed. Here what the socket does not take at
-once waits in a queue, which the control side's event loop empties.
+rospy's own either blocks the publisher until the slowest subscriber has read, or keeps a thread for each connection and
+drops its queue when the topic is closed. Here the data that the socket does not take at once waits in a queue, which
+the control thread's event loop empties.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 class SubscriberConnection:
     """Takes the place of rospy's transport of one subscriber in rospy's lists.
 
-    ``numbered``: it asked for numbers; ``compatible``: it requests no more than is offered.
+    ``numbered``: it requested numbers; ``compatible``: it requests no more than is offered.
     """
 
     def __init__(
@@ -41,13 +41,13 @@ class SubscriberConnection:
         control.call_soon_threadsafe(self._watch)
 
     def __getattr__(self, name: str) -> Any:
-        """Whatever rospy asks of a transport."""
+        """Everything else that rospy expects of a transport."""
         if name.startswith("__"):
             raise AttributeError(name)
         return getattr(self.transport, name)
 
     def write(self, frame: bytes) -> None:
-        """Send one message; of those that have to wait, the oldest goes where there are more than ``depth``."""
+        """Send one message. Where more than ``depth`` wait, the oldest is dropped."""
         self.transport.stat_bytes += len(frame)
         self.transport.stat_num_msg += 1
         with self._lock:
@@ -68,12 +68,12 @@ class SubscriberConnection:
             return self._socket.send(data)
         except BlockingIOError:
             return 0
-        except OSError:  # the control side will read the end of it
+        except OSError:  # the control thread will read its end
             return len(data)
 
     @property
     def idle(self) -> bool:
-        """Whether the other machine's system has everything that was written."""
+        """Whether the kernel at the other end has everything that was written."""
         if self.gone.is_set():
             return True
         if self._waiting:
@@ -84,10 +84,10 @@ class SubscriberConnection:
             return True
         return bool(unacknowledged == 0)
 
-    # -- control side --------------------------------------------------------------------------------
+    # -- control thread ------------------------------------------------------------------------------
 
     def _watch(self) -> None:
-        """Learn at once when the other side leaves: it sends nothing else."""
+        """Notice at once when the subscriber leaves: it sends nothing else."""
         if not self.gone.is_set():
             self._control.add_reader(self._socket, self._readable)
 
@@ -102,7 +102,7 @@ class SubscriberConnection:
         self.leave()
 
     def _go_on(self) -> None:
-        """Empty the queue as far as the socket takes it."""
+        """Send from the queue what the socket takes."""
         if self.gone.is_set():
             return
         with self._lock:
@@ -120,7 +120,7 @@ class SubscriberConnection:
         self._writing = left
 
     def finish(self) -> None:
-        """Say that nothing more will come: the other side reads what there is, and then leaves."""
+        """Nothing more will come: the subscriber reads what was sent, and then leaves."""
         if not self.gone.is_set():
             try:
                 self._socket.shutdown(socket.SHUT_WR)
@@ -128,7 +128,7 @@ class SubscriberConnection:
                 self.leave()
 
     def leave(self) -> None:
-        """Close the connection; rospy takes it off its lists."""
+        """Close the connection; rospy removes it from its lists."""
         if self.gone.is_set():
             return
         self.gone.set()
@@ -137,6 +137,6 @@ class SubscriberConnection:
         self.transport.close()
 
     def close(self) -> None:
-        """What rospy calls, in any thread, when it drops a connection or shuts down."""
+        """rospy, in any thread, when it drops a connection or shuts down."""
         if not self._control.is_closed():
             self._control.call_soon_threadsafe(self.leave)

@@ -1,4 +1,4 @@
-"""The subscriptions of a component: rospy's connections, with what each message says of its publisher."""
+"""The subscriptions of a component: rospy's connections, with the number, time and publisher of each message."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from midstride.errors import NodeError
 from midstride.model.contract import QoS
 from midstride.node.host import MessageInfo
 
-# A header's time further from the time of receipt than this (ns) says something else than when the message is from.
+# A header's time further than this (ns) from the time of receipt is not the time of the message.
 _PLAUSIBLE: Final = 1_000_000_000
 
-# What is kept of a message: its source time, number, publisher and stamp, each None where nobody tells.
+# Of a message: its source time, number, publisher and stamp, each None where it is unknown.
 Info: TypeAlias = tuple[int | None, int | None, str | None, int | None]
 
 
 def frame_of(type_: Any, qos: QoS) -> type:
-    """A message class for rospy that reads a message and keeps what follows it, and asks publishers for that."""
+    """A message class for rospy that requests a trailer of publishers, and keeps it beside the message."""
 
     def deserialize(frame: Any, data: bytes) -> Any:
         frame.message = type_().deserialize(data)
@@ -50,7 +50,7 @@ def frame_of(type_: Any, qos: QoS) -> type:
 
 
 class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
-    """What rospy keeps of a topic that this node subscribes to; shared by the inputs that are attached to it."""
+    """rospy's object of a topic that this node subscribes to; shared by the inputs that are attached to it."""
 
     def __init__(self, topic: str, type_: Any, qos: QoS, now: Callable[[], int]) -> None:
         super().__init__(topic, frame_of(type_, qos))
@@ -62,7 +62,7 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
         self._has_header = bool(type_._has_header)
 
     def receive_callback(self, frames: list[Any], connection: Any) -> None:
-        """rospy, in the thread of a connection: messages have come."""
+        """rospy, in the thread of a connection: messages have arrived."""
         ports, callbacks = self.ports, self.callbacks
         for frame in frames:
             info, held = self.read(frame, connection)
@@ -73,7 +73,7 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
                 self._invoke_callback(frame.message, callback, arguments)
 
     def read(self, frame: Any, connection: Any) -> tuple[Info, bool]:
-        """What is known of a message, and whether it was held for late joiners."""
+        """What the connection says of a message, and whether it was held for late joiners."""
         publisher = connection_headers.publisher_of(connection.header)
         if publisher is not None:
             number, source, index, held = TRAILER.unpack(frame.tail)
@@ -81,7 +81,7 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
         caller = connection.header.get("callerid")
         if not self._has_header:
             return (None, None, caller, None), False
-        # A publisher that is not Midstride's tells its name, and one of a type with a header numbers its messages.
+        # A publisher that is not Midstride's gives its name, and where the type has a header its number.
         header = frame.message.header
         stamp = header.stamp.to_nsec()
         return (None, header.seq, caller, stamp if abs(self._now() - stamp) < _PLAUSIBLE else None), False
@@ -90,7 +90,7 @@ class FramedTopic(_SubscriberImpl):  # type: ignore[misc]  # rospy has no stubs
         return sum(bool(connection.header) and not connection.done for connection in self.connections)
 
     def connected(self) -> int:
-        """Publishers that have answered, and offer what is requested."""
+        """Publishers that have answered and offer what is requested."""
         return sum(
             bool(connection.header) and connection_headers.is_compatible(connection.header) and not connection.done
             for connection in self.connections
@@ -134,7 +134,7 @@ class PortSubscription:
             found.ref_count += 1
             self.topic: FramedTopic = found
             found.ports = (*found.ports, self)
-        for connection in found.connections if self.wants_held else ():  # what came before this input did
+        for connection in found.connections if self.wants_held else ():  # messages from before this input was attached
             if connection.latch is not None:
                 self.arrived(connection.latch.message, found.read(connection.latch, connection)[0])
 
@@ -144,16 +144,16 @@ class PortSubscription:
         self._data.post(self._take)
 
     def _take(self) -> None:
-        """On the data side, once for each message; those that had to make way are missing."""
+        """On the data thread, once for each message; those beyond the depth are missing."""
         if self._waiting and self._callback is not None:
             self._callback(*self._waiting.popleft())
 
     def matched(self) -> int:
-        """-1 until the master knows of it, and everybody who was there has had the time to connect."""
+        """-1 until the master lists it and the publishers there have had time to connect."""
         return self.topic.connected() if self.topic.registered else -1
 
     def destroy(self) -> None:
-        """Nothing that comes from now on is handed on."""
+        """No callback from now on."""
         self._callback = None
         topic, manager = self.topic, get_topic_manager()
         with manager.lock:

@@ -1,4 +1,4 @@
-"""Timers on a grid that is agreed beforehand: slot ``n`` is at ``epoch + n * period`` on the ROS clock."""
+"""Timers on an agreed grid: slot ``n`` is at ``epoch + n * period`` on the ROS clock."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import rospy
 
 from midstride.backends.ros1.data_thread import DataThread
 
-# A clock that was set back may wake a timer before its slot: by more than this (ns) it goes to sleep again.
+# A clock that was set back may wake a timer before its slot: if by more than this (ns), it sleeps again.
 _EARLY = 200_000
 
 
 class RosClock:
-    """The ROS clock: the system's, or what comes on ``/clock`` where ``/use_sim_time`` is set."""
+    """The ROS clock: the system's, or the one on ``/clock`` where ``/use_sim_time`` is set."""
 
     def __init__(self, data: DataThread) -> None:
         self.data = data
@@ -32,7 +32,7 @@ class RosClock:
         return int(rospy.get_rostime().to_nsec())
 
     def call_at(self, key: object, when: int, function: Callable[[], None]) -> Callable[[], None]:
-        """Call ``function`` on the data side at ``when`` (ns); returns what takes that back."""
+        """Call ``function`` on the data thread at ``when`` (ns); returns a function that cancels it."""
         if not self.simulated:
             loop = self.data.loop
             return loop.call_at(loop.time() + (when - self.now()) / 1e9, function).cancel
@@ -51,7 +51,7 @@ class RosClock:
                 function()
 
     def pause(self, seconds: float) -> Awaitable[None]:
-        """To be awaited on the data side."""
+        """To be awaited on the data thread."""
         if not self.simulated:
             return asyncio.sleep(seconds)
         over = self.data.loop.create_future()
@@ -60,7 +60,7 @@ class RosClock:
 
 
 class Ros1GridTimer:
-    """See :class:`midstride.node.host.Timer`. Everything here runs on the data side."""
+    """See :class:`midstride.node.host.Timer`. Everything here runs on the data thread."""
 
     def __init__(self, clock: RosClock, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> None:
         self._clock = clock
@@ -78,7 +78,7 @@ class Ros1GridTimer:
     def regrid(self, epoch: int) -> None:
         self._epoch = epoch
         now = self._clock.now()
-        self._aim(self._after(now) if now else 0)  # 0: the clock has not begun, and nobody knows the next slot
+        self._aim(self._after(now) if now else 0)  # 0: the clock has not begun, and the next slot is unknown
 
     def cancel(self) -> None:
         self._cancelled = True

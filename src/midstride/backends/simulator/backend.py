@@ -25,16 +25,16 @@ T = TypeVar("T")
 
 # Process ids of simulated processes: none that the system could have given to a real one.
 FIRST_PID: Final = 5_000_000
-# How long it takes until somebody knows that a process has ended (s).
-EXIT_SEEN: Final = 0.005
+# How long after a process has ended its exit is reported (s).
+EXIT_LATENCY: Final = 0.005
 
 
 class Simulator:
     """Implements :class:`midstride.runtime.backend.Backend`.
 
-    ``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after
-    it. On any other asyncio loop the simulator runs in real time, and whoever opens it calls
-    :meth:`shutdown` in the end. All times are in seconds; the same ``seed`` gives the same run.
+    ``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after it. On any other
+    asyncio loop the simulator runs in real time; call :meth:`shutdown` at the end. All times are in seconds; the same
+    ``seed`` gives the same run.
     """
 
     name = "sim"
@@ -59,17 +59,17 @@ class Simulator:
         self.transport: Transport = self.control
         self._starting = starting
         self._on_exit: Callable[[Exited], None] | None = None
-        self._held = ExitStack()
-        self._powered = False
+        self._patches = ExitStack()
+        self._active = False
         self._pids = FIRST_PID
 
     # -- running -----------------------------------------------------------------------------------
 
     def run(self, main: Coroutine[Any, Any, T]) -> T:
-        """Run ``main`` in virtual time to its end, then shut down: no thread, hook or patch is left behind."""
+        """Run ``main`` in virtual time to its end, then shut down: no thread, import hook or patch remains."""
 
         async def supervised() -> T:
-            self._power()
+            self._activate()
             try:
                 return await main
             finally:
@@ -78,38 +78,38 @@ class Simulator:
         return virtual.run(supervised())
 
     async def shutdown(self) -> None:
-        """End everything that runs, at once, and take back what was changed of this process."""
+        """Kill everything that runs, and undo what was changed in this process."""
         self._on_exit = None
         for process in list(self.processes.values()):
             process.kill()
-        self._powered = False
-        self._held.close()
+        self._active = False
+        self._patches.close()
 
-    def _power(self) -> None:
+    def _activate(self) -> None:
         self.time.follow(asyncio.get_running_loop())
-        if not self._powered:
-            self._held.enter_context(messages.served())
-            self._held.enter_context(simulated_sleep())
-            self._powered = True
+        if not self._active:
+            self._patches.enter_context(messages.served())
+            self._patches.enter_context(simulated_sleep())
+            self._active = True
 
     # -- the back-end protocol ---------------------------------------------------------------------
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
-        self._power()
+        self._activate()
         self._on_exit = on_exit
 
     async def close(self) -> None:
         self._on_exit = None
 
     async def start(self, launch: Launch) -> Handle:
-        self._power()
+        self._activate()
         if launch.instance in self.processes:
-            raise StartFailed(f"a component named {launch.instance} runs already")
+            raise StartFailed(f"a component named {launch.instance} is running already")
         self._pids += 1
         process = SimulatedProcess(self, launch, self._pids, self._exited)
         self.processes[launch.instance] = process
         self.time.loop.call_later(self._starting, process.resume)
-        # No pid: it is no process of this machine's, and nobody shall send it a signal.
+        # No pid: it is not a process of this machine, and must not be sent a signal.
         return Handle(launch.instance, None, self.time.steady(), None)
 
     async def adopt(self, handle: Handle) -> bool:
@@ -119,7 +119,7 @@ class Simulator:
         process = self.processes.get(instance)
         if process is None:
             return
-        process.awaited = True
+        process.exit_expected = True
         process.terminate()
         deadline = self.time.steady() + grace
         while not process.dead and self.time.steady() < deadline:
@@ -135,27 +135,27 @@ class Simulator:
         )
 
     async def lingering_readers(self, topic: str) -> int:
-        return 0  # a process that is gone is gone from the simulated graph
+        return 0  # a process that has ended is not in the simulated graph
 
     # -- for processes -----------------------------------------------------------------------------
 
     def register(self, instance: str, process: SimulatedProcess) -> None:
-        """``process`` is on the platform as ``instance``. Raises StartFailed where the name is taken."""
+        """``process`` joins the platform as ``instance``. Raises StartFailed where the name is taken."""
         if self.processes.get(instance) is not process:
             raise StartFailed(f"a node named {instance} is in the graph already")
 
     def _exited(self, process: SimulatedProcess) -> None:
         if self.processes.get(process.instance) is process:
             del self.processes[process.instance]
-        if not process.awaited:
-            told = Exited(process.instance, process.status, process.log.tail(20))
-            self.time.loop.call_later(EXIT_SEEN, self._report, told)
+        if not process.exit_expected:
+            event = Exited(process.instance, process.status, process.log.tail(20))
+            self.time.loop.call_later(EXIT_LATENCY, self._report, event)
 
     def _report(self, exited: Exited) -> None:
         if self._on_exit is not None:
             self._on_exit(exited)
 
-    # -- looking -----------------------------------------------------------------------------------
+    # -- observing ---------------------------------------------------------------------------------
 
     def log(self, instance: str) -> str:
         """What a running component has written to its output."""

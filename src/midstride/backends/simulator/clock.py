@@ -10,14 +10,14 @@ EPOCH: Final = 1_000_000_000_000_000_000
 
 
 class SimulatedClock:
-    """A :class:`midstride.runtime.clock.Clock`. It stands still until the simulator runs on a loop."""
+    """A :class:`midstride.runtime.clock.Clock`. It does not advance until the simulator runs on a loop."""
 
     def __init__(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._zero = 0.0
 
     def follow(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Go with ``loop`` from now on; it begins at 0."""
+        """Follow ``loop`` from now on, starting at 0."""
         if loop is not self._loop:
             self._loop, self._zero = loop, loop.time()
 

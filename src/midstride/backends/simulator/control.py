@@ -1,6 +1,6 @@
-"""The simulated control plane: pipes with the network's latency, faults on requests, and processes that freeze.
+"""The simulated control plane: pipes with the network's latency, faults on requests, and frozen processes.
 
-Frames are those of :mod:`midstride.wire`, in both directions, as on a Unix socket.
+The frames are those of :mod:`midstride.wire`, as on a Unix socket.
 """
 
 from __future__ import annotations
@@ -25,55 +25,54 @@ from midstride.wire.pipe import PipeEnd, PipeListener, PipeNetwork
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Connection, Serve
 
-_SCHEME = "memory:"
-
-
 RequestFault: TypeAlias = Literal["lost_request", "lost_reply", "refused", "unreachable"]
 
 
 class RequestFaults(Protocol):
-    """The faults planted on requests."""
+    """The faults injected into requests."""
 
-    def of_call(self, instance: str, op: str) -> RequestFault | None:
+    def take_fault(self, instance: str, op: str) -> RequestFault | None:
         """What is to happen to this request; counts it."""
         ...
 
 
-class ControlParty(Protocol):
+class ConnectedProcess(Protocol):
     """The process at one end of a connection."""
 
     @property
     def instance(self) -> str: ...
 
-    async def thaw(self) -> None:
-        """Until it is not frozen. Raises CancelledError where it is dead."""
+    async def wait_while_frozen(self) -> None:
+        """Returns once it is not frozen. Raises CancelledError where it is dead."""
         ...
 
 
 class ClientEnd:
-    """The end of whoever sends requests: the manager (``party`` None), or the peer of a hand-over."""
+    """The end that sends requests: the manager's (``process`` is None), or that of a peer of a hand-over."""
 
-    def __init__(self, control: SimulatedControl, instance: str, party: ControlParty | None, end: PipeEnd) -> None:
+    def __init__(
+        self, control: SimulatedControl, instance: str, process: ConnectedProcess | None, end: PipeEnd
+    ) -> None:
         self._control = control
         self._instance = instance
-        self._party = party
+        self._process = process
         self._end = end
         self._lost_replies: set[str] = set()
 
     async def send(self, frame: bytes) -> None:
-        if self._party is not None:
-            await self._party.thaw()
+        if self._process is not None:
+            await self._process.wait_while_frozen()
         request = decode_from_client(frame)
         fault = None
         if isinstance(request, Request):
             name = command_name(request)
             if self._control.before_request is not None:
                 await self._control.before_request(self._instance, name)
-            fault = self._control.faults.of_call(self._instance, name)
+            fault = self._control.faults.take_fault(self._instance, name)
         if fault == "unreachable":
-            raise Unreachable("the simulator was told that it cannot be reached")
+            raise Unreachable("an injected fault makes it unreachable")
         if isinstance(request, Request) and fault == "refused":
-            words = "the simulator was told to refuse this call"
+            words = "an injected fault refuses this request"
             self._end.arrive(encode(Reply(id=request.id, revision=-1, refused=words)))
         elif isinstance(request, Request) and fault == "lost_reply":
             self._lost_replies.add(request.id)
@@ -82,8 +81,8 @@ class ClientEnd:
 
     async def receive(self) -> bytes | None:
         while (line := await self._end.receive()) is not None:
-            if self._party is not None:
-                await self._party.thaw()
+            if self._process is not None:
+                await self._process.wait_while_frozen()
             if self._control.rewrite_state is not None:
                 frame = decode_from_component(line)
                 if isinstance(frame, StateChanged):
@@ -104,19 +103,19 @@ class ClientEnd:
 
 
 class ServerEnd:
-    """The component's end: nothing of it happens while its process is frozen."""
+    """The component's end: it neither sends nor receives while its process is frozen."""
 
-    def __init__(self, party: ControlParty, end: PipeEnd) -> None:
-        self._party = party
+    def __init__(self, process: ConnectedProcess, end: PipeEnd) -> None:
+        self._process = process
         self._end = end
 
     async def send(self, frame: bytes) -> None:
-        await self._party.thaw()
+        await self._process.wait_while_frozen()
         await self._end.send(frame)
 
     async def receive(self) -> bytes | None:
         line = await self._end.receive()
-        await self._party.thaw()
+        await self._process.wait_while_frozen()
         return line
 
     def close(self) -> None:
@@ -124,25 +123,25 @@ class ServerEnd:
 
 
 class DelayedEnd(PipeEnd):
-    """One end of a pipe on which a frame takes the network's latency, in order."""
+    """One end of a pipe on which every frame takes the network's latency, and order is kept."""
 
     def __init__(self, clock: SimulatedClock, latency: float) -> None:
         super().__init__()
         self._clock = clock
         self._latency = latency
-        self._on_the_way: deque[bytes | None] = deque()
+        self._in_flight: deque[bytes | None] = deque()
 
     def _transmit(self, frame: bytes | None) -> None:
-        self._on_the_way.append(frame)
-        # Timers of one moment come in any order: each of them delivers what is first.
+        self._in_flight.append(frame)
+        # Timers of the same moment fire in any order: each delivers what is first.
         self._clock.loop.call_later(self._latency, self._deliver)
 
     def _deliver(self) -> None:
-        super()._transmit(self._on_the_way.popleft())
+        super()._transmit(self._in_flight.popleft())
 
 
 class SimulatedControl:
-    """Implements :class:`midstride.wire.transport.Transport` for the manager; :meth:`of` is a process's own."""
+    """Implements :class:`midstride.wire.transport.Transport` for the manager; :meth:`of` gives that of a process."""
 
     def __init__(self, clock: SimulatedClock, latency: float, faults: RequestFaults) -> None:
         self.faults = faults
@@ -153,11 +152,11 @@ class SimulatedControl:
         self._clock = clock
         self._latency = latency
         self._pipes = PipeNetwork()
-        self._parties: dict[str, ControlParty] = {}
-        self._ends: dict[ControlParty, list[DelayedEnd]] = {}
+        self._processes: dict[str, ConnectedProcess] = {}
+        self._ends: dict[ConnectedProcess, list[DelayedEnd]] = {}
 
-    def of(self, party: ControlParty) -> ProcessControl:
-        return ProcessControl(self, party)
+    def of(self, process: ConnectedProcess) -> ProcessControl:
+        return ProcessControl(self, process)
 
     def address(self, instance: str) -> str:
         return self._pipes.address(instance)
@@ -171,41 +170,41 @@ class SimulatedControl:
     async def connect(self, address: str) -> Connection:
         return await self.connect_from(None, address)
 
-    async def connect_from(self, party: ControlParty | None, address: str) -> Connection:
-        instance = address.removeprefix(_SCHEME)
+    async def connect_from(self, process: ConnectedProcess | None, address: str) -> Connection:
+        instance = self._pipes.instance(address)
         listener = self._pipes.listeners.get(instance)
         if listener is None:
             raise Unreachable(f"no component {instance} runs")
         ours, theirs = (DelayedEnd(self._clock, self._latency) for _ in range(2))
         ours.other, theirs.other = theirs, ours
-        server = self._parties[instance]
-        self._ends.setdefault(server, []).append(theirs)
-        if party is not None:
-            self._ends.setdefault(party, []).append(ours)
+        server = self._processes[instance]
+        self._ends[server] = [end for end in self._ends.get(server, []) if not end.closed] + [theirs]
+        if process is not None:
+            self._ends.setdefault(process, []).append(ours)
         await asyncio.sleep(self._latency)
         self._pipes.serve(listener.serve, ServerEnd(server, theirs))
-        return ClientEnd(self, instance, party, ours)
+        return ClientEnd(self, instance, process, ours)
 
-    async def listen_as(self, party: ControlParty, instance: str, serve: Serve) -> PipeListener:
+    async def listen_as(self, process: ConnectedProcess, instance: str, serve: Serve) -> PipeListener:
         listener = await self._pipes.listen(instance, serve)
-        self._parties[instance] = party
+        self._processes[instance] = process
         return listener
 
-    def remove(self, party: ControlParty) -> None:
-        """A process is gone: so are its listener and its connections."""
-        for instance in [name for name, other in self._parties.items() if other is party]:
-            del self._parties[instance]
+    def remove(self, process: ConnectedProcess) -> None:
+        """Close the listener and the connections of a process that has ended."""
+        for instance in [name for name, other in self._processes.items() if other is process]:
+            del self._processes[instance]
             self._pipes.listeners.pop(instance, None)
-        for end in self._ends.pop(party, []):
+        for end in self._ends.pop(process, []):
             end.close()
 
 
 class ProcessControl:
     """Implements :class:`midstride.wire.transport.Transport` for one simulated process."""
 
-    def __init__(self, control: SimulatedControl, party: ControlParty) -> None:
+    def __init__(self, control: SimulatedControl, process: ConnectedProcess) -> None:
         self._control = control
-        self._party = party
+        self._process = process
 
     def address(self, instance: str) -> str:
         return self._control.address(instance)
@@ -214,7 +213,7 @@ class ProcessControl:
         return self._control.present()
 
     async def listen(self, instance: str, serve: Serve) -> PipeListener:
-        return await self._control.listen_as(self._party, instance, serve)
+        return await self._control.listen_as(self._process, instance, serve)
 
     async def connect(self, address: str) -> Connection:
-        return await self._control.connect_from(self._party, address)
+        return await self._control.connect_from(self._process, address)

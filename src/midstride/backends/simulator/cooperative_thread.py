@@ -1,8 +1,7 @@
-"""Threads that run one at a time: a component's own code, in its own thread, on the simulator's time.
+"""Threads that run one at a time: each component's code in its own thread, on the simulator's time.
 
-A fibre runs only while the loop waits for it, and gives way only where it asks for something: it
-ends, sleeps, or waits for work. So components cannot race, and ``time.sleep`` in user code, at
-import or within a call, takes virtual time and none of ours.
+A cooperative thread runs only while the loop waits for it, and yields only where it ends, sleeps, or waits for work.
+So components cannot race, and ``time.sleep`` in user code, at import or within a call, takes virtual time only.
 """
 
 from __future__ import annotations
@@ -17,29 +16,29 @@ from typing import Any, Final, TypeAlias
 
 from midstride.errors import BackendError
 
-# How long user code may compute between two waits (s of real time) before the simulation is given up.
-PATIENCE: Final = 30.0
+# How long user code may compute between two waits (s of real time) before its component is abandoned.
+COMPUTE_LIMIT: Final = 30.0
 
 
 class Killed(BaseException):
-    """Raised inside a fibre whose component is killed, wherever it waits."""
+    """Raised in the thread of a component that is killed, wherever it waits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sleeps:
-    """The fibre waits for ``seconds``."""
+    """The thread waits for ``seconds``."""
 
     seconds: float
 
 
 @dataclass(frozen=True, slots=True)
 class Waits:
-    """The fibre waits for work: it is ready, and has finished what it was given."""
+    """The thread waits for work: it has finished what it was given."""
 
 
 @dataclass(frozen=True, slots=True)
 class Ended:
-    """The fibre's function has returned, or raised."""
+    """The thread's function has returned, or raised."""
 
     error: BaseException | None
 
@@ -48,16 +47,16 @@ Yielded: TypeAlias = Sleeps | Waits | Ended
 
 
 class _Here(threading.local):
-    """The fibre that a thread is, if it is one."""
+    """The cooperative thread that the current thread is, if it is one."""
 
-    fibre: CooperativeThread | None = None
+    thread: CooperativeThread | None = None
 
 
 _here: Final = _Here()
 
 
 class CooperativeThread:
-    """``function`` in a thread of its own. :meth:`resume` runs it until it gives way."""
+    """``function`` in its own thread. :meth:`resume` runs it until it yields."""
 
     def __init__(self, name: str, function: Callable[[], None], context: contextvars.Context) -> None:
         self.name = name
@@ -74,7 +73,7 @@ class CooperativeThread:
     # -- on the loop -------------------------------------------------------------------------------
 
     def resume(self, work: Any = None) -> Yielded:
-        """Run until the fibre gives way. Raises BackendError where it does not within ``PATIENCE`` of real time."""
+        """Run until the thread yields. Raises BackendError where it does not within ``COMPUTE_LIMIT`` of real time."""
         if self.ended:
             return Ended(None)
         self._work = work
@@ -83,11 +82,11 @@ class CooperativeThread:
             self._thread.start()
         else:
             self._go.release()
-        if not self._back.acquire(timeout=PATIENCE):
-            self.ended = True  # it cannot be stopped: it is left to itself, and what it does from now on is ignored
+        if not self._back.acquire(timeout=COMPUTE_LIMIT):
+            self.ended = True  # a thread cannot be stopped: it goes on, and what it does is ignored
             raise BackendError(
-                f"the code of {self.name} did not come back within {PATIENCE:g} s of real time: the simulator runs one "
-                "component at a time and can pass the time of `time.sleep` alone"
+                f"the code of {self.name} did not return within {COMPUTE_LIMIT:g} s of real time: the simulator runs "
+                "one component at a time, and of all blocking calls it can skip `time.sleep` only"
             )
         if isinstance(self._yielded, Ended):
             self.ended = True
@@ -102,10 +101,10 @@ class CooperativeThread:
         while not self.ended:
             self.resume()
 
-    # -- in the fibre ------------------------------------------------------------------------------
+    # -- in the thread -----------------------------------------------------------------------------
 
-    def give_way(self, yielded: Yielded) -> Any:
-        """Let the loop go on; returns the work it comes back with."""
+    def yield_to_loop(self, yielded: Yielded) -> Any:
+        """Let the loop run; returns the work that it resumes this thread with."""
         if self._killed:
             raise Killed
         self._yielded = yielded
@@ -116,7 +115,7 @@ class CooperativeThread:
         return self._work
 
     def _run(self) -> None:
-        _here.fibre = self
+        _here.thread = self
         error: BaseException | None = None
         try:
             self._function()
@@ -131,18 +130,18 @@ _patches = 0
 
 
 def _simulated_sleep(seconds: Any) -> None:
-    fibre = _here.fibre
-    if fibre is None:
+    thread = _here.thread
+    if thread is None:
         _sleep(seconds)
     elif seconds < 0:
         raise ValueError("sleep length must be non-negative")
     else:
-        fibre.give_way(Sleeps(seconds))
+        thread.yield_to_loop(Sleeps(seconds))
 
 
 @contextlib.contextmanager
 def simulated_sleep() -> Iterator[None]:
-    """While open, ``time.sleep`` in a fibre takes simulated time; everywhere else it is the real one."""
+    """While open, ``time.sleep`` in a cooperative thread takes simulated time, and real time elsewhere."""
     global _patches
     _patches += 1
     time.sleep = _simulated_sleep

@@ -1,4 +1,4 @@
-"""Faults that a test, or a rehearsal, plants into the simulated platform."""
+"""Faults that a test, or a rehearsal, injects into the simulated platform."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ class FailingCall:
 
 
 class Faults:
+    """Injects faults. Every method that names an instance raises BackendError where no such component runs."""
+
     def __init__(self, processes: Mapping[str, SimulatedProcess], network: Network) -> None:
         self._processes = processes
         self._network = network
@@ -33,11 +35,11 @@ class Faults:
         self._process(instance).kill()
 
     def freeze(self, instance: str, seconds: float) -> None:
-        """As SIGSTOP, and SIGCONT after ``seconds``: nothing of it runs, nothing that it is sent is lost."""
+        """As SIGSTOP, and SIGCONT after ``seconds``: nothing in it runs, and nothing sent to it is lost."""
         self._process(instance).freeze(seconds)
 
     def drop(self, topic: str, count: int) -> None:
-        """The next ``count`` messages on ``topic`` reach nobody."""
+        """The next ``count`` messages on ``topic`` are lost."""
         self._network.topic(topic).dropping = count
 
     def delay(self, topic: str, seconds: float) -> None:
@@ -47,11 +49,11 @@ class Faults:
     def fail_next(
         self, instance: str, op: str | None = None, how: RequestFault = "lost_request", times: int = 1, after: int = 0
     ) -> None:
-        """The next call of ``op`` at ``instance`` fails; ``lost_reply``: it is carried out, and nobody hears of it."""
+        """The next call of ``op`` at ``instance`` fails; ``lost_reply``: it is carried out, but its reply is lost."""
         self._failing.append(FailingCall(instance, op, how, times, after))
 
-    def of_call(self, instance: str, op: str) -> RequestFault | None:
-        """What shall happen to this call; counts it."""
+    def take_fault(self, instance: str, op: str) -> RequestFault | None:
+        """What is to happen to this request; counts it."""
         for fault in self._failing:
             if fault.instance == instance and fault.op in (None, op):
                 if fault.after:
@@ -66,5 +68,5 @@ class Faults:
     def _process(self, instance: str) -> SimulatedProcess:
         process = self._processes.get(instance)
         if process is None:
-            raise BackendError(f"no component {instance} runs; there are: {', '.join(self._processes) or 'none'}")
+            raise BackendError(f"no component {instance} runs; running are: {', '.join(self._processes) or 'none'}")
         return process

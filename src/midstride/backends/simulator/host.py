@@ -1,4 +1,4 @@
-"""A component's host in the simulator: the data side is a queue that its fibre works off, one item at a time."""
+"""A component's host in the simulator. Its data thread takes work from a queue, one item at a time."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 
 class HostProcess(Protocol):
-    """The process that a host lives in."""
+    """The process that a host runs in."""
 
     host: SimulatedHost | None
     terminating: bool
@@ -45,7 +45,7 @@ class HostProcess(Protocol):
         ...
 
     def ready(self) -> bool:
-        """Whether its thread waits for work."""
+        """Whether its thread is waiting for work."""
         ...
 
     def resume(self, work: Callable[[], None]) -> None:
@@ -53,22 +53,22 @@ class HostProcess(Protocol):
         ...
 
     def wait_for_work(self) -> Callable[[], None]:
-        """In its thread: let the loop go on until there is work."""
+        """In its thread: let the loop run until there is work."""
         ...
 
-    def awake_at(self) -> float: ...
+    def frozen_until(self) -> float: ...
 
-    def awake_on_loop(self) -> float: ...
+    def frozen_until_on_loop(self) -> float: ...
 
-    async def thaw(self) -> None: ...
+    async def wait_while_frozen(self) -> None: ...
 
     def join_platform(self, instance: str) -> None:
         """Raises StartFailed where the name is taken."""
         ...
 
 
-class Pause:
-    """What an async mode function awaits to let time pass."""
+class SimulatedSleep:
+    """What an async mode function awaits to sleep."""
 
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
@@ -113,7 +113,7 @@ class SimulatedHost:
     def ros_node(self) -> None:
         return None
 
-    # -- data side -------------------------------------------------------------------------------
+    # -- data thread -----------------------------------------------------------------------------
 
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
         future: asyncio.Future[T] = self._clock.loop.create_future()
@@ -139,7 +139,7 @@ class SimulatedHost:
             except StopIteration:
                 done()
                 return
-            if isinstance(waited_for, Pause):
+            if isinstance(waited_for, SimulatedSleep):
                 self._clock.loop.call_later(waited_for.seconds, self.enqueue, step)
             elif isinstance(waited_for, asyncio.Future):
                 waited_for._asyncio_future_blocking = False
@@ -150,7 +150,7 @@ class SimulatedHost:
         step()
 
     def pause(self, seconds: float) -> Awaitable[None]:
-        return Pause(seconds)
+        return SimulatedSleep(seconds)
 
     def create_publisher(self, topic: str, type_: type, qos: QoS) -> SimulatedWriter:
         return self._process.network.create_writer(self._process, topic, type_name(type_), qos)
@@ -173,7 +173,7 @@ class SimulatedHost:
         return SimulatedTimer(self._clock, self.enqueue, round(period * 1e9), epoch, callback)
 
     def enqueue(self, item: Callable[[], None]) -> None:
-        """Have the fibre call ``item`` in its turn."""
+        """Have the thread call ``item`` in its turn."""
         if not self._process.dead:
             self._queue.append(item)
             self._schedule()
@@ -181,20 +181,20 @@ class SimulatedHost:
     def _schedule(self) -> None:
         if not self._scheduled and not self._process.dead:
             self._scheduled = True
-            if self._process.awake_at() > self._clock.steady():
-                self._clock.loop.call_at(self._process.awake_on_loop(), self._work)
+            if self._process.frozen_until() > self._clock.steady():
+                self._clock.loop.call_at(self._process.frozen_until_on_loop(), self._work)
             else:
                 self._clock.loop.call_soon(self._work)
 
     def _work(self) -> None:
         self._scheduled = False
-        if self._process.awake_at() > self._clock.steady():
+        if self._process.frozen_until() > self._clock.steady():
             self._schedule()
         elif self._queue and self._process.ready():
             self._process.resume(self._queue.popleft())
 
     def idle(self) -> None:
-        """The fibre has finished an item: on to the next one."""
+        """The thread has finished an item: schedule the next one."""
         if self._queue:
             self._schedule()
 
@@ -206,11 +206,11 @@ class SimulatedHost:
         else:
             future.set_exception(error)
 
-    # -- control side ----------------------------------------------------------------------------
+    # -- control thread --------------------------------------------------------------------------
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
-        await self._process.thaw()
+        await self._process.wait_while_frozen()
 
     def reachable(self) -> str:
         return "in this simulation"
@@ -257,7 +257,7 @@ class SimulatedHost:
         self._process.host = self
         self.main = self._clock.loop.create_task(control())
         self.main.add_done_callback(lambda _: self.enqueue(self._end))
-        if self._process.terminating:  # a signal that came while it was starting
+        if self._process.terminating:  # it was signalled while it started
             self.main.cancel()
         while not self._ended:
             self._process.wait_for_work()()

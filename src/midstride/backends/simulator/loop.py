@@ -1,7 +1,7 @@
 """An asyncio loop in virtual time: when nothing is ready, time jumps to the next timer.
 
-So what takes minutes takes no time at all, and comes out the same every time (trio's mock clock is
-the idea). Real sockets still work: they are looked at before each jump.
+So a run of minutes takes no time, and gives the same result every time (the idea is trio's mock clock). Real sockets
+still work: they are polled before each jump.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ T = TypeVar("T")
 
 
 class _JumpingSelector(selectors.BaseSelector):
-    """Never waits: where nothing is ready it lets ``jump`` pass the time instead."""
+    """Never waits: where nothing is ready, it calls ``jump`` to advance the time."""
 
     def __init__(self, jump: Callable[[float | None], None]) -> None:
         self._real = selectors.DefaultSelector()
@@ -36,7 +36,9 @@ class _JumpingSelector(selectors.BaseSelector):
         ready = self._real.select(0)
         if ready or (timeout is not None and timeout <= 0):
             return ready
-        if timeout is None and len(self._real.get_map()) > 1:  # more than the loop's own wake-up: somebody may call
+        if (
+            timeout is None and len(self._real.get_map()) > 1
+        ):  # more than the loop's own wake-up: a socket may become ready
             return self._real.select(None)
         self._jump(timeout)
         return ready
@@ -49,7 +51,7 @@ class _JumpingSelector(selectors.BaseSelector):
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):
-    """Starts at 0. What is handed to an executor is done at once: threads would not know what time it is."""
+    """Starts at 0. Work for an executor is run at once: threads have no virtual time."""
 
     def __init__(self) -> None:
         self._virtual = 0.0
@@ -60,7 +62,7 @@ class VirtualLoop(asyncio.SelectorEventLoop):
 
     def _jump(self, timeout: float | None) -> None:
         if timeout is None:
-            raise BackendError(f"nothing will ever happen again: everybody waits at {self._virtual:.6f} s")
+            raise BackendError(f"deadlock at {self._virtual:.6f} s: every task waits, and no timer is set")
         self._virtual += timeout
 
     def run_in_executor(self, executor: Any, func: Callable[..., Any], *args: Any) -> asyncio.Future[Any]:  # type: ignore[override]

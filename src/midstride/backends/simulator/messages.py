@@ -1,6 +1,6 @@
 """Message classes where no ROS is installed, from the ``rosbags`` package's type store.
 
-An import hook, behind every real finder, serves ``from std_msgs.msg import String`` while a
+An import hook, after every real finder, serves ``from std_msgs.msg import String`` while a
 simulator is open. Fields not given have ROS's defaults.
 """
 
@@ -16,7 +16,7 @@ from functools import cache
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
-# The type store does not tell default values; these are the ones in it that are not zero.
+# The type store has no default values; these are the ones that are not zero.
 DEFAULTS: Final[dict[str, dict[str, Any]]] = {
     "geometry_msgs/msg/Quaternion": {"w": 1.0},
     "sensor_msgs/msg/NavSatStatus": {"status": -2},
@@ -95,7 +95,7 @@ def message_class(name: str) -> type[SimulatedMessage]:
         "__msgtype__": name,
         "__module__": f"{package}.msg",
         "_defaults": defaults,
-        "_types": {field: _told(kind) for field, kind in fields},
+        "_types": {field: _type_name(kind) for field, kind in fields},
         **{constant: value for constant, _, value in constants},
     }
     return type(short, (SimulatedMessage,), attributes)
@@ -106,7 +106,7 @@ def _constant(value: Any) -> Default:
 
 
 def _default(kind: Any) -> Default:
-    """The value of a field that nobody gave. ``kind`` is the type store's description."""
+    """The value of a field that is not given. ``kind`` is the type store's description."""
     node, detail = kind
     match node.name:
         case "BASE":
@@ -138,18 +138,18 @@ def _fixed_array(element: Any, length: int) -> Default:
     return zeros
 
 
-def _told(kind: Any) -> str:
+def _type_name(kind: Any) -> str:
     node, detail = kind
     if node.name == "BASE":
         return str(detail[0])
     if node.name == "NAME":
         return str(detail).replace("/msg/", "/")
-    element = _told(detail[0])
+    element = _type_name(detail[0])
     return f"{element}[{detail[1]}]" if node.name == "ARRAY" else f"sequence<{element}>"
 
 
 class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finds ``pkg`` and ``pkg.msg`` for the packages of the type store, where nobody else did."""
+    """Finds ``pkg`` and ``pkg.msg`` for the packages of the type store, where no other finder does."""
 
     def __init__(self) -> None:
         self._packages: dict[str, list[str]] = {}

@@ -1,4 +1,4 @@
-"""The simulated middleware: who is on which topic, and messages on their way.
+"""The simulated middleware: the endpoints on each topic, and messages in flight.
 
 Delivery is in order for each pair of endpoints and takes a fixed latency, plus a seeded jitter
 where one is asked for. Matching, latching, queue depths and QoS are as ROS 2 has them.
@@ -25,8 +25,8 @@ class Participant(Protocol):
         """The full name of its node."""
         ...
 
-    def awake_at(self) -> float:
-        """When it runs again (steady s); in the past where it is not frozen."""
+    def frozen_until(self) -> float:
+        """Until when it is frozen (steady s); in the past where it is not."""
         ...
 
 
@@ -41,7 +41,7 @@ class SimulatedWriter:
         self.identity = network.next_identity()
         self.created = network.clock.steady()
         self.number = 0
-        self.on_the_way = 0
+        self.in_flight = 0
         self.history: deque[tuple[Any, Any]] = deque(maxlen=_depth(self.qos))
         self._network = network
 
@@ -56,7 +56,7 @@ class SimulatedWriter:
             return None
         clock = self._network.clock
         deadline = clock.steady() + timeout
-        while self.on_the_way:
+        while self.in_flight:
             if clock.steady() >= deadline:
                 return None
             await clock.sleep(self._network.latency)
@@ -119,8 +119,8 @@ class Network:
         self._jitter = jitter
         self._random = random.Random(seed)
         self._identities = 0
-        # What is on its way between two endpoints, in order: timers of one moment come in any order.
-        self._on_the_way: dict[tuple[SimulatedWriter, SimulatedReader], deque[tuple[float, Any, Any]]] = {}
+        # What is in flight between two endpoints, in order: timers of the same moment fire in any order.
+        self._in_flight: dict[tuple[SimulatedWriter, SimulatedReader], deque[tuple[float, Any, Any]]] = {}
 
     def next_identity(self) -> str:
         self._identities += 1
@@ -155,8 +155,8 @@ class Network:
         if reader in readers:
             readers.remove(reader)
 
-    def remove_party(self, owner: Participant) -> None:
-        """A process is gone: so are its endpoints."""
+    def remove_process(self, owner: Participant) -> None:
+        """Remove the endpoints of a process that has ended."""
         for topic in self.topics.values():
             topic.writers = [writer for writer in topic.writers if writer.owner is not owner]
             for reader in topic.readers:
@@ -164,7 +164,7 @@ class Network:
             topic.readers = [reader for reader in topic.readers if not reader.gone]
 
     def readers_of(self, writer: SimulatedWriter) -> list[SimulatedReader]:
-        """The readers it is matched with by now."""
+        """The readers it is matched with now."""
         return [reader for reader in self.topic(writer.topic).readers if self._matched(writer, reader)]
 
     def writers_of(self, reader: SimulatedReader) -> list[SimulatedWriter]:
@@ -191,7 +191,7 @@ class Network:
             self._send(writer, reader, message, info)
 
     def _latch(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        """A late joiner gets what a transient-local writer has kept, once both know of each other."""
+        """A late joiner gets what a transient-local writer has kept, once they are matched."""
         if writer.qos.is_transient_local and reader.qos.is_transient_local and _compatible(writer, reader):
             for message, info in writer.history:
                 self._send(writer, reader, message, info, self.discovery)
@@ -201,24 +201,24 @@ class Network:
     ) -> None:
         jitter = self._random.uniform(0.0, self._jitter) if self._jitter else 0.0
         at = self.clock.steady() + self.latency + jitter + self.topic(writer.topic).delay + extra
-        waiting = self._on_the_way.setdefault((writer, reader), deque())
+        waiting = self._in_flight.setdefault((writer, reader), deque())
         if waiting:
             at = max(at, waiting[-1][0])
-        # A copy for each: between processes nobody sees what another one does to its message.
+        # A copy for each: what a process does to its message is not seen by others.
         waiting.append((at, copy.deepcopy(message), info))
-        writer.on_the_way += 1
+        writer.in_flight += 1
         self.clock.loop.call_later(at - self.clock.steady(), self._arrive, writer, reader)
 
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        left = reader.owner.awake_at() - self.clock.steady()
+        left = reader.owner.frozen_until() - self.clock.steady()
         if left > 0 and not reader.gone:
             self.clock.loop.call_later(left, self._arrive, writer, reader)  # a frozen process acknowledges nothing
             return
-        waiting = self._on_the_way[writer, reader]
+        waiting = self._in_flight[writer, reader]
         _, message, info = waiting.popleft()
         if not waiting:
-            del self._on_the_way[writer, reader]
-        writer.on_the_way -= 1
+            del self._in_flight[writer, reader]
+        writer.in_flight -= 1
         if not reader.gone:
             reader.arrive(message, info)
 

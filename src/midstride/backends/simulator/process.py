@@ -1,4 +1,4 @@
-"""A simulated process: one component's script in a fibre, with its own arguments, output and modules."""
+"""A simulated process: a component's script in a cooperative thread, with its own arguments, output and modules."""
 
 from __future__ import annotations
 
@@ -61,23 +61,23 @@ class ProcessOutput(io.TextIOBase):
 
 
 class SimulatedProcess:
-    """Runs ``launch``. ``on_exit(process)`` is called once, when it is gone; ``status`` then says how."""
+    """Runs ``launch``. ``on_exit(process)`` is called once, when it has ended; ``status`` is then its exit status."""
 
     def __init__(
-        self, world: SimulatedPlatform, launch: Launch, pid: int, on_exit: Callable[[SimulatedProcess], None]
+        self, platform: SimulatedPlatform, launch: Launch, pid: int, on_exit: Callable[[SimulatedProcess], None]
     ) -> None:
-        self.world = world
-        self.clock = world.time
-        self.network = world.network
-        self.transport: Transport = world.control.of(self)
+        self.platform = platform
+        self.clock = platform.time
+        self.network = platform.network
+        self.transport: Transport = platform.control.of(self)
         self.launch = launch
         self.pid = pid
         self.log = ProcessOutput()
         self.host: SimulatedHost | None = None
         self.dead = False
         self.terminating = False
-        # Whoever ends it waits for it, so its exit is no news.
-        self.awaited = False
+        # Being ended by the manager, which waits for that: its exit is not reported.
+        self.exit_expected = False
         self.status: int | None = None
         self.gone = asyncio.Event()
         self._on_exit = on_exit
@@ -85,8 +85,8 @@ class SimulatedProcess:
         self._thawed_at = 0.0
         self._asleep = False
         context = contextvars.copy_context()
-        context.run(process_context.current.set, self._surroundings())
-        self.fibre = CooperativeThread(launch.instance, self._program.run, context)
+        context.run(process_context.current.set, self._context())
+        self.thread = CooperativeThread(launch.instance, self._program.run, context)
 
     @property
     def instance(self) -> str:
@@ -99,7 +99,7 @@ class SimulatedProcess:
         inside = (own or self.launch.namespace).strip("/")
         return f"/{inside}/{name}" if inside else f"/{name}"
 
-    def _surroundings(self) -> process_context.ProcessContext:
+    def _context(self) -> process_context.ProcessContext:
         def factory(name: str, namespace: str) -> Host:
             return SimulatedHost(self, name)
 
@@ -117,41 +117,41 @@ class SimulatedProcess:
     # -- running -----------------------------------------------------------------------------------
 
     def ready(self) -> bool:
-        """Whether the fibre waits for work."""
+        """Whether the thread is waiting for work."""
         return not self._asleep and not self.dead
 
     def resume(self, work: Any = None) -> None:
-        """Let the fibre run; whatever it gives way for is seen to."""
+        """Let the thread run, and handle what it yields for."""
         if self.dead:
             return
-        with self._program.foreground():
+        with self._program.interpreter_state():
             try:
-                yielded: Yielded = self.fibre.resume(work)
+                yielded: Yielded = self.thread.resume(work)
             except BackendError as error:
                 self.log.write(f"{error}\n")
                 self._exit(-9)
                 return
         if isinstance(yielded, Sleeps):
             self._asleep = True
-            self.world.time.loop.call_later(yielded.seconds, self._wake)
+            self.platform.time.loop.call_later(yielded.seconds, self._wake)
         elif isinstance(yielded, Ended):
             self._exit(self._program.status(yielded.error))
         elif self.host is not None:
             self.host.idle()
 
     def wait_for_work(self) -> Callable[[], None]:
-        """In its thread: let the loop go on until there is work."""
-        work: Callable[[], None] = self.fibre.give_way(Waits())
+        """In its thread: let the loop run until there is work."""
+        work: Callable[[], None] = self.thread.yield_to_loop(Waits())
         return work
 
     def join_platform(self, instance: str) -> None:
-        """It is on the platform as ``instance``. Raises StartFailed where the name is taken."""
-        self.world.register(instance, self)
+        """Join the platform as ``instance``. Raises StartFailed where the name is taken."""
+        self.platform.register(instance, self)
 
     def _wake(self) -> None:
         """A `time.sleep` of its code is over."""
-        if self.awake_at() > self.world.time.steady():
-            self.world.time.loop.call_at(self.awake_on_loop(), self._wake)
+        if self.frozen_until() > self.platform.time.steady():
+            self.platform.time.loop.call_at(self.frozen_until_on_loop(), self._wake)
             return
         self._asleep = False
         self.resume()
@@ -159,7 +159,7 @@ class SimulatedProcess:
     # -- signals and faults ------------------------------------------------------------------------
 
     def terminate(self) -> None:
-        """SIGTERM: a component in ``start()`` ends in order, a process that has not come so far just ends."""
+        """SIGTERM: a component in ``start()`` ends in order; a process that has not got there ends at once."""
         self.terminating = True
         if self.host is not None and self.host.main is not None:
             self.host.main.cancel()
@@ -167,43 +167,43 @@ class SimulatedProcess:
             self.kill(-15)
 
     def kill(self, status: int = -9) -> None:
-        """At once, in the middle of whatever it does."""
+        """End it at once, whatever it is doing."""
         if not self.dead:
             self._exit(status)
 
     def freeze(self, seconds: float) -> None:
         """As SIGSTOP, and SIGCONT after ``seconds``."""
-        self._thawed_at = max(self._thawed_at, self.world.time.steady() + seconds)
+        self._thawed_at = max(self._thawed_at, self.platform.time.steady() + seconds)
 
-    def awake_at(self) -> float:
+    def frozen_until(self) -> float:
         return self._thawed_at
 
-    def awake_on_loop(self) -> float:
-        loop = self.world.time.loop
-        return max(loop.time(), loop.time() + self._thawed_at - self.world.time.steady())
+    def frozen_until_on_loop(self) -> float:
+        loop = self.platform.time.loop
+        return max(loop.time(), loop.time() + self._thawed_at - self.platform.time.steady())
 
-    async def thaw(self) -> None:
-        """Until it is not frozen. Raises CancelledError where it is dead: its tasks end here."""
-        while not self.dead and (left := self._thawed_at - self.world.time.steady()) > 0:
-            await self.world.time.sleep(left)
+    async def wait_while_frozen(self) -> None:
+        """Returns once it is not frozen. Raises CancelledError where it is dead, which ends its tasks."""
+        while not self.dead and (left := self._thawed_at - self.platform.time.steady()) > 0:
+            await self.platform.time.sleep(left)
         if self.dead:
             raise asyncio.CancelledError
 
     def _exit(self, status: int | None) -> None:
         self.dead = True
         self.status = status
-        self.world.network.remove_party(self)
-        self.world.control.remove(self)
+        self.platform.network.remove_process(self)
+        self.platform.control.remove(self)
         if self.host is not None and self.host.main is not None:
             self.host.main.cancel()
-        with self._program.foreground():
-            self.fibre.kill()
+        with self._program.interpreter_state():
+            self.thread.kill()
         self.gone.set()
         self._on_exit(self)
 
 
 class SimulatedProgram:
-    """The script or module of a command, and what of Python's global state is its own while it runs."""
+    """The script or module of a command, with its own part of Python's global state."""
 
     def __init__(self, launch: Launch, log: ProcessOutput) -> None:
         command = " ".join(launch.arguments)
@@ -222,7 +222,7 @@ class SimulatedProgram:
             self._file = str(launch.directory / rest[0])
             self.arguments = tuple(rest[1:])
         else:
-            raise StartFailed(f"{launch.instance}: the simulator does not understand `{command}`")
+            raise StartFailed(f"{launch.instance}: the simulator cannot run `{command}`")
         self._log = log
         self._directory = str(launch.directory) if self._module else str(Path(self._file).parent)
         self._argv = [self._file, *self.arguments]
@@ -230,7 +230,7 @@ class SimulatedProgram:
         self._modules: dict[str, ModuleType] = {"__main__": self._main}
 
     def run(self) -> None:
-        """In the fibre."""
+        """In the thread."""
         exec(self._load(), self._main.__dict__)
 
     def _load(self) -> CodeType:
@@ -274,12 +274,12 @@ class SimulatedProgram:
                 self._log.write("".join(traceback.format_exception(type(error), error, trace)))
                 return 1
 
-    def foreground(self) -> InterpreterState:
+    def interpreter_state(self) -> InterpreterState:
         return InterpreterState(self)
 
 
 class InterpreterState:
-    """While open, Python's global state is as in a process of the program's own."""
+    """While open, Python's global state is as it would be in a process that runs only this program."""
 
     def __init__(self, program: SimulatedProgram) -> None:
         self._program = program
@@ -307,11 +307,11 @@ class InterpreterState:
         sys.stdout, sys.stderr, sys.argv = self._before
 
     def _keep_own_modules(self) -> None:
-        """What it imported from its own folder is its own: another component's `helper` is another module."""
+        """Keep modules from its own folder apart: another component's `helper` is another module."""
         if len(sys.modules) <= self._known or self._program._module is not None:
             return
         folder = self._program._directory.rstrip("/") + "/"
-        for name in list(sys.modules)[self._known :]:  # a dictionary keeps the order in which things came
+        for name in list(sys.modules)[self._known :]:  # a dictionary keeps the order of insertion
             file = getattr(sys.modules[name], "__file__", None)
             if isinstance(file, str) and file.startswith(folder):
                 self._program._modules[name] = sys.modules.pop(name)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from midstride.cli.app import json_option
-from midstride.cli.output import print_json, wants_json
+from midstride.cli import completion
+from midstride.cli.output import json_option, print_json, wants_json
 
 if TYPE_CHECKING:
     from midstride.lang.diagnostics import Diagnostic
@@ -18,41 +18,41 @@ if TYPE_CHECKING:
 
 @click.command("check")
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
-@click.option("--strict", is_flag=True, help="Warnings count as errors.")
-@click.option("--no-types", is_flag=True, help="Do not look message types and fields up in what is installed here.")
+@click.option("--strict", is_flag=True, help="Treat warnings as errors.")
+@click.option("--no-types", is_flag=True, help="Do not check message types and fields against the installed packages.")
 @json_option
 def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
-    """Check specifications: form, names, contracts, and whether every functionality can work.
+    """Check specifications: syntax, names, contracts, and whether every functionality can work.
 
-    Every independent error is told once, at its place; `midstride explain CODE` says more about it.
+    Every independent error is reported once, at its place; `midstride explain CODE` explains it.
     """
-    from midstride.cli.files import must_exist
+    from midstride.cli.files import require_file
     from midstride.lang import load, render
     from midstride.lang.message_types import installed
 
     messages = None if no_types else installed()
     found: list[Diagnostic] = []
     for file in files:
-        must_exist(file)
+        require_file(file)
         found += load(file, messages=messages).diagnostics
-    found = list({str(diagnostic): diagnostic for diagnostic in found}.values())  # a file may be included by several
+    found = list({str(diagnostic): diagnostic for diagnostic in found}.values())  # files may share an include
     bad = any(strict or diagnostic.severity == "error" for diagnostic in found)
     if wants_json():
         print_json({"ok": not bad, "diagnostics": [diagnostic.to_json() for diagnostic in found]})
     elif found:
         click.echo(render(found))
     else:
-        click.echo(f"{', '.join(map(str, files))}: nothing to complain of.")
+        click.echo(f"{', '.join(map(str, files))}: no problems found")
     return int(bad)
 
 
 @click.command("fmt")
 @click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="FILE...")
-@click.option("--check", is_flag=True, help="Change nothing; exit status 1 if something would be.")
+@click.option("--check", is_flag=True, help="Change nothing; exit status 1 if a file is not formatted.")
 @json_option
 def fmt_command(files: tuple[Path, ...], check: bool) -> int:
-    """Bring Stride files into canonical form, in place. Comments and order survive."""
-    from midstride.cli.files import must_exist
+    """Format Stride files, in place. Comments and order are kept."""
+    from midstride.cli.files import require_file
     from midstride.lang import format_text, render
     from midstride.lang.diagnostics import Diagnostic
     from midstride.lang.files import Unreadable, read_text
@@ -62,11 +62,11 @@ def fmt_command(files: tuple[Path, ...], check: bool) -> int:
     for file in files:
         if file.suffix == ".json":
             raise click.UsageError(f"{file} is JSON; fmt is for files in the Stride language")
-        must_exist(file)
+        require_file(file)
         try:
             text = read_text(file)
         except Unreadable as error:
-            message = f"`{file}` cannot be read: {error}"
+            message = f"cannot read `{file}`: {error}"
             found.append(Diagnostic(error.code, message, help=error.help, file=str(file)))
             continue
         formatted = format_text(text, str(file))
@@ -83,12 +83,12 @@ def fmt_command(files: tuple[Path, ...], check: bool) -> int:
     if found:
         click.echo(render(found))
     for file in changed:
-        click.echo(f"{file}: {'not in canonical form' if check else 'formatted'}")
+        click.echo(f"{file}: {'not formatted' if check else 'formatted'}")
     return int(bad)
 
 
 def _replace(file: Path, text: str) -> None:
-    """Write the whole file or nothing, whatever happens meanwhile; its mode stays, and so does a link to it."""
+    """Write the file atomically, through links, and keep its mode."""
     file = file.resolve()
     descriptor, name = tempfile.mkstemp(prefix=f".{file.name}.", dir=file.parent)
     try:
@@ -102,10 +102,10 @@ def _replace(file: Path, text: str) -> None:
 
 
 @click.command("explain")
-@click.argument("code")
+@click.argument("code", shell_complete=completion.codes)
 @json_option
 def explain_command(code: str) -> int:
-    """Say what a diagnostic's CODE means, with an example: `midstride explain E012`."""
+    """Explain the CODE of a diagnostic, with an example: `midstride explain E012`."""
     from midstride.lang.catalogue import CATALOGUE, explain
 
     try:
@@ -114,8 +114,8 @@ def explain_command(code: str) -> int:
         raise click.UsageError(str(error.args[0])) from None
     if wants_json():
         entry = CATALOGUE[code.upper()]
-        told = " ".join(entry.explanation.split())
-        print_json({"code": entry.code, "severity": entry.severity, "title": entry.title, "explanation": told})
+        explanation = " ".join(entry.explanation.split())
+        print_json({"code": entry.code, "severity": entry.severity, "title": entry.title, "explanation": explanation})
     else:
         click.echo(text)
     return 0

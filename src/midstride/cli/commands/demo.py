@@ -1,4 +1,4 @@
-"""``demo``: an example from beginning to end."""
+"""``demo``: an example from start to finish."""
 
 from __future__ import annotations
 
@@ -7,46 +7,45 @@ import asyncio
 import click
 
 from midstride.backends import NAMES
-from midstride.cli.app import json_option
+from midstride.cli import completion
+from midstride.cli.output import INTERRUPTED, console, json_option, print_json, wants_json
 
 
 @click.command("demo")
-@click.argument("name", default="talker")
+@click.argument("name", default="talker", shell_complete=completion.examples)
 @click.option(
     "--backend",
     type=click.Choice(NAMES),
     envvar="MIDSTRIDE_BACKEND",
     show_envvar=True,
-    help="What it runs on; ros2 where it can be had, else sim.",
+    help="The platform; by default ros2 where it is available, else sim.",
 )
 @json_option
 def demo_command(name: str, backend: str | None) -> int:
-    """Run the example NAME (talker, obstacle or filter): its plans, each step, and what was measured.
+    """Run the example NAME (talker, obstacle or filter): its plans, each step, and the measurements.
 
-    Everything it starts ends with it, however it ends.
+    It stops every process that it has started, even if it is interrupted or killed.
     """
     from rich.console import Console
 
     from midstride import backends
-    from midstride.cli import INTERRUPTED
     from midstride.cli.demo_runner import run_demo
     from midstride.cli.example import find
-    from midstride.cli.output import console, print_json, wants_json
 
     example = find(name)
     if backend is None:
         backend = backends.default()
         if backend != "ros2":
-            instead = "the simulator" if backend == "sim" else backend
-            click.echo(f"ROS 2 cannot be imported here, so this runs on {instead}.", err=True)
+            fallback = "the simulator" if backend == "sim" else backend
+            click.echo(f"ROS 2 is not available; running on {fallback}.", err=True)
     out = Console(quiet=True) if wants_json() else console()
     try:
         outcomes = asyncio.run(run_demo(example, backend, out))
     except asyncio.CancelledError:
-        click.echo("\nInterrupted; everything that was started has ended.", err=True)
+        click.echo("\nInterrupted; all processes have been stopped.", err=True)
         return INTERRUPTED
     if wants_json():
-        acts = [{"name": act.name, **outcome} for act, outcome in zip(example.acts, outcomes, strict=False)]
+        acts = [{"name": step.name, **outcome} for step, outcome in zip(example.steps, outcomes, strict=False)]
         print_json(
             {**outcomes[0], "outcome": outcomes[-1]["outcome"], "example": name, "backend": backend, "acts": acts}
         )

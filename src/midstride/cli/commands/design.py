@@ -1,4 +1,4 @@
-"""``graph``, ``impact`` and ``diff``: what a specification shows before anything runs."""
+"""``graph``, ``impact`` and ``diff``: a specification before anything runs."""
 
 from __future__ import annotations
 
@@ -6,25 +6,27 @@ from pathlib import Path
 
 import click
 
-from midstride.cli.app import json_option
+from midstride.cli import completion
+from midstride.cli.output import json_option, print_json, wants_json
 
 _FILE = click.Path(path_type=Path)
 
 
 @click.command("graph")
 @click.argument("file", type=_FILE)
-@click.option("-o", "--output", type=_FILE, metavar="X.svg|png|dot|mmd", help="Where to; its ending says what.")
-@click.option("--annotate", is_flag=True, help="Write contracts and modes out.")
-@click.option("--collapse/--expand", default=None, help="One box for each namespace or not.  [default: where readable]")
+@click.option(
+    "-o", "--output", type=_FILE, metavar="X.svg|png|dot|mmd", help="Write a file; its suffix chooses the kind."
+)
+@click.option("--annotate", is_flag=True, help="Include contracts and modes.")
+@click.option("--collapse/--expand", default=None, help="One box per namespace, or per node.  [default: by size]")
 @json_option
 def graph_command(file: Path, output: Path | None, annotate: bool, collapse: bool | None) -> int:
-    """Draw the components of FILE and what connects them: dot on standard output, or a file of another kind.
+    """Draw the components of FILE and their connections: as dot on standard output, or to a file.
 
     SVG and PNG need Graphviz; dot and Mermaid (mmd) do not.
     """
     from midstride.cli import graphviz
     from midstride.cli.files import load
-    from midstride.cli.output import print_json, wants_json
     from midstride.generate.drawing import to_dot, to_mermaid
     from midstride.generate.view import view
 
@@ -46,12 +48,11 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 
 @click.command("impact")
 @click.argument("file", type=_FILE)
-@click.argument("nodes", nargs=-1, metavar="[NODE...]")
+@click.argument("nodes", nargs=-1, metavar="[NODE...]", shell_complete=completion.nodes)
 @json_option
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
-    """Say for each node of FILE what falls, and how far, if it is removed or crashes; the worst come first."""
+    """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first."""
     from midstride.cli.files import load
-    from midstride.cli.output import print_json, wants_json
     from midstride.plan.impact import ImpactForm, impacts
 
     found = impacts(load(file), nodes)
@@ -61,8 +62,8 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     for impact in found:
         mark = "single point of failure: " if impact.single_point_of_failure else ""
         heading = f"{mark}{impact.role} ({impact.component})"
-        click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.falls else 'nothing else falls'}")
-        for fall in impact.falls:
+        click.echo(f"{heading}: {f'loss {impact.loss:g}' if impact.impacted else 'nothing else degrades'}")
+        for fall in impact.impacted:
             levels = f"{fall.levels} mode{'' if fall.levels == 1 else 's'}"
             click.echo(f"  {fall.functionality}: {fall.before} -> {fall.after} ({levels}, weight {fall.weight:g})")
             for reason in fall.because[:1]:
@@ -75,9 +76,8 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
 @click.argument("new", type=_FILE)
 @json_option
 def diff_command(old: Path, new: Path) -> int:
-    """Say how the specification NEW differs from OLD. Exit status 0 if they mean the same, else 1."""
+    """Show how the specification NEW differs from OLD. Exit status 0 if they are equivalent, else 1."""
     from midstride.cli.files import load
-    from midstride.cli.output import print_json, wants_json
     from midstride.plan.specification_diff import differences
 
     found = differences(load(old), load(new))
@@ -86,5 +86,5 @@ def diff_command(old: Path, new: Path) -> int:
     elif found:
         click.echo("\n".join(str(difference) for difference in found))
     else:
-        click.echo("They mean the same.")
+        click.echo("No differences.")
     return int(bool(found))

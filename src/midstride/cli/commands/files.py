@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from midstride.cli.app import json_option
-from midstride.cli.output import print_json
+from midstride.cli.output import json_option, print_json
 from midstride.cli.systems import find, system_option
 
 
@@ -17,7 +16,7 @@ from midstride.cli.systems import find, system_option
 @system_option
 @json_option
 def export_command(file: Path | None, schema: bool, system: str | None) -> int:
-    """Print the specification in FILE, or the one that the running system has, as JSON."""
+    """Print the specification in FILE, or that of the running system, as JSON."""
     if schema:
         from midstride.codec.schema import specification_schema
 

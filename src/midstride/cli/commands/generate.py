@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import click
 
-from midstride.cli.app import json_option
+from midstride.cli.output import json_option, print_json, wants_json
 from midstride.errors import MidstrideError, SpecificationError
 
 if TYPE_CHECKING:
@@ -17,36 +17,35 @@ if TYPE_CHECKING:
     from midstride.generate.project import GeneratedFile
     from midstride.lang import Loaded
 
-# What was written last, so that an edited copy of the specification is known for one.
+# What was last generated, to recognise a copy of the specification that was edited since.
 RECORD: Final = ".midstride-generated.json"
 
 
 @click.command("generate")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("-o", "--output", required=True, type=click.Path(path_type=Path, file_okay=False), metavar="DIR")
-@click.option("--ros", type=click.Choice(["1", "2"]), default="2", show_default=True, help="Which ROS's package files.")
+@click.option("--ros", type=click.Choice(["1", "2"]), default="2", show_default=True, help="For ROS 1 or ROS 2.")
 @json_option
 def generate_command(file: Path, output: Path, ros: str) -> int:
-    """Write the skeleton of each node of FILE into DIR, with a launch file and package files around them.
+    """Write a skeleton for each node of FILE into DIR, with a launch file and package files.
 
-    The nodes run as they are: `midstride up DIR/FILE`. What you write into them survives the next time; only the marked
-    block in each is written anew.
+    The nodes run unchanged: `midstride up DIR/FILE`. Generating again keeps your code and replaces only
+    the marked block in each file.
     """
-    from midstride.cli.files import must_exist
-    from midstride.cli.output import print_json, wants_json
+    from midstride.cli.files import require_file
     from midstride.generate.merge import digest
     from midstride.generate.project import project
     from midstride.lang import load
     from midstride.lang.message_types import installed
 
-    must_exist(file)
+    require_file(file)
     loaded = load(file, messages=installed())
     specification = loaded.require()
     sources = _sources(file, loaded)
-    made = project(specification, file.name, sources, 1 if ros == "1" else 2)
+    generated_project = project(specification, file.name, sources, 1 if ros == "1" else 2)
     record = _record(output)
     done: list[tuple[str, str, str]] = []
-    for generated in made.files:
+    for generated in generated_project.files:
         path = output / generated.path
         merged = _merge(generated, _existing(path), record)
         if merged.text is not None:
@@ -57,12 +56,12 @@ def generate_command(file: Path, output: Path, ros: str) -> int:
     _write(output / RECORD, json.dumps(record, indent=2, sort_keys=True) + "\n", False)
     if wants_json():
         files = [{"file": name, "state": state, "note": note or None} for name, state, note in done]
-        print_json({"folder": str(output), "files": files, "skipped": made.skipped})
+        print_json({"folder": str(output), "files": files, "skipped": generated_project.skipped})
         return 0
     for name, state, note in done:
         if state == "written" or note:
             click.echo(f"{state} {output / name}" + (f" ({note})" if note else ""))
-    for component, reason in made.skipped.items():
+    for component, reason in generated_project.skipped.items():
         click.echo(f"no skeleton for {component}: {reason}")
     click.echo(f"Start it with `midstride up {output / file.name}`.")
     return 0
@@ -75,9 +74,7 @@ def _sources(file: Path, loaded: Loaded) -> dict[PurePosixPath, str]:
     for source in loaded.files:
         relative = os.path.relpath(os.path.abspath(source.path or file), folder)
         if relative.startswith(".."):
-            raise SpecificationError(
-                f"{source.name} lies outside of {folder}, and would not be found from a copy of {file}"
-            )
+            raise SpecificationError(f"{source.name} is outside {folder}, so a copy of {file} would not find it")
         sources[PurePosixPath(relative)] = source.text
     return sources
 
@@ -100,7 +97,7 @@ def _existing(path: Path) -> str | None:
     except FileNotFoundError:
         return None
     except (OSError, UnicodeDecodeError) as error:
-        raise MidstrideError(f"{path} cannot be read: {error}") from None
+        raise MidstrideError(f"cannot read {path}: {error}") from None
 
 
 def _write(path: Path, text: str, executable: bool) -> None:
@@ -110,7 +107,7 @@ def _write(path: Path, text: str, executable: bool) -> None:
         if executable:
             path.chmod(path.stat().st_mode | 0o111)
     except OSError as error:
-        raise MidstrideError(f"{path} cannot be written: {error.strerror}") from None
+        raise MidstrideError(f"cannot write {path}: {error.strerror}") from None
 
 
 def _record(output: Path) -> dict[str, str]:

@@ -7,15 +7,15 @@ import sys
 
 import click
 
-from midstride.cli.app import json_option
+from midstride.cli.output import json_option
 from midstride.errors import MidstrideError
 
 
 @click.command("lsp")
-@click.option("--stdio", is_flag=True, help="Accepted, since editors say it; there is no other way.")
+@click.option("--stdio", is_flag=True, help="Accepted because editors pass it; it is the only transport.")
 @json_option
 def lsp_command(stdio: bool) -> int:
-    """Serve the Language Server Protocol on standard input and output. An editor starts this.
+    """Run the language server on standard input and output. Editors start it.
 
     Needs the extra `midstride[lsp]`.
     """
@@ -23,6 +23,6 @@ def lsp_command(stdio: bool) -> int:
         from midstride.cli.lsp import make_server
     except ImportError as error:
         raise MidstrideError(f"the language server needs pygls ({error}); install `midstride[lsp]`") from None
-    with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as ours:  # it closes what it writes to at its end
-        make_server().start_io(stdout=ours)
+    with os.fdopen(os.dup(sys.stdout.fileno()), "wb") as output:  # the server closes its output at the end
+        make_server().start_io(stdout=output)
     return 0

@@ -1,4 +1,4 @@
-"""``_manager``: the manager's own process, started by ``up``. Not for people, so not in the help."""
+"""``_manager``: the manager's process, which ``up`` starts. Not in the help."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
 @click.option("--http", type=int)
 @click.option("--http-host")
 def manager_command(file: Path, backend: str, http: int | None, http_host: str | None) -> int:
-    """Manage the system of FILE until it is down, or until SIGTERM."""
+    """Manage the system of FILE until it is down or SIGTERM arrives."""
     from midstride import backends
     from midstride.cli.files import load
     from midstride.runtime.manager import Manager
     from midstride.runtime.workspace import Workspace
     from midstride.server.serve import LOOPBACK, Tcp, serve
 
-    wanted = load(file)
-    workspace = Workspace.of(wanted.name)
+    requested = load(file)
+    workspace = Workspace.of(requested.name)
     tcp = None if http is None else Tcp(http, http_host or LOOPBACK)
 
     async def run() -> int:
-        specification = await _still_running(workspace) or wanted
+        specification = await _still_running(workspace) or requested
         platform = backends.make(backend, workspace)
         manager = Manager(specification, platform, workspace, file.resolve().parent)
         return await serve(manager, workspace, backend=backend, tcp=tcp)
@@ -42,9 +42,9 @@ def manager_command(file: Path, backend: str, http: int | None, http_host: str |
 
 
 async def _still_running(workspace: Workspace) -> Specification | None:
-    """What an earlier manager left running: it is reattached unchanged, whatever FILE says by now.
+    """The specification of the system that an earlier manager left running; it is reattached unchanged.
 
-    The record of a system of which nothing runs any more is removed, once processes that are in no record have ended.
+    If none of its recorded components runs any more, stop the unrecorded ones and delete the state.
     """
     from midstride.runtime.launcher import STOP_GRACE
     from midstride.runtime.orphans import end_orphans

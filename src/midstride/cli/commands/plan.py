@@ -1,4 +1,4 @@
-"""``plan``: the plan for a change of a specification, without anything running."""
+"""``plan``: a plan for a change of a specification, with nothing running."""
 
 from __future__ import annotations
 
@@ -7,17 +7,27 @@ from pathlib import Path
 
 import click
 
-from midstride.cli import change_options
-from midstride.cli.app import json_option
+from midstride.cli import completion
+from midstride.cli.change_options import parse_new_node, parse_pair, strategy_option
+from midstride.cli.output import console, json_option, print_json, wants_json
 
 
 @click.command("plan")
 @click.argument("file", type=click.Path(path_type=Path))
 @click.option("--to", type=click.Path(path_type=Path), metavar="NEW", help="Change to the specification NEW.")
-@click.option("--replace", "replaced", multiple=True, metavar="NODE=COMPONENT", help="Replace what plays NODE.")
+@click.option(
+    "--replace",
+    "replaced",
+    multiple=True,
+    metavar="NODE=COMPONENT",
+    shell_complete=completion.replacements,
+    help="Replace the component of NODE.",
+)
 @click.option("--add", "added", multiple=True, metavar="'NODE COMPONENT PORT=TOPIC...'", help="Add a node.")
-@click.option("--remove", "removed", multiple=True, metavar="NODE", help="Remove a node.")
-@change_options.strategy_option
+@click.option(
+    "--remove", "removed", multiple=True, metavar="NODE", shell_complete=completion.nodes, help="Remove a node."
+)
+@strategy_option
 @json_option
 def plan_command(
     file: Path,
@@ -27,14 +37,13 @@ def plan_command(
     removed: tuple[str, ...],
     strategy: str,
 ) -> int:
-    """Show the plan for a change of the system of FILE: its steps, who falls and for how long.
+    """Show the plan for a change of the system of FILE: its steps, what degrades and for how long.
 
     \b
     midstride plan talker.json --replace talker=NewTalker
     midstride plan talker.json --add 'second Listener in=/chatter'
     """
     from midstride.cli.files import load
-    from midstride.cli.output import console, print_json, wants_json
     from midstride.model.specification import initial
     from midstride.plan.change import Change
     from midstride.plan.forms import encode_plan
@@ -42,19 +51,19 @@ def plan_command(
     from midstride.plan.request_form import decode_request
 
     if not (to or replaced or added or removed):
-        raise click.UsageError("say what is to change: --to NEW, --replace, --add or --remove")
+        raise click.UsageError("nothing to change: pass --to NEW, --replace, --add or --remove")
     specification = load(file)
     request = decode_request(
         {
-            "replace": [change_options.pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
-            "add": [change_options.added(shlex.split(text)) for text in added],
+            "replace": [parse_pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
+            "add": [parse_new_node(shlex.split(text)) for text in added],
             "remove": list(removed),
             "strategy": strategy,
         }
     )
     if to is not None:
         if replaced or added or removed:
-            raise click.UsageError("--to names a whole specification: it goes without --replace, --add and --remove")
+            raise click.UsageError("--to cannot be combined with --replace, --add or --remove")
         target = load(to)
     else:
         target = request.target(specification)

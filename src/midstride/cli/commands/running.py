@@ -6,9 +6,9 @@ from collections.abc import Iterable
 
 import click
 
-from midstride.cli.app import json_option
+from midstride.cli import completion
 from midstride.cli.client import Event
-from midstride.cli.output import console, print_json, wants_json
+from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 
 
@@ -16,7 +16,7 @@ from midstride.cli.systems import find, system_option
 @system_option
 @json_option
 def status_command(system: str | None) -> int:
-    """What is live, in which modes, as the components themselves tell it. Exits 1 where that is not valid."""
+    """Show nodes, modes and topics, as the components report them. Exit status 1 if the system is not valid."""
     client, _ = find(system)
     document = client.get("/status")
     if wants_json():
@@ -29,11 +29,11 @@ def status_command(system: str | None) -> int:
 
 
 @click.command("why")
-@click.argument("functionality", metavar="NODE.FUNCTIONALITY")
+@click.argument("functionality", metavar="NODE.FUNCTIONALITY", shell_complete=completion.functionalities)
 @system_option
 @json_option
 def why_command(functionality: str, system: str | None) -> int:
-    """Why a functionality is in the mode it is in, such as `midstride why listener.listen`."""
+    """Explain why a functionality is in its mode: `midstride why listener.listen`."""
     client, _ = find(system)
     document = client.get("/why", functionality=functionality)
     if wants_json():
@@ -49,12 +49,17 @@ def why_command(functionality: str, system: str | None) -> int:
 
 @click.command("log")
 @click.option(
-    "--since", type=click.IntRange(0), default=0, show_default=True, metavar="N", help="Only the events after number N."
+    "--since",
+    type=click.IntRange(0),
+    default=0,
+    show_default=True,
+    metavar="N",
+    help="Skip the events up to number N.",
 )
 @system_option
 @json_option
 def log_command(since: int, system: str | None) -> int:
-    """What has happened since the manager began."""
+    """Show the events since the manager started."""
     client, _ = find(system)
     events = client.get("/log", since=since)
     if wants_json():
@@ -71,9 +76,9 @@ def log_command(since: int, system: str | None) -> int:
 @system_option
 @json_option
 def watch_command(system: str | None) -> int:
-    """Watch the running system until Ctrl-C; it does not depend on being watched.
+    """Watch the running system until Ctrl-C, which does not affect it.
 
-    With --json: the events as one JSON array, each on its own line as it comes.
+    With --json: the events as one JSON array, one per line, as they come.
     """
     client, workspace = find(system)
     if wants_json():
@@ -85,7 +90,7 @@ def watch_command(system: str | None) -> int:
 
 
 def _stream(events: Iterable[Event]) -> None:
-    """An array, written event by event; Ctrl-C ends it between two of them, so that it is whole."""
+    """Write an array event by event; Ctrl-C ends it between two events, so that it stays valid JSON."""
     import json
     import signal
 
@@ -105,10 +110,10 @@ def _stream(events: Iterable[Event]) -> None:
 @system_option
 @json_option
 def down_command(system: str | None) -> int:
-    """End a system: every component, and its manager."""
-    from midstride.cli.shutdown import take_down
+    """Stop all components of a system, and its manager."""
+    from midstride.cli.shutdown import shut_down
 
-    name = take_down(system)
+    name = shut_down(system)
     if wants_json():
         print_json({"outcome": "done", "system": name})
     else:

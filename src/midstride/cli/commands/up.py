@@ -1,4 +1,4 @@
-"""``up``: a manager of its own, the system under it, and a view of both."""
+"""``up``: start a manager and its system, and watch them."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING
 import click
 
 from midstride.backends import NAMES
-from midstride.cli.app import json_option
 from midstride.cli.client import Client, Document
+from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.errors import ManagerBusy, ManagerError
 
 if TYPE_CHECKING:
     from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
-FIRST_ANSWER = 30.0
+START_TIMEOUT = 30.0
 POLL = 0.02
 
 
@@ -36,32 +36,31 @@ POLL = 0.02
     show_default=True,
     envvar="MIDSTRIDE_BACKEND",
     show_envvar=True,
-    help="What it runs on.",
+    help="The platform.",
 )
 @click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
 @click.option("--http", type=click.IntRange(1, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
-@click.option("--http-host", metavar="ADDRESS", help="With --http: on this address of the machine instead of loopback.")
+@click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead of loopback.")
 @json_option
 def up_command(file: Path, backend: str, detach: bool, http: int | None, http_host: str | None) -> int:
-    """Start the system of FILE under a manager of its own, and watch it.
+    """Start the system of FILE and its manager, and watch them.
 
-    Components and manager go on when the view is left (Ctrl-C); a manager that was killed is followed by the next
-    `up`, which finds its components again. `midstride down` ends everything.
+    Ctrl-C leaves the view; components and manager keep running. If the manager is killed, the next `up` reattaches to
+    its components. `midstride down` stops everything.
     """
     from midstride.cli.files import load
-    from midstride.cli.output import print_json, wants_json
     from midstride.codec.specification import encode_specification
     from midstride.runtime.workspace import Workspace
 
     if http_host is not None and http is None:
         raise click.UsageError("--http-host needs --http PORT")
-    wanted = load(file)
-    workspace = Workspace.of(wanted.name)
+    specification = load(file)
+    workspace = Workspace.of(specification.name)
     client = Client(workspace.socket)
     if (running := client.service()) is not None:
         raise ManagerBusy(
-            f"{workspace.name} is running already, under the manager with process {running['pid']}: "
-            "`midstride status` shows it, `midstride apply` changes it, `midstride down` ends it"
+            f"{workspace.name} is already running (manager process {running['pid']}): "
+            "`midstride status` shows it, `midstride apply` changes it, `midstride down` stops it"
         )
     workspace.require_room()
     arguments = [str(file.resolve()), "--backend", backend]
@@ -69,18 +68,18 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
     log = workspace.logs / "manager.log"
     try:
-        with _ctrl_c_waits():  # a manager that nobody knows of could not be ended
+        with _interrupt_deferred():  # until the manager's process is known and can be stopped
             manager = _start(arguments, log)
-        _first_answer(client, manager, log)
-        answer = _until_up(client)
+        _wait_for_manager(client, manager, log)
+        answer = _wait_until_up(client)
     except KeyboardInterrupt:
-        click.echo(f"\nEnding what has been started of {workspace.name} …", err=True)
-        _take_back(client, workspace, manager, log)
+        click.echo(f"\nStopping everything started for {workspace.name} …", err=True)
+        _undo(client, workspace, manager, log)
         raise
-    if client.get("/specification") != encode_specification(wanted):
+    if client.get("/specification") != encode_specification(specification):
         click.echo(
-            f"{workspace.name} was running, and is not as {file} says: it has been taken up as it is. "
-            f"`midstride apply {file}` changes it.",
+            f"{workspace.name} was already running and differs from {file}; it was reattached unchanged. "
+            f"Run `midstride apply {file}` to change it.",
             err=True,
         )
     if wants_json():
@@ -97,8 +96,8 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
 
 
 @contextmanager
-def _ctrl_c_waits() -> Iterator[None]:
-    """Raises KeyboardInterrupt at the end of the block where Ctrl-C was pressed meanwhile."""
+def _interrupt_deferred() -> Iterator[None]:
+    """Raises KeyboardInterrupt at the end of the block if Ctrl-C was pressed in it."""
     pressed: list[int] = []
     before = signal.signal(signal.SIGINT, lambda number, _: pressed.append(number))
     try:
@@ -110,7 +109,7 @@ def _ctrl_c_waits() -> Iterator[None]:
 
 
 def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
-    """The manager in a session of its own: what happens to this terminal does not concern it."""
+    """Start the manager in a new session, which does not end with this terminal."""
     with log.open("wb") as output:
         return subprocess.Popen(
             [sys.executable, "-m", "midstride", "_manager", *arguments],
@@ -122,44 +121,43 @@ def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
         )
 
 
-def _first_answer(client: Client, manager: subprocess.Popen[bytes], log: Path) -> None:
-    """Wait until the manager answers. Raises ManagerError with its own words where it ends or stays silent."""
-    end = time.monotonic() + FIRST_ANSWER
+def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Path) -> None:
+    """Wait until the manager answers. Raises ManagerError, with the last line of its log, where it exits."""
+    end = time.monotonic() + START_TIMEOUT
     while time.monotonic() < end:
         service = client.service()
         if service is not None:
             if service["pid"] != manager.pid:
-                raise ManagerBusy(f"another manager of this system has just been started (process {service['pid']})")
+                raise ManagerBusy(f"another manager of this system was just started (process {service['pid']})")
             return
         if manager.poll() is not None:
-            told = log.read_text(errors="replace").strip().splitlines() or ["it wrote nothing to its log"]
-            raise ManagerError(told[-1].removeprefix("midstride: "))
+            lines = log.read_text(errors="replace").strip().splitlines() or ["the manager exited without a message"]
+            raise ManagerError(lines[-1].removeprefix("midstride: "))
         time.sleep(POLL)
     manager.kill()
-    raise ManagerError(f"the manager did not answer within {FIRST_ANSWER:g} s; see {log}")
+    raise ManagerError(f"the manager did not answer within {START_TIMEOUT:g} s; see {log}")
 
 
-def _until_up(client: Client) -> Document:
-    """Show what happens until the system is up; what the manager says then. Raises what bringing up failed with."""
-    from midstride.cli.follow import Following
-    from midstride.cli.output import console, wants_json
+def _wait_until_up(client: Client) -> Document:
+    """Show progress until the system is up. Raises the manager's error where it does not come up."""
+    from midstride.cli.follow import FollowedRequest
     from midstride.cli.progress import Progress
 
-    following = Following(client, lambda: dict(client.get("/up", timeout=None)), since=0, until="up")
+    followed = FollowedRequest(client, lambda: dict(client.get("/up", timeout=None)), since=0, until="up")
     with Progress(console(stderr=wants_json())) as progress:
-        for event in following:
+        for event in followed:
             if not wants_json():
                 progress.show(event)
-    return following.answer()
+    return followed.answer()
 
 
-def _take_back(client: Client, workspace: Workspace, manager: subprocess.Popen[bytes], log: Path) -> None:
-    """End the system and its manager. One that does not answer yet would bring the system up all the same."""
-    from midstride.cli.shutdown import until_free
+def _undo(client: Client, workspace: Workspace, manager: subprocess.Popen[bytes], log: Path) -> None:
+    """Stop the system and its manager. A manager that does not answer yet would still start the system: wait for it."""
+    from midstride.cli.shutdown import wait_for_manager_exit
 
     try:
-        _first_answer(client, manager, log)
-    except ManagerError:  # it has ended by itself
+        _wait_for_manager(client, manager, log)
+    except ManagerError:  # it has exited
         return
     client.post("/down")
-    until_free(workspace)
+    wait_for_manager_exit(workspace)

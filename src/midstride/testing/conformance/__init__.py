@@ -1,8 +1,7 @@
 """The checks that any back end must pass: each an async function of a back end and a folder to work in.
 
-``CHECKS`` lists them all. They are written with puppets, so they say the same of every platform;
-what they leave to the platform are latencies and how long discovery takes. A back end's own tests
-run each of them with an unopened back end::
+``CHECKS`` lists them all. They use puppets, so they check the same on every platform, except for
+latencies and the time that discovery takes. The tests of a back end run each check with an unopened back end::
 
     @pytest.mark.parametrize("check", CHECKS, ids=lambda check: check.__name__)
     def test_conformance(check, tmp_path):

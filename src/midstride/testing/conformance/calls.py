@@ -1,4 +1,4 @@
-"""Modes: what is called when, changes between two calls, drain time-outs, and code that raises."""
+"""Modes: what is called when, changes between two calls, time-outs, and code that raises."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ async def calls_at_its_rate(backend: Backend, workspace: Path) -> None:
     """The first call comes on entry, the others on the grid; a degraded mode without rate is called once."""
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker(rate=50))
-        assert (await lab.told("talker"))["calls"] == {"talk.degraded": 1}
+        assert (await lab.exported("talker"))["calls"] == {"talk.degraded": 1}
         assert await lab.mode("talker", "talk", "normal") == {"before": {"talk": "degraded"}}
         await lab.eventually("the first call comes", lambda: _calls(lab, "talker", "talk.normal"))
         grid = await lab.read("talker", "grid", port="out")
@@ -28,14 +28,14 @@ async def calls_at_its_rate(backend: Backend, workspace: Path) -> None:
         slots = (later["epoch"] - grid["epoch"]) / 20e6
         assert abs(slots - round(slots)) < 1e-3 and slots > 90, "a slot off the grid"
         assert await lab.mode("talker", "talk", "degraded") == {"before": {"talk": "normal"}}
-        calls = await lab.told("talker")
+        calls = await lab.exported("talker")
         await lab.sleep(0.2)
-        assert await lab.told("talker") == calls and calls["calls"]["talk.degraded"] == 2
+        assert await lab.exported("talker") == calls and calls["calls"]["talk.degraded"] == 2
         assert (await lab.read("talker", "grid", port="out"))["trigger"] == "none"
 
 
 async def _calls(lab: Lab, instance: str, mode: str) -> int:
-    calls: int = (await lab.told(instance))["calls"].get(mode, 0)
+    calls: int = (await lab.exported(instance))["calls"].get(mode, 0)
     return calls
 
 
@@ -75,7 +75,7 @@ async def changes_modes_between_two_calls(backend: Backend, workspace: Path) -> 
         assert busy["mode"] == "normal" and 0 < busy["busy"] < 1.5, busy
         words = await lab.refusal("slow", "modes", modes={"talk": "degraded"}, timeout=0.2)
         assert "talk" in words and "0.2" in words, words
-        await lab.sleep(2.5)  # a change that was taken back must not happen later
+        await lab.sleep(2.5)  # a change that was withdrawn must not happen later
         assert (await lab.functionality("slow", "talk"))["mode"] == "normal"
         await lab.mode("slow", "talk", "degraded", timeout=5.0)
         arrived = await _arrived(lab)
@@ -91,7 +91,7 @@ async def _arrived(lab: Lab) -> list[str]:
 
 
 async def counts_an_async_call_as_running(backend: Backend, workspace: Path) -> None:
-    """An async mode function keeps its mode from ending until it returns, and nobody else from being called."""
+    """An async mode function keeps its mode from ending until it returns, and blocks no other call."""
     async with Lab(backend, workspace) as lab:
         await lab.start("sink", puppets.sink())
         await lab.start("slow", puppets.talker(rate=2, mode={"pause": 1.5}))
@@ -101,19 +101,19 @@ async def counts_an_async_call_as_running(backend: Backend, workspace: Path) -> 
         await lab.mode("slow", "talk", "normal")
         await lab.sleep(0.3)
         assert (await lab.functionality("slow", "talk"))["busy"] > 0
-        await lab.told("slow")  # the data side is free meanwhile
+        await lab.exported("slow")  # the data thread is free meanwhile
         words = await lab.refusal("slow", "modes", modes={"talk": "degraded"}, timeout=0.2)
         assert "talk" in words, words
         await lab.sleep(2.5)
         assert (await lab.functionality("slow", "talk"))["mode"] == "normal"
         await lab.mode("slow", "talk", "degraded", timeout=5.0)
         arrived = await _arrived(lab)
-        assert arrived, "its calls never came to their end"
+        assert arrived, "its calls never ended"
         await lab.sleep(2.0)
         assert await lab.received("sink") == arrived
 
 
-async def refuses_modes_that_are_not(backend: Backend, workspace: Path) -> None:
+async def refuses_unknown_modes(backend: Backend, workspace: Path) -> None:
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker())
         assert "sing" in await lab.refusal("talker", "modes", modes={"sing": "normal"})
@@ -122,11 +122,11 @@ async def refuses_modes_that_are_not(backend: Backend, workspace: Path) -> None:
         before = await lab.functionality("talker", "talk")
         assert await lab.mode("talker", "talk", "degraded") == {"before": {"talk": "degraded"}}
         after = await lab.functionality("talker", "talk")
-        assert after["because"] == before["because"], "a change to the mode it is in is none"
+        assert after["because"] == before["because"], "a change to its current mode must change nothing"
 
 
 async def degrades_where_user_code_raises(backend: Backend, workspace: Path) -> None:
-    """The node stays; the functionality goes to its last mode at once, with its reason; the revision tells."""
+    """The process goes on; the functionality goes to its last mode at once, with the reason; the revision changes."""
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker(rate=20, mode={"raise": "division of labour", "at_call": 3}))
         await lab.mode("talker", "talk", "normal")
@@ -136,10 +136,10 @@ async def degrades_where_user_code_raises(backend: Backend, workspace: Path) -> 
         because = state["functionalities"]["talk"]["because"]
         assert "division of labour" in because and "puppet.py" in because, because
         assert state["revision"] == revision + 1, "the manager cannot see that something happened"
-        assert (await lab.told("talker"))["calls"] == {"talk.degraded": 2, "talk.normal": 3}
+        assert (await lab.exported("talker"))["calls"] == {"talk.degraded": 2, "talk.normal": 3}
         await lab.mode("talker", "talk", "normal")
         await lab.sleep(0.3)
-        assert (await lab.functionality("talker", "talk"))["mode"] == "normal", "it raises once and no more"
+        assert (await lab.functionality("talker", "talk"))["mode"] == "normal", "it raises only once"
 
 
 async def _in_mode(lab: Lab, mode: str) -> bool:
@@ -162,7 +162,7 @@ CHECKS: Final = (
     calls_for_every_message,
     changes_modes_between_two_calls,
     counts_an_async_call_as_running,
-    refuses_modes_that_are_not,
+    refuses_unknown_modes,
     degrades_where_user_code_raises,
     survives_a_last_mode_that_raises,
 )

@@ -1,4 +1,4 @@
-"""The hand-over: agreed cuts, and what happens where one side does not do its part."""
+"""The hand-over: agreed cuts, and what happens where one side fails."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from midstride.testing.conformance.lab import Lab
 
 # How far ahead a cut is agreed (s): many round trips on a busy machine.
 LEAD: Final = 0.5
-# How often the machine may be asked whether it leaves the writers their slots.
+# How many attempts there are on a machine that is too busy for the writers to keep their slots.
 _ATTEMPTS: Final = 3
 
 
@@ -61,7 +61,7 @@ async def _outcomes(lab: Lab, cut: str = "cut", timeout: float = 5.0) -> tuple[d
 async def hands_over_on_the_grid(backend: Backend, workspace: Path) -> None:
     """At 50 Hz: every slot written by exactly one side, the cut where it was agreed, both publishers in the graph.
 
-    A busy machine may hold a writer up for longer than a slot; it does not do so every time.
+    A busy machine may delay a writer by more than a slot, but not every time.
     """
     faults: list[str] = []
     while (fault := await _hand_over_on_the_grid(backend, workspace)) is not None:
@@ -70,7 +70,7 @@ async def hands_over_on_the_grid(backend: Backend, workspace: Path) -> None:
 
 
 async def _hand_over_on_the_grid(backend: Backend, workspace: Path) -> str | None:
-    """What was wrong with the slots, as the messages' source times tell them."""
+    """What was wrong with the slots, according to the messages' source times."""
     async with Lab(backend, workspace) as lab:
         await _two_talkers(lab, rate=50)
         at, epoch, period = await _slot(lab, "old")
@@ -87,7 +87,7 @@ async def _hand_over_on_the_grid(backend: Backend, workspace: Path) -> str | Non
         words = await lab.received("sink")
         sides = [word.split(" ")[0] for word in words]
         turn = sides.index("new")
-        assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "they spoke in turns"
+        assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "their messages are interleaved"
         for side in ("old", "new"):
             spoken = [int(word.rsplit(" ", 1)[1]) for word in words if word.startswith(side)]
             assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), (side, spoken)
@@ -97,8 +97,8 @@ async def _hand_over_on_the_grid(backend: Backend, workspace: Path) -> str | Non
         return _fault_of_slots(rows, at, period) if all(row[1] is not None for row in rows) else None
 
 
-async def hands_over_to_another_output_of_its_own(backend: Backend, workspace: Path) -> None:
-    """One component as both sides, for a topic that has room for one publisher."""
+async def hands_over_to_another_of_its_outputs(backend: Backend, workspace: Path) -> None:
+    """One component is both sides, for a topic that allows one publisher."""
     description = puppets.talker(rate=50)
     description["component"]["outputs"].append("other")
     talk = description["component"]["functionalities"]["talk"]
@@ -118,9 +118,9 @@ async def hands_over_to_another_output_of_its_own(backend: Backend, workspace: P
         await lab.change("old", "cut_out", cut="cut", swaps=_swap(), at=at, resume_after=1.0)
         swaps = [{"port": "other", "topic": "/chatter"}]
         await lab.change("old", "cut_in", cut="cut", swaps=swaps, at=at, epoch=epoch, peer="old")
-        told = await lab.read("old", "await_cut", cut="cut", timeout=5.0)
-        assert told["outcome"] == "done", told
-        assert told["last"]["out /chatter"] and told["first"]["other /chatter"]["number"] == 1, told
+        result = await lab.read("old", "await_cut", cut="cut", timeout=5.0)
+        assert result["outcome"] == "done", result
+        assert result["last"]["out /chatter"] and result["first"]["other /chatter"]["number"] == 1, result
         assert (await lab.port("old", "out", "/chatter"))["gate"] == "closed"
         assert (await lab.port("old", "other", "/chatter"))["gate"] == "open"
         await lab.change("old", "detach", port="out", topic="/chatter", timeout=2.0)
@@ -132,7 +132,7 @@ async def hands_over_to_another_output_of_its_own(backend: Backend, workspace: P
 def _fault_of_slots(rows: list[list[Any]], at: int, period: float) -> str | None:
     """By source time: one message in each slot."""
     slots = [(row[1] - at) / 1e9 / period for row in rows]
-    # A write comes after its slot's time, never before it, late by what the machine makes of it.
+    # A write comes after its slot's time, never before it; how late depends on the machine.
     begun = [math.floor(slot + 0.05) for slot in slots]
     if len(set(begun)) < len(begun):
         return f"two messages in one slot: {slots}"
@@ -142,7 +142,7 @@ def _fault_of_slots(rows: list[list[Any]], at: int, period: float) -> str | None
 
 
 async def hands_over_what_messages_drive(backend: Backend, workspace: Path) -> None:
-    """At 200 Hz: every question answered exactly once, whoever answers it."""
+    """At 200 Hz: every question is answered exactly once, by either side."""
     async with Lab(backend, workspace) as lab:
         await lab.start("source", puppets.talker(rate=200))
         await lab.start("sink", puppets.sink())
@@ -167,8 +167,8 @@ async def hands_over_what_messages_drive(backend: Backend, workspace: Path) -> N
         await lab.sleep(0.3)
         await lab.mode("source", "talk", "degraded")
         await lab.sleep(0.3)
-        asked = (await lab.told("source"))["calls"]["talk.normal"]
-        # Each exactly once. At the cut the new side may be the quicker one: two publishers have no common order.
+        asked = (await lab.exported("source"))["calls"]["talk.normal"]
+        # Each exactly once. At the cut the new side may be faster: messages of two publishers have no common order.
         answered = sorted(int(word.rsplit(" ", 1)[1]) for word in await lab.received("sink"))
         lost = sorted(set(range(1, asked + 1)) - set(answered))
         twice = sorted(number for number in set(answered) if answered.count(number) > 1)
@@ -178,7 +178,7 @@ async def hands_over_what_messages_drive(backend: Backend, workspace: Path) -> N
 
 
 async def hands_over_a_latched_topic(backend: Backend, workspace: Path) -> None:
-    """On a transient-local topic the new one writes before the old goes, and a late joiner gets what it wrote."""
+    """On a transient-local topic the new side writes before the old one detaches, and late joiners get its message."""
     async with Lab(backend, workspace) as lab:
         for name, gate in (("old", "open"), ("new", "closed")):
             await lab.start(name, puppets.latch())
@@ -199,8 +199,8 @@ async def hands_over_a_latched_topic(backend: Backend, workspace: Path) -> None:
         assert await lab.received("late") == ["new normal 1"]
 
 
-async def takes_up_again_unless_relieved(backend: Backend, workspace: Path) -> None:
-    """The new side is never told: the old one takes up again by itself, after the time stated and not before."""
+async def resumes_unless_relieved(backend: Backend, workspace: Path) -> None:
+    """The new side never learns of the cut: the old one resumes by itself, after the agreed time and not before."""
     async with Lab(backend, workspace) as lab:
         await _two_talkers(lab, rate=50)
         await lab.change("sink", "record", inputs=["in"], on=True)
@@ -215,7 +215,7 @@ async def takes_up_again_unless_relieved(backend: Backend, workspace: Path) -> N
         received = [row[0] for row in await lab.rows("sink")]
         gap = max(later - earlier for earlier, later in itertools.pairwise(received)) / 1e9
         assert 0.35 < gap < 0.7, f"it was silent for {gap} s"
-        # Told too late, the new side hears so, and stays behind its gate.
+        # If the new side starts too late, it learns that and stays behind its gate.
         late, epoch, _ = await _slot(lab, "old")
         await lab.change("new", "cut_in", cut="cut", swaps=_swap(), at=late, epoch=epoch, peer="old")
         new = await lab.read("new", "await_cut", cut="cut", timeout=5.0)
@@ -223,8 +223,8 @@ async def takes_up_again_unless_relieved(backend: Backend, workspace: Path) -> N
         assert (await lab.port("new", "out", "/chatter"))["gate"] == "closed"
 
 
-async def waits_for_a_question_before_it_takes_up_again(backend: Backend, workspace: Path) -> None:
-    """A message-driven old side that nobody asks anything has nothing to take up again for."""
+async def waits_for_a_question_before_it_resumes(backend: Backend, workspace: Path) -> None:
+    """A message-driven old side that receives no question does not resume."""
     async with Lab(backend, workspace) as lab:
         await lab.start("source", puppets.talker(rate=50))
         await lab.start("old", puppets.relay())
@@ -247,7 +247,7 @@ async def waits_for_a_question_before_it_takes_up_again(backend: Backend, worksp
 
 
 async def cancels_a_cut(backend: Backend, workspace: Path) -> None:
-    """Before its moment or after it: the old side's gate is open, the new one's closed; and another cut can be."""
+    """Before its moment or after it: the old side's gate is open, the new one's closed; and another cut is possible."""
     async with Lab(backend, workspace) as lab:
         await _two_talkers(lab, rate=50)
         at, epoch, _ = await _slot(lab, "old")
@@ -273,7 +273,7 @@ async def cancels_a_cut(backend: Backend, workspace: Path) -> None:
         await lab.change("new", "cancel_cut", cut="never agreed")
 
 
-async def refuses_cuts_that_cannot_be(backend: Backend, workspace: Path) -> None:
+async def refuses_impossible_cuts(backend: Backend, workspace: Path) -> None:
     """In the past, on the wrong side of a gate, on what is not attached, twice: refused, and nothing has changed."""
     async with Lab(backend, workspace) as lab:
         await _two_talkers(lab, rate=50)
@@ -287,7 +287,7 @@ async def refuses_cuts_that_cannot_be(backend: Backend, workspace: Path) -> None
         elsewhere = [{"port": "out", "topic": "/elsewhere"}]
         refused = await lab.refusal("old", "cut_out", cut="cut", swaps=elsewhere, at=at, resume_after=1.0)
         assert "/elsewhere" in refused
-        assert "nobody" in await lab.refusal("new", "meet", peer="nobody", timeout=0.5)
+        assert "missing" in await lab.refusal("new", "meet", peer="missing", timeout=0.5)
         at, epoch, _ = await _slot(lab, "old", lead=5.0)
         await lab.change("old", "cut_out", **common, at=at, resume_after=1.0)
         assert "cut" in await lab.refusal("old", "cut_out", **common, at=at, resume_after=1.0)
@@ -317,23 +317,23 @@ async def keeps_to_the_grid_across_a_busy_spell(backend: Backend, workspace: Pat
         await lab.sleep(0.3)
         sides = [word.split(" ")[0] for word in await lab.received("sink")]
         turn = sides.index("new")
-        assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "they spoke in turns"
+        assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "their messages are interleaved"
         assert (await lab.port("old", "out", "/chatter"))["count"] == turn
 
 
 async def _called(lab: Lab, least: int) -> bool:
-    calls: int = (await lab.told("new"))["calls"].get("talk.normal", 0)
+    calls: int = (await lab.exported("new"))["calls"].get("talk.normal", 0)
     return calls >= least
 
 
 CHECKS: Final = (
     hands_over_on_the_grid,
-    hands_over_to_another_output_of_its_own,
+    hands_over_to_another_of_its_outputs,
     hands_over_what_messages_drive,
     hands_over_a_latched_topic,
-    takes_up_again_unless_relieved,
-    waits_for_a_question_before_it_takes_up_again,
+    resumes_unless_relieved,
+    waits_for_a_question_before_it_resumes,
     cancels_a_cut,
-    refuses_cuts_that_cannot_be,
+    refuses_impossible_cuts,
     keeps_to_the_grid_across_a_busy_spell,
 )

@@ -1,4 +1,4 @@
-"""A back end opened for one check: starting puppets, commanding them, and leaving nothing behind."""
+"""A back end opened for one check: starts puppets, sends them commands, and ends them."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from midstride.wire.channel import Channel, Report
 from midstride.wire.frames import Greeting, Registration, Reply, Request
 
 TOKEN: Final = "the-token-of-the-laboratory"
-# How long anything may take that only waits for processes and discovery (s); a loaded machine is slow.
+# How long waiting for processes and discovery may take (s); a loaded machine is slow.
 PATIENCE: Final = 20.0
-# The grace in which a component may end in order (s).
+# How long a component may take to end in order (s).
 GRACE: Final = 5.0
 
 
 class Lab:
-    """``async with Lab(backend, workspace) as lab``: on leaving, all that it started is ended."""
+    """``async with Lab(backend, workspace) as lab``: on exit, everything that it started is ended."""
 
     def __init__(self, backend: Backend, workspace: Path) -> None:
         self.backend = backend
@@ -62,7 +62,7 @@ class Lab:
     # -- processes ---------------------------------------------------------------------------------
 
     async def launch(self, instance: str, description: Description, **parameters: object) -> Handle:
-        """Start a puppet, and wait for nothing."""
+        """Start a puppet without waiting for it."""
         arguments = command_of(sys.executable, description)
         handle = await self.backend.start(Launch(instance, "", arguments, TOKEN, self._workspace, parameters))
         self.handles[instance] = handle
@@ -130,7 +130,7 @@ class Lab:
         token: str = TOKEN,
         timeout: float = PATIENCE,
     ) -> Reply:
-        """Any request, sensible or not: the command is what ``op`` and ``arguments`` say, unchecked."""
+        """Send any request, valid or not: the command is ``op`` with ``arguments``, unchecked."""
         if op in ("meet", "cut_in") and "peer" in arguments:
             arguments = {"address": self.backend.transport.address(arguments["peer"]), **arguments}
         channel = await self.channel(instance, token)
@@ -153,7 +153,7 @@ class Lab:
         return self._result(await self.reply(instance, op, False, **arguments))
 
     async def refusal(self, instance: str, op: str, **arguments: Any) -> str:
-        """The words with which a changing command is refused, which it must be; and nothing may change by it."""
+        """The reason with which a changing command is refused. It must be refused, and nothing may change."""
         before = await self.read(instance, "observe")
         reply = await self.reply(instance, op, True, **arguments)
         assert reply.refused is not None, f"`{op}` {arguments} was not refused"
@@ -162,7 +162,7 @@ class Lab:
         return reply.refused
 
     async def read_refusal(self, instance: str, op: str, **arguments: Any) -> str:
-        """The words with which a reading command is refused, which it must be."""
+        """The reason with which a reading command is refused, which it must be."""
         reply = await self.reply(instance, op, False, **arguments)
         assert reply.refused is not None, f"`{op}` {arguments} was not refused"
         return reply.refused
@@ -173,7 +173,7 @@ class Lab:
         result: dict[str, Any] = msgspec.json.decode(reply.result)
         return result
 
-    # -- what checks do over and over --------------------------------------------------------------
+    # -- common steps of checks ----- --------------------------------------------------------------
 
     async def attach(self, instance: str, port: str, topic: str, peers: int = 0, gate: str = "open") -> None:
         await self.change(instance, "attach", port=port, topic=topic, gate=gate, peers=peers, timeout=PATIENCE)
@@ -181,14 +181,14 @@ class Lab:
     async def mode(self, instance: str, functionality: str, mode: str, timeout: float = 5.0) -> dict[str, Any]:
         return await self.change(instance, "modes", modes={functionality: mode}, timeout=timeout, because="a check")
 
-    async def told(self, instance: str) -> dict[str, Any]:
-        """What a puppet tells of itself."""
+    async def exported(self, instance: str) -> dict[str, Any]:
+        """What a puppet exports: calls, received messages, imported state."""
         state = (await self.read(instance, "export_state"))["state"]
-        told: dict[str, Any] = json.loads(base64.b64decode(state))
-        return told
+        exported: dict[str, Any] = json.loads(base64.b64decode(state))
+        return exported
 
     async def received(self, instance: str, port: str = "in") -> list[str]:
-        words: list[str] = (await self.told(instance))["received"].get(port, [])
+        words: list[str] = (await self.exported(instance))["received"].get(port, [])
         return words
 
     async def rows(self, instance: str, port: str = "in") -> list[list[Any]]:
@@ -208,7 +208,7 @@ class Lab:
         await self.clock.sleep(seconds)
 
     async def eventually(self, what: str, look: Callable[[], Any], patience: float = PATIENCE) -> Any:
-        """What ``look`` finds once it finds something; it may be async."""
+        """The first true result of ``look``, which may be async."""
         deadline = self.clock.steady() + patience
         while True:
             found = look()
@@ -216,11 +216,11 @@ class Lab:
                 found = await found
             if found:
                 return found
-            assert self.clock.steady() < deadline, f"in {patience:g} s it has not come about that {what}"
+            assert self.clock.steady() < deadline, f"within {patience:g} s it has not happened that {what}"
             await self.sleep(0.02)
 
     async def unreachable(self, instance: str) -> bool:
-        """Whether calling ``instance`` fails, as calling a component that is gone must."""
+        """Whether a request to ``instance`` fails, as it must for a component that has ended."""
         with contextlib.suppress(BackendError):
             await self.send(instance, "ping", {}, timeout=1.0)
             return False

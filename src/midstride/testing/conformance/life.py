@@ -1,4 +1,4 @@
-"""Starting, announcing, being welcomed, ending; and who may command."""
+"""Starting, registering, being welcomed, ending; and which clients may send commands."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from midstride.testing.conformance.lab import TOKEN, Lab
 from midstride.wire.frames import Reply
 
 
-async def starts_announces_and_waits(backend: Backend, workspace: Path) -> None:
+async def starts_registers_and_waits(backend: Backend, workspace: Path) -> None:
     """A component registers with every client that connects, and waits for its welcome, degraded and unattached."""
     async with Lab(backend, workspace) as lab:
         description = puppets.relay()
@@ -38,7 +38,7 @@ async def starts_announces_and_waits(backend: Backend, workspace: Path) -> None:
 
 
 async def stops_in_order(backend: Backend, workspace: Path) -> None:
-    """`stop`: the author's last word still goes out, then the process ends with status 0, and its endpoints with it."""
+    """`stop`: the author's `on_stop` still writes, then the process ends with status 0, and its endpoints with it."""
     async with Lab(backend, workspace) as lab:
         await lab.start("sink", puppets.sink())
         await lab.start("talker", puppets.talker(on_stop={"write": "last words"}))
@@ -61,7 +61,7 @@ async def _gone(lab: Lab, instance: str) -> bool:
 
 
 async def ends_in_order_from_outside(backend: Backend, workspace: Path) -> None:
-    """`Backend.end` asks first: the author's last word goes out. Its exit is no news to who waits for it."""
+    """`Backend.end` ends in order first, so `on_stop` writes. An exit that was requested is not reported."""
     async with Lab(backend, workspace) as lab:
         await lab.start("sink", puppets.sink())
         await lab.start("talker", puppets.talker(on_stop={"write": "last words"}))
@@ -76,7 +76,7 @@ async def ends_in_order_from_outside(backend: Backend, workspace: Path) -> None:
 
 
 async def ends_what_does_not_end(backend: Backend, workspace: Path) -> None:
-    """A last word that takes for ever does not keep a component alive, and `end` has its way after its grace."""
+    """An `on_stop` that takes too long does not keep a component alive: `end` kills it after its grace."""
     async with Lab(backend, workspace) as lab:
         await lab.start("stubborn", puppets.talker(on_stop={"sleep": 60, "timeout": 60}))
         begun = lab.clock.steady()
@@ -85,8 +85,8 @@ async def ends_what_does_not_end(backend: Backend, workspace: Path) -> None:
         assert await lab.unreachable("stubborn")
 
 
-async def tells_of_what_never_comes_up(backend: Backend, workspace: Path) -> None:
-    """Code that raises on import, or exits at once, is an exit with its status and its words; none announces itself."""
+async def reports_processes_that_never_register(backend: Backend, workspace: Path) -> None:
+    """Code that raises on import, or exits at once, is reported with its status and output; none registers."""
     async with Lab(backend, workspace) as lab:
         await lab.launch("raising", puppets.talker(at_import={"raise": "no such calibration file"}))
         await lab.launch("leaving", puppets.talker(at_import={"exit": 3}))
@@ -101,7 +101,7 @@ async def tells_of_what_never_comes_up(backend: Backend, workspace: Path) -> Non
 
 
 async def refuses_a_name_in_use(backend: Backend, workspace: Path) -> None:
-    """A second component of a name does not come up, and the first does not notice."""
+    """A second component of the same name does not start, and the first is not affected."""
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker())
         before = await lab.read("talker", "observe")
@@ -114,8 +114,8 @@ async def refuses_a_name_in_use(backend: Backend, workspace: Path) -> None:
         assert (await lab.read("talker", "observe"))["uuid"] == before["uuid"]
 
 
-async def finds_again_what_was_started(backend: Backend, workspace: Path) -> None:
-    """Leaving the platform ends nothing; a handle finds the component again, until it is gone."""
+async def finds_what_an_earlier_manager_started(backend: Backend, workspace: Path) -> None:
+    """Closing the back end ends no component; a handle finds it again, as long as it runs."""
     lab = Lab(backend, workspace)
     async with lab:
         await lab.start("talker", puppets.talker())
@@ -129,8 +129,8 @@ async def finds_again_what_was_started(backend: Backend, workspace: Path) -> Non
         assert not await backend.adopt(handle)
 
 
-async def obeys_its_manager_alone(backend: Backend, workspace: Path) -> None:
-    """Without the token, or with another revision than its own, a command is refused with its reason."""
+async def obeys_its_manager_only(backend: Backend, workspace: Path) -> None:
+    """Without the token, or with another revision than the component's, a command is refused with the reason."""
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker())
         state = await lab.read("talker", "observe")
@@ -159,7 +159,7 @@ async def obeys_its_manager_alone(backend: Backend, workspace: Path) -> None:
 
 
 async def answers_a_repeat_as_before(backend: Backend, workspace: Path) -> None:
-    """A command that comes twice is carried out once, and answered twice alike; refusals too."""
+    """A command that is sent twice is carried out once, and gets the same reply twice; so do refusals."""
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker())
         revision = (await lab.read("talker", "observe"))["revision"]
@@ -180,23 +180,23 @@ async def answers_a_repeat_as_before(backend: Backend, workspace: Path) -> None:
         assert state["revision"] == revision + 2 and state["ports"] == {"out": {}}
 
 
-async def calls_to_nobody_fail(backend: Backend, workspace: Path) -> None:
-    """A call to a component that is not there ends in an error of the back end, in time."""
+async def calls_to_missing_components_fail(backend: Backend, workspace: Path) -> None:
+    """A request to a component that does not run fails in time."""
     async with Lab(backend, workspace) as lab:
         begun = lab.clock.steady()
-        assert await lab.unreachable("nobody")
+        assert await lab.unreachable("missing")
         assert lab.clock.steady() - begun < 5
 
 
 CHECKS: Final = (
-    starts_announces_and_waits,
+    starts_registers_and_waits,
     stops_in_order,
     ends_in_order_from_outside,
     ends_what_does_not_end,
-    tells_of_what_never_comes_up,
+    reports_processes_that_never_register,
     refuses_a_name_in_use,
-    finds_again_what_was_started,
-    obeys_its_manager_alone,
+    finds_what_an_earlier_manager_started,
+    obeys_its_manager_only,
     answers_a_repeat_as_before,
-    calls_to_nobody_fail,
+    calls_to_missing_components_fail,
 )

@@ -77,8 +77,8 @@ async def counts_behind_a_closed_gate(backend: Backend, workspace: Path) -> None
         assert await lab.received("sink") == words
 
 
-async def tells_of_a_wrong_type(backend: Backend, workspace: Path) -> None:
-    """A write of another type never reaches the middleware; it is told, and the functionality degrades."""
+async def reports_a_wrong_type(backend: Backend, workspace: Path) -> None:
+    """A write of another type never reaches the middleware; it is reported, and the functionality degrades."""
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker(rate=50, wrong_type="out"))
         await lab.attach("talker", "out", "/chatter", gate="closed")
@@ -92,7 +92,7 @@ async def _degraded(lab: Lab) -> bool:
     return bool((await lab.functionality("talker", "talk"))["mode"] == "degraded")
 
 
-async def refuses_attachments_that_cannot_be(backend: Backend, workspace: Path) -> None:
+async def refuses_impossible_attachments(backend: Backend, workspace: Path) -> None:
     """Twice, to a port that is not there, without the peers that must be: refused, and nothing is left behind."""
     async with Lab(backend, workspace) as lab:
         await lab.start("talker", puppets.talker())
@@ -106,7 +106,7 @@ async def refuses_attachments_that_cannot_be(backend: Backend, workspace: Path) 
         assert "already" in await lab.refusal("talker", "attach", port="out", topic="/chatter")
 
 
-async def counts_compatible_peers_alone(backend: Backend, workspace: Path) -> None:
+async def counts_only_compatible_peers(backend: Backend, workspace: Path) -> None:
     """A reader that asks for more than is offered is no peer."""
     async with Lab(backend, workspace) as lab:
         await lab.start("sink", puppets.sink(durability="transient_local"))
@@ -126,15 +126,15 @@ async def records_what_comes(backend: Backend, workspace: Path) -> None:
         begun = await lab.change("sink", "record", inputs=["in"], on=True)
         await lab.mode("talker", "talk", "normal")
         await lab.sleep(1.5)
-        told = await lab.read("sink", "records", input="in")
-        rows = told["rows"]
+        records = await lab.read("sink", "records", input="in")
+        rows = records["rows"]
         assert len(rows) > 100, f"{len(rows)} of 150 receipts were recorded"
         received = [row[0] for row in rows]
-        assert received == sorted(received) and begun["now"] < received[0] and received[-1] <= told["now"]
+        assert received == sorted(received) and begun["now"] < received[0] and received[-1] <= records["now"]
         for column in (1, 2):  # source time and number
             values = [row[column] for row in rows if row[column] is not None]
             assert values == sorted(set(values)) and len(values) in (0, len(rows)), (column, values)
-        assert told["publisher_identity"] is (rows[0][3] is not None)
+        assert records["publisher_identity"] is (rows[0][3] is not None)
         await lab.change("sink", "record", inputs=["in"], on=False)
         assert 1 <= len(await lab.rows("sink")) <= 64
         assert "nothing" in await lab.refusal("sink", "record", inputs=["nothing"], on=True)
@@ -147,16 +147,16 @@ async def keeps_the_latest_message(backend: Backend, workspace: Path) -> None:
         await lab.start("talker", puppets.talker(rate=50))
         await lab.mode("talker", "talk", "normal")
         await lab.attach("talker", "out", "/chatter")
-        assert (await lab.told("sink"))["latest"] == {"in": "NoneType"}
+        assert (await lab.exported("sink"))["latest"] == {"in": "NoneType"}
         await lab.attach("sink", "in", "/chatter", peers=1)
         await lab.eventually("it has heard something", lambda: _has_heard(lab))
         assert await lab.received("sink") == [], "the degraded mode calls nothing"
         await lab.change("sink", "detach", port="in", topic="/chatter")
-        assert (await lab.told("sink"))["latest"] == {"in": "NoneType"}
+        assert (await lab.exported("sink"))["latest"] == {"in": "NoneType"}
 
 
 async def _has_heard(lab: Lab) -> bool:
-    latest: str = (await lab.told("sink"))["latest"]["in"]
+    latest: str = (await lab.exported("sink"))["latest"]["in"]
     return latest.startswith("talker normal")
 
 
@@ -182,7 +182,7 @@ async def carries_state_over(backend: Backend, workspace: Path) -> None:
         await lab.mode("old", "talk", "degraded")
         state = (await lab.read("old", "export_state"))["state"]
         await lab.change("new", "import_state", state=state)
-        assert (await lab.told("new"))["imported"]["calls"] == (await lab.told("old"))["calls"]
+        assert (await lab.exported("new"))["imported"]["calls"] == (await lab.exported("old"))["calls"]
         assert "on_import_state" in await lab.refusal("old", "import_state", state=state)
         assert "state" in await lab.refusal("new", "import_state", state="{not base64}")
         broken = base64.b64encode(b"{").decode()
@@ -191,15 +191,15 @@ async def carries_state_over(backend: Backend, workspace: Path) -> None:
 
 
 async def _called(lab: Lab) -> bool:
-    return bool((await lab.told("old"))["calls"].get("talk.normal"))
+    return bool((await lab.exported("old"))["calls"].get("talk.normal"))
 
 
 CHECKS: Final = (
     attaches_and_detaches,
     counts_behind_a_closed_gate,
-    tells_of_a_wrong_type,
-    refuses_attachments_that_cannot_be,
-    counts_compatible_peers_alone,
+    reports_a_wrong_type,
+    refuses_impossible_attachments,
+    counts_only_compatible_peers,
     records_what_comes,
     keeps_the_latest_message,
     sets_parameters_at_once_or_not_at_all,

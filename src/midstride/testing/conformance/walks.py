@@ -1,6 +1,6 @@
-"""Random sequences of commands, held after each against a small and obvious account of what should be.
+"""Random sequences of commands, compared after each step with a small and obvious model.
 
-Every back end is held against the same account, so those that pass agree with each other.
+Every back end is compared with the same model, so back ends that pass agree with each other.
 """
 
 from __future__ import annotations
@@ -48,16 +48,16 @@ def walker() -> Description:
 
 
 @dataclass
-class Account:
-    """What one walker should be."""
+class ExpectedComponent:
+    """What the state of one walker should be."""
 
     revision: int
     modes: dict[str, str] = field(default_factory=lambda: {"work": "degraded", "tell": "degraded"})
     gates: dict[str, dict[str, str | None]] = field(default_factory=lambda: {"out": {}, "log": {}, "in": {}})
     parameters: dict[str, Any] = field(default_factory=lambda: {"speed": 1, "name": "w"})
 
-    def take(self, op: str, values: dict[str, Any]) -> bool:
-        """Whether the command is carried out; then this is changed by it."""
+    def apply(self, op: str, values: dict[str, Any]) -> bool:
+        """Apply the command. Returns whether it is carried out."""
         done: bool = getattr(self, f"_{op}")(**values)
         self.revision += done
         return done
@@ -100,7 +100,7 @@ class Account:
 
 
 def command(chance: random.Random) -> tuple[str, dict[str, Any]]:
-    """Any command; now and then one that makes no sense."""
+    """Any command, sometimes an invalid one."""
     port = chance.choice(("out", "out", "log", "in", "in", "nowhere"))
     topic, gate = chance.choice(TOPICS), chance.choice(("open", "closed"))
     return chance.choice(
@@ -120,14 +120,14 @@ def command(chance: random.Random) -> tuple[str, dict[str, Any]]:
 async def walk(backend: Backend, workspace: Path, seed: int) -> None:
     chance = random.Random(seed)
     async with Lab(backend, workspace) as lab:
-        accounts: dict[str, Account] = {}
+        accounts: dict[str, ExpectedComponent] = {}
         for name in ("one", "two"):
             await lab.start(name, walker())
-            accounts[name] = Account((await lab.read(name, "observe"))["revision"])
+            accounts[name] = ExpectedComponent((await lab.read(name, "observe"))["revision"])
         for step in range(STEPS):
             name = chance.choice(("one", "two"))
             op, values = command(chance)
-            expected = accounts[name].take(op, values)
+            expected = accounts[name].apply(op, values)
             reply = await lab.reply(name, op, True, **values)
             where = f"seed {seed}, step {step}: {name} {op} {values} -> {reply}"
             assert reply.ok == expected, where
@@ -137,7 +137,7 @@ async def walk(backend: Backend, workspace: Path, seed: int) -> None:
         await lab.eventually("the graph shows what is attached", lambda: _graph_agrees(lab, accounts))
 
 
-async def _graph_agrees(lab: Lab, accounts: dict[str, Account]) -> bool:
+async def _graph_agrees(lab: Lab, accounts: dict[str, ExpectedComponent]) -> bool:
     graph = await lab.backend.endpoints()
     publishers, subscribers = set(), set()
     for name, account in accounts.items():

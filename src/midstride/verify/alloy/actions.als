@@ -1,6 +1,6 @@
 /*
- * The paper's six actions (semantics.md section 4; the paper's section 4.3), on one functionality or port at a time:
- * s before, t after. Each has a precondition of its own name with `can_` before it, so that it can be asked alone.
+ * The paper's six actions (docs/semantics.md, section 4; the paper's section 4.3), on one functionality or port at a time:
+ * s before, t after. The precondition of each is a predicate `can_...`, so that it can be checked separately.
  */
 module actions
 open system
@@ -17,7 +17,7 @@ pred create[s, t: System, c: Component] {
   same_world[s, t]
 }
 
-/* ---- remove: a live and isolated component, in whatever modes ---- */
+/* ---- remove: a live and isolated component, in any modes ---- */
 
 pred can_remove[s: System, c: Component] {
   c in s.comps
@@ -121,7 +121,7 @@ check SafeDetach for 5 but 2 System expect 0
 check SafeDegrade for 5 but 2 System expect 0
 check SafeUpgrade for 5 but 2 System expect 0
 
-/* Every action can happen. */
+/* Every action is possible. */
 
 run Create { rules and some s, t: System, c: Component | valid_sys[s] and some s.comps and some c.funcs and create[s, t, c] }
   for 3 but 2 System expect 1
@@ -144,19 +144,19 @@ run Upgrade {
     valid_sys[s] and some m.mode_asms and upgrade[s, t, f, m]
 } for 3 but 2 System expect 1
 
-/* Without M1, a new component may assume what it does not have. */
+/* Without M1, a new component may have unsatisfied assumptions. */
 run CreateNeedsM1 {
   preorder and declared and chains and M2
   some s, t: System, c: Component | valid_sys[s] and create[s, t, c] and not valid_sys[t]
 } for 3 but 2 System expect 1
 
-/* Without M2, working better may satisfy others less. */
+/* Without M2, an upgrade may leave others unsatisfied. */
 run UpgradeNeedsM2 {
   preorder and declared and chains and M1
   some s, t: System, f: Functionality, m: Mode | valid_sys[s] and upgrade[s, t, f, m] and not valid_sys[t]
 } for 4 but 2 System expect 1
 
-/* The paper's remove of a component that is not isolated. */
+/* Without isolation, remove is unsafe. */
 run RemoveNeedsIsolation {
   rules
   some s, t: System, c: s.comps | valid_sys[s] and t.comps = s.comps - c and t.cur_mode = s.cur_mode - c.funcs -> Mode

@@ -1,9 +1,9 @@
 /*
- * The paper's Alloy listings with what keeps them from parsing put right, and nothing else:
+ * The paper's Alloy listings, corrected only as far as needed to parse:
  *  - s', c', f', conn' are s_, c_, f_, conn_ (in Alloy 6 the prime is an operator);
  *  - mode_guards and env_guards are mode_guars and env_guars (both spellings are printed);
  *  - `...` after "Rest unchanged" is written out, marked `ours`.
- * Everything above the listings is not printed in the paper.
+ * The paper does not print what is above the listings.
  */
 module completed
 
@@ -62,7 +62,7 @@ pred valid_sys[s: System] {
   all f: s.comps.funcs, a: f.cur_mode.mode_asms | asm_satisfied[s, f, a]
 }
 
-/* What else one expects of a system: no port and no functionality belongs to two components, and so on. */
+/* Not printed: no port and no functionality belongs to two components, and so on. */
 pred well_formed[s: System] {
   all disj c, d: s.comps | no (c.inputs + c.outputs) & (d.inputs + d.outputs) and no c.funcs & d.funcs
   s.conns.roles in s.comps.inputs + s.comps.outputs
@@ -186,7 +186,7 @@ pred upgrade[s, s_: System, c: Component,
   }
 }
 
-/* ---- checks: `expect` says what comes out, not what one would wish ---- */
+/* ---- checks: `expect` states the actual result, not the desired one ---- */
 
 assert SafeRemove {
   all s, s_: System, c: Component | well_formed[s] and valid_sys[s] and remove[s, s_, c] => valid_sys[s_]
@@ -251,14 +251,14 @@ check FormedRemove for 5 but 2 System expect 0
 check FormedDetach for 5 but 2 System expect 0
 check FormedAttach for 5 but 2 System expect 0
 
-/* 1. degrade and upgrade do not ask that f is a functionality of c, nor that c is in the system. */
+/* 1. degrade and upgrade do not require that f is a functionality of c, nor that c is in the system. */
 check SafeDegrade for 5 but 2 System expect 1
 check SafeUpgrade for 5 but 2 System expect 1
 
-/* 2. create does not ask that the new component's ports and functionalities are its own. */
+/* 2. create does not require that the new component shares no ports or functionalities with others. */
 check FormedCreate for 5 but 2 System expect 1
 
-/* 3. The changed component (c') may be another one that is in the system already, which is then there no longer. */
+/* 3. The changed component (c') may be another component of the system, which is then lost. */
 check FormedDegrade for 5 but 2 System expect 1
 check FormedUpgrade for 5 but 2 System expect 1
 assert FormedDegradeOfItsOwn {
@@ -266,13 +266,13 @@ assert FormedDegradeOfItsOwn {
 }
 check FormedDegradeOfItsOwn for 5 but 2 System expect 1
 
-/* 4. Without well-formedness, which is not printed, detach is unsafe: an input of two components is asked of one. */
+/* 4. Without well-formedness, which is not printed, detach is unsafe: it checks only one of two components with the input. */
 assert SafeDetachOfAnySystem {
   all s, s_: System, conn: Connector, p: Port | valid_sys[s] and detach[s, s_, conn, p] => valid_sys[s_]
 }
 check SafeDetachOfAnySystem for 5 but 2 System expect 1
 
-/* 5. An input on two topics is taken to be lost when one of them is: a detach that harms nobody is refused. */
+/* 5. An input on two topics counts as lost when one of them is: a harmless detach is refused. */
 run DetachRefusesTooMuch {
   some s, s_: System, disj conn, other, conn_: Connector, p: Input {
     well_formed[s] and valid_sys[s] and valid_sys[s_]
@@ -284,7 +284,7 @@ run DetachRefusesTooMuch {
   }
 } for 4 but exactly 2 System expect 1
 
-/* 6. A functionality whose output comes back to it can never be degraded: it is asked to work in the mode it leaves. */
+/* 6. A functionality that consumes its own output can never be degraded: it must stay satisfied in the mode it leaves. */
 run DegradeRefusesTooMuch {
   some s, s_: System, c: s.comps, f: c.funcs, c_: Component - s.comps, f_: Functionality - s.avail_funcs {
     well_formed[s] and valid_sys[s] and valid_sys[s_] and f.degraded = False

@@ -1,7 +1,7 @@
 /*
- * The paper's two-mode core (section 4.3), mended: its signatures, its names, its six actions, each in the paper's way of
- * copying what it changes (conn_, c_, f_ for the paper's conn', c', f'). What differs from the listings says `mended`;
- * docs/paper.md has the counterexamples. `system` and the modules on top of it go on from here.
+ * The paper's two-mode core (section 4.3), corrected: its signatures, names and six actions. As in the paper, an action
+ * copies what it changes (conn_, c_, f_ for the paper's conn', c', f'). Differences from the listings are marked
+ * `corrected`; docs/paper.md has the counterexamples. `system` and the modules above it build on this one.
  */
 module core
 
@@ -33,7 +33,7 @@ sig System {
   env_guars: set Predicate
 }
 
-/* Satisfaction is a preorder; (i) to (iii) of section 4.2; what `degraded` means; whose the ports are. */
+/* Satisfaction is a preorder; (i) to (iii) of section 4.2; what `degraded` means; the owners of ports. */
 fact Rules {
   Predicate <: iden in sat and sat.sat in sat
   all f: Functionality | no f.degrad_mode.mode_asms
@@ -51,7 +51,7 @@ pred conn_satisfied[s: System, conn: Connector] { conn_satisfied_no_out[s, conn,
 
 pred input_satisfied[s: System, i: Input] { input_satisfied_no_conn[s, i, none] }
 
-/* mended: an input is satisfied by any of its connectors but those that are lost. */
+/* corrected: an input is satisfied by any of its connectors except the lost ones. */
 pred input_satisfied_no_conn[s: System, i: Input, no_conn: set Connector] {
   some conn: s.conns - no_conn | i in conn.roles and satisfy[conn.conn_guar, i.input_asm] and conn_satisfied[s, conn]
 }
@@ -66,7 +66,7 @@ pred valid_sys[s: System] {
   all f: s.comps.funcs, a: f.cur_mode.mode_asms | asm_satisfied[s, f, a]
 }
 
-/* mended: not printed, and needed: no port and no functionality belongs to two components, and so on. */
+/* corrected: not printed, but needed: no port and no functionality belongs to two components, and so on. */
 pred well_formed[s: System] {
   all disj c, d: s.comps | no (c.inputs + c.outputs) & (d.inputs + d.outputs) and no c.funcs & d.funcs
   s.conns.roles in s.comps.inputs + s.comps.outputs
@@ -91,7 +91,7 @@ pred conn_satisfied_no_out[s: System, conn: Connector, no_o: set Output] {
   }
 }
 
-/* mended: the inputs that are lost with `conns`: those on them that no other connector satisfies. */
+/* corrected: the inputs that are lost with `conns`: those on them that no other connector satisfies. */
 fun lost_inputs[s: System, conns: set Connector]: set Input {
   { i: conns.roles & Input | not input_satisfied_no_conn[s, i, conns] }
 }
@@ -108,7 +108,7 @@ pred remove[s, s_: System, c: Component] {
 
 pred create[s, s_: System, c: Component] {
   c not in s.comps
-  // mended: what is new shares nothing with what is there
+  // corrected: the new component shares nothing with the others
   no (c.inputs + c.outputs) & (s.comps.inputs + s.comps.outputs)
   no c.funcs & s.comps.funcs
   all f: c.funcs | f.degraded = True
@@ -122,13 +122,13 @@ pred create[s, s_: System, c: Component] {
 pred can_detach[s: System, conn: Connector, p: Port] {
   conn in s.conns
   p in conn.roles
-  p in Input => (some c: s.comps | p in c.inputs and safe_no_input[s, c, p & lost_inputs[s, conn]])  // mended: lost_inputs
+  p in Input => (some c: s.comps | p in c.inputs and safe_no_input[s, c, p & lost_inputs[s, conn]])  // corrected: lost_inputs
   p in Output and not conn_satisfied_no_out[s, conn, p] =>
-    (all c: s.comps | safe_no_input[s, c, lost_inputs[s, conn]])  // mended: lost_inputs
+    (all c: s.comps | safe_no_input[s, c, lost_inputs[s, conn]])  // corrected: lost_inputs
 }
 
 pred detached[s, s_: System, conn: Connector, p: Port] {
-  some conn_: Connector - (s.conns - conn) {  // mended: not another connector of the system
+  some conn_: Connector - (s.conns - conn) {  // corrected: not another connector of the system
     conn_.roles = conn.roles - p
     conn_.conn_guar = conn.conn_guar
     s_.conns = s.conns - conn + conn_
@@ -147,7 +147,7 @@ pred attach[s, s_: System, conn: Connector, p: Port] {
   } else {
     satisfy[conn.conn_guar, p.input_asm]
   }
-  some conn_: Connector - (s.conns - conn) {  // mended: not another connector of the system
+  some conn_: Connector - (s.conns - conn) {  // corrected: not another connector of the system
     conn_.roles = conn.roles + p
     conn_.conn_guar = conn.conn_guar
     s_.conns = s.conns - conn + conn_
@@ -158,15 +158,15 @@ pred attach[s, s_: System, conn: Connector, p: Port] {
 /* ---- degrade, upgrade ---- */
 
 pred can_degrade[s: System, c: Component, f: Functionality] {
-  c in s.comps and f in c.funcs  // mended
+  c in s.comps and f in c.funcs  // corrected
   f.degraded = False
   let aff_conns = { conn: s.conns |
     not conn_satisfied_no_out[s, conn, f.assoc_outputs]
     and (no o: f.assoc_outputs | o in conn.roles and satisfy[f.degrad_mode.mode_guars[o], conn.conn_guar])
-  } | all g: s.comps.funcs - f | func_safe_no_input[s, g, lost_inputs[s, aff_conns]]  // mended: f itself is not asked
+  } | all g: s.comps.funcs - f | func_safe_no_input[s, g, lost_inputs[s, aff_conns]]  // corrected: f itself is exempt
 }
 
-/* f_ is f but for its mode, c_ is c with f_ in the place of f. mended: both are new to the system. */
+/* f_ is f in another mode, c_ is c with f_ in place of f. corrected: both are new to the system. */
 pred in_place[s, s_: System, c: Component, f, f_: Functionality] {
   f_ not in s.comps.funcs
   f_.assoc_inputs = f.assoc_inputs and f_.assoc_outputs = f.assoc_outputs
@@ -187,7 +187,7 @@ pred degraded_to[s, s_: System, c: Component, f: Functionality] {
 pred degrade[s, s_: System, c: Component, f: Functionality] { can_degrade[s, c, f] and degraded_to[s, s_, c, f] }
 
 pred upgrade[s, s_: System, c: Component, f: Functionality] {
-  c in s.comps and f in c.funcs  // mended
+  c in s.comps and f in c.funcs  // corrected
   f.degraded = True
   all a: f.norm_mode.mode_asms | asm_satisfied[s, f, a]
   some f_: Functionality | f_.cur_mode = f.norm_mode and f_.degraded = False and in_place[s, s_, c, f, f_]
@@ -210,7 +210,7 @@ assert SafeUpgrade {
   all s, s_: System, c: Component, f: Functionality | valid_sys[s] and upgrade[s, s_, c, f] => valid_sys[s_]
 }
 
-/* The look-ahead refuses nothing that would have been safe: the precondition is exact. */
+/* The look-ahead refuses nothing that would be safe: the precondition is exact. */
 assert ExactDetach {
   all s, s_: System, conn: s.conns, p: conn.roles |
     valid_sys[s] and detached[s, s_, conn, p] => (can_detach[s, conn, p] <=> valid_sys[s_])

@@ -1,6 +1,6 @@
 /*
- * Several functionalities in one step (semantics.md section 4): for those that support each other in a cycle, which no
- * sequence of single steps can lower or raise. `to` names the functionalities and the mode each goes to.
+ * Several functionalities in one step (docs/semantics.md, section 4), for those that support each other in a cycle: no
+ * sequence of single steps can degrade or upgrade them. `to` maps each functionality to its new mode.
  */
 module groups
 open system
@@ -42,7 +42,7 @@ assert SafeDegradeAll {
 assert SafeUpgradeAll {
   rules => all s, t: System, to: Functionality -> Mode | valid_sys[s] and upgrade_all[s, t, to] => valid_sys[t]
 }
-/* One functionality is the case of a group of one. */
+/* A single functionality is a group of one. */
 assert OneIsAGroup {
   rules => all s, t: System, f: Functionality, m: Mode {
     degrade[s, t, f, m] <=> degrade_all[s, t, f -> m]
@@ -58,7 +58,7 @@ run DegradeAll { rules and some s, t: System, to: Functionality -> Mode | valid_
 run UpgradeAll { rules and some s, t: System, to: Functionality -> Mode | valid_sys[s] and #to = 2 and upgrade_all[s, t, to] }
   for 4 but 2 System expect 1
 
-/* A cycle: together they can be raised, one alone cannot. And together they can be lowered, one alone cannot. */
+/* A cycle: two can be upgraded or degraded together, but neither alone. */
 run RaisedOnlyTogether {
   rules
   some s, t: System, to: Functionality -> Mode {

@@ -1,11 +1,11 @@
 /*
- * The hand-over (semantics.md section 4): on each topic a new output takes over from an old one, all in one step.
+ * The hand-over (docs/semantics.md, section 4): on each topic a new output replaces an old one, all in one step.
  * `swap` holds topic -> old -> new.
  */
 module handover
 open system
 
-/* What a hand-over takes away, and what it adds. */
+/* The attachments that a hand-over removes, and those that it adds. */
 fun leaving[swap: Connector -> Output -> Output]: Connector -> Output { swap.Output }
 fun coming[swap: Connector -> Output -> Output]: Connector -> Output {
   { conn: swap.Output.Output, new: Output | some conn.swap.new }
@@ -24,7 +24,7 @@ pred can_handover[s: System, swap: Connector -> Output -> Output] {
   no coming[swap] & s.roles
   Connector.(leaving[swap] + coming[swap]) in s.comps.outputs
   each_once[swap]
-  // each new one satisfies the topic as it stands
+  // each new output satisfies the topic in its current mode
   all conn: swap.Output.Output, new: coming[swap][conn] |
     satisfy[s.cur_mode[assoc_outputs.new].mode_guars[new], conn.conn_guar]
 }
@@ -50,7 +50,7 @@ run Handover {
     and some s.cur_mode.Mode.assoc_inputs and #swap = 2
 } for 4 but 2 System expect 1
 
-/* With what its normal mode would guarantee, instead of what it guarantees now, the topic falls silent. */
+/* Judged by its normal mode instead of its current one, the new output may leave the topic unsatisfied. */
 run HandoverNeedsCurrentMode {
   rules
   some s, t: System, conn: s.conns, old, new: s.comps.outputs {

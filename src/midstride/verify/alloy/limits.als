@@ -1,8 +1,8 @@
 /*
- * Publisher caps and resources (semantics.md sections 2 and 4).
+ * Publisher caps and resources (docs/semantics.md, sections 2 and 4).
  *
- * A capped topic has as many slots as it may have publishers. Of a resource only this matters: which components hold too
- * much of it together. `Overload` is such a set, a smallest one; whatever contains it is too much as well.
+ * A capped topic has one slot for each publisher that it allows. For a resource, all that matters is which components
+ * together exceed it. An `Overload` is a smallest such set; every superset exceeds the resource as well.
  */
 module limits
 open system
@@ -14,14 +14,14 @@ sig Slot {}
 sig Capped in Connector { slots: set Slot }
 sig Overload { holders: some Component }
 
-/* What counts against a cap: attached outputs, silent ones too, and the environment's guarantees on the topic. */
+/* Attached outputs count against a cap, silent ones too, and so do the environment's publishers on the topic. */
 pred cap_holds[s: System, roles: Connector -> Port, conn: Connector] {
   conn in Capped => #((roles[conn] & Output) + (s.env_pubs & on.conn)) =< #conn.slots
 }
 
 pred capacities_hold[comps: set Component] { no o: Overload | o.holders in comps }
 
-/* Validity, whole: the safety property, caps and capacities. */
+/* Full validity: the safety property, caps and capacities. */
 pred valid[s: System] {
   valid_sys[s]
   all conn: s.conns | cap_holds[s, s.roles, conn]
@@ -59,7 +59,7 @@ assert WithinHandover {
   rules => all s, t: System, swap: Connector -> Output -> Output |
     valid[s] and handover[s, t, swap] and can_handover_within[s, swap] => valid[t]
 }
-/* A hand-over puts one output in the place of one: a cap that holds before it holds after it. */
+/* A hand-over replaces outputs one to one, so caps stay satisfied. */
 assert HandoverKeepsCaps {
   rules => all s: System, swap: Connector -> Output -> Output |
     valid[s] and can_handover[s, swap] => can_handover_within[s, swap]
@@ -78,7 +78,7 @@ run WithinLimits {
     and leaving[swap].Output in Capped and some Overload
 } for 4 but 2 System, 5 Int expect 1
 
-/* An input needs no slot, but an output may be one too many. */
+/* Without the cap, one output too many can be attached. */
 run AttachNeedsTheCap {
   rules
   some s, t: System, conn: Connector, p: Output | valid[s] and attach[s, t, conn, p] and not valid[t]

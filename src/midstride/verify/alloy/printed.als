@@ -1,8 +1,8 @@
 /*
- * The paper's Alloy listings (section 4.3), word for word. The signatures, and what the listings use without showing it,
- * are not printed in the paper; they are added above the listings, and only there.
+ * The paper's Alloy listings (section 4.3), word for word. The paper does not print the signatures and the predicates that
+ * the listings use; they are added above the listings, and only there.
  *
- * This file is not Alloy: it does not parse. docs/paper.md says why; `completed.als` is the nearest thing that does.
+ * This file does not parse. docs/paper.md explains why; `completed.als` is the closest version that does.
  */
 module printed
 

@@ -1,8 +1,8 @@
 /*
- * The model of semantics.md, sections 1 to 3: predicates, components, chains of modes, configurations, validity.
+ * The model of docs/semantics.md, sections 1 to 3: predicates, components, chains of modes, configurations, validity.
  *
- * The names are the paper's (section 4.3). What the paper keeps inside a component or connector and copies to change
- * (c', f', conn') is a relation of the System here, so that "the rest unchanged" can be said in one line:
+ * The names are the paper's (section 4.3). State that the paper keeps inside a component or connector and copies on change
+ * (c', f', conn') is a relation of the System here, so that "the rest unchanged" takes one line:
  *
  *     the paper           here
  *     conn.roles          s.roles[conn]
@@ -10,11 +10,11 @@
  *     f.degraded = True   s.cur_mode[f] = degrad_mode[f]
  *     s.avail_funcs       s.comps.funcs
  *
- * `nothing` is the absence of a predicate: no predicate satisfies because of it, and it satisfies none.
+ * `nothing` is the absence of a predicate: it satisfies no predicate.
  */
 module system
 
-/* What a mode may assume: a predicate (any associated input may satisfy it), or inputs by name. */
+/* An assumption of a mode: a predicate, which any associated input may satisfy, or inputs by name. */
 abstract sig Assumption {}
 
 /* A predicate over the messages on a port. `sat` is the satisfaction relation, p |= q. */
@@ -34,7 +34,7 @@ sig Output extends Port {}
 
 sig Connector { conn_guar: one Predicate }
 
-/* A mode assumes something and guarantees something on its functionality's outputs. `worse` holds every worse mode. */
+/* A mode has assumptions, and guarantees on its functionality's outputs. `worse` holds every worse mode. */
 sig Mode {
   mode_asms: set Assumption,
   mode_guars: Output -> lone Predicate,
@@ -57,7 +57,7 @@ fun norm_mode[f: Functionality]: set Mode { f.modes - f.modes.worse }
 fun degrad_mode[f: Functionality]: set Mode { { m: f.modes | no m.worse } }
 fun ports[c: set Component]: set Port { c.inputs + c.outputs }
 
-/* What belongs to what. */
+/* Ownership of modes, ports and functionalities. */
 pred declared {
   all m: Mode | one modes.m and m.mode_guars.Predicate in (modes.m).assoc_outputs
   all m: Mode | m.mode_asms.named in (modes.m).assoc_inputs
@@ -89,7 +89,7 @@ pred rules { preorder and declared and chains and M1 and M2 }
 /* A publisher out of scope: what the environment guarantees on a topic. */
 sig Publisher { on: one Connector, pub_guar: one Predicate }
 
-/* A configuration, and the world it lives in: the topics, and what the environment guarantees (`env_pubs`: on a topic). */
+/* A configuration and its context: the topics, and the environment's guarantees (`env_pubs`: those on a topic). */
 sig System {
   comps: set Component,
   conns: set Connector,
@@ -100,8 +100,8 @@ sig System {
 }
 
 /*
- * Satisfaction (section 3), judged for given attachments and modes, so that an action can be judged by what would
- * hold after it.
+ * Satisfaction (section 3) for given attachments and modes, so that an action can be checked against the configuration
+ * that it would lead to.
  */
 pred conn_satisfied[s: System, roles: Connector -> Port, mode: Functionality -> Mode, conn: Connector] {
   (some f: s.comps.funcs, o: f.assoc_outputs & roles[conn] | satisfy[mode[f].mode_guars[o], conn.conn_guar])
@@ -118,12 +118,12 @@ pred asm_satisfied[s: System, roles: Connector -> Port, mode: Functionality -> M
   or satisfy[s.env_guars, a]
 }
 
-/* Functionality f has all that its mode assumes. */
+/* All assumptions of f's mode are satisfied. */
 pred works[s: System, roles: Connector -> Port, mode: Functionality -> Mode, f: Functionality] {
   all a: mode[f].mode_asms | asm_satisfied[s, roles, mode, f, a]
 }
 
-/* Every live functionality is in one of its modes; only ports of live components are attached, to topics there are. */
+/* Every live functionality is in one of its modes; only ports of live components are attached, to existing topics. */
 pred structured[s: System] {
   all f: s.comps.funcs | one s.cur_mode[f] and s.cur_mode[f] in f.modes
   s.cur_mode.Mode in s.comps.funcs
@@ -136,7 +136,7 @@ pred valid_sys[s: System] {
   all f: s.comps.funcs | works[s, s.roles, s.cur_mode, f]
 }
 
-/* The world is the same in both. */
+/* The context is the same in both. */
 pred same_world[s, t: System] {
   t.conns = s.conns
   t.env_guars = s.env_guars
@@ -145,7 +145,7 @@ pred same_world[s, t: System] {
 
 /* ---- checks ---- */
 
-/* Some configuration works: the rules do not contradict each other. */
+/* A non-trivial valid configuration exists: the rules are consistent. */
 run ValidSystem {
   rules
   some s: System | valid_sys[s] and some s.roles and some s.cur_mode.Mode.assoc_inputs

@@ -1,7 +1,7 @@
-"""The proofs without bounds: F1, F2, F3 and F6 (semantics.md) for systems of any size.
+"""Unbounded proofs: the facts F1, F2, F3 and F6 of docs/semantics.md, for systems of any size.
 
-`terms` (formulas as SMT-LIB text), `theory` and `rules` (sections 1 to 3), `actions` (section 4), `goals` and `facts`
-(what is proved), `solvers` (z3 and cvc5), `run` (verdicts), `words` (counterexamples told).
+`terms` has formulas as SMT-LIB text, `theory` and `rules` sections 1 to 3, `actions` section 4, `goals` and `facts`
+what is proved, `solvers` z3 and cvc5, `run` the verdicts, and `counterexample` the text of counterexamples.
 """
 
 from midstride.verify.prove.run import GOALS, Proof, Weakened, prove, prove_goal

@@ -1,6 +1,6 @@
-"""The actions of semantics.md section 4: the conjuncts of each precondition by name, and the effect.
+"""The actions (docs/semantics.md, section 4): the conjuncts of each precondition by name, and the effect.
 
-A group (of functionalities, of swaps) is a relation of any size, so the group forms are the only ones there are.
+A group (of functionalities, of swaps) is a relation of any size, so only the group forms are needed.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from midstride.verify.prove.theory import (
     Theory,
 )
 
-# Names of conjuncts, as they are told.
+# Names of conjuncts, as messages show them.
 NOT_LIVE, LIVE, ISOLATED, CAPACITY = "not live", "live", "isolated", "capacities hold"
 NOT_ATTACHED, CONTRACT, CAP, ATTACHED = "not attached there", "the contracts fit", "the cap holds", "attached"
 STAYS = "every functionality stays satisfied"
 STRICTLY = "a strictly {} mode is named"
-OUTSIDE, INSIDE = "everyone outside F is satisfied afterwards", "each in F is satisfied in its new mode"
+OUTSIDE, INSIDE = "functionalities outside F stay satisfied", "functionalities in F are satisfied in their new modes"
 OUTPUTS, OLD, NEW, ONCE = (
     "old and new are outputs of live components",
-    "each old attached",
-    "each new not",
-    "no port twice",
+    "every old output is attached",
+    "no new output is attached",
+    "no port occurs twice",
 )
-MEETS, CAPS = "a current guarantee of each new meets its topic", "caps hold afterwards"
+MEETS, CAPS = "every new output currently meets its topic", "caps hold afterwards"
 
 
 @dataclass(frozen=True, slots=True)
 class ActionFormula:
-    """An action taken: what it asks, and the configuration it leads to."""
+    """An action: its precondition, and the configuration that it leads to."""
 
     precondition: list[Part]
     after: State
@@ -72,14 +72,14 @@ def attach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> ActionF
 
 def detach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> ActionFormula:
     after = t.state(tag, s.live, lambda q, on: and_(s.attached(q, on), not_(and_(equal(q, p), equal(on, k)))), s.mode)
-    return ActionFormula([Part(ATTACHED, s.attached(p, k)), Part(STAYS, t.everyone_satisfied(after))], after)
+    return ActionFormula([Part(ATTACHED, s.attached(p, k)), Part(STAYS, t.all_satisfied(after))], after)
 
 
 Group = Callable[[Term], Term]
 
 
 def _changed(t: Theory, s: State, group: Group, to: Callable[[Term], Term], better: bool) -> tuple[list[Part], State]:
-    """What both mode changes ask: F is live, and each new mode is one of its chain, strictly on one side."""
+    """The shared precondition of mode changes: F is live, and each new mode is strictly better or worse."""
     after = s.in_modes(lambda f: if_(group(f), to(f), s.mode(f)))
     live = t.logic.all((FUNCTIONALITY,), lambda f: implies(group(f), s.live(t.host(f))))
 
@@ -90,8 +90,10 @@ def _changed(t: Theory, s: State, group: Group, to: Callable[[Term], Term], bett
     return [Part(LIVE, live), Part(STRICTLY.format("better" if better else "worse"), named)], after
 
 
-def _satisfied(t: Theory, after: State, who: Group) -> Term:
-    return t.logic.all((FUNCTIONALITY,), lambda f: implies(and_(t.live_in(after, f), who(f)), t.satisfied(after, f)))
+def _satisfied(t: Theory, after: State, members: Group) -> Term:
+    return t.logic.all(
+        (FUNCTIONALITY,), lambda f: implies(and_(t.live_in(after, f), members(f)), t.satisfied(after, f))
+    )
 
 
 def degrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> ActionFormula:
@@ -112,7 +114,7 @@ Swaps = Callable[[Term, Term, Term], Term]  # topic, old, new
 
 
 def handover(t: Theory, s: State, swaps: Swaps, tag: str = "after") -> ActionFormula:
-    """All at once. That an exchange one for one changes no number of publishers is the third law of finite sets."""
+    """All swaps at once. One-to-one replacement keeps the number of publishers: the third law of finite sets."""
     logic = t.logic
 
     def is_new(p: Term, k: Term) -> Term:
@@ -121,8 +123,8 @@ def handover(t: Theory, s: State, swaps: Swaps, tag: str = "after") -> ActionFor
     def is_old(p: Term, k: Term) -> Term:
         return logic.some((PORT,), lambda new: swaps(k, p, new))
 
-    def each(told: Callable[[Term, Term, Term], Term]) -> Term:
-        return logic.all((TOPIC, PORT, PORT), lambda k, old, new: implies(swaps(k, old, new), told(k, old, new)))
+    def each(formula: Callable[[Term, Term, Term], Term]) -> Term:
+        return logic.all((TOPIC, PORT, PORT), lambda k, old, new: implies(swaps(k, old, new), formula(k, old, new)))
 
     def outputs(k: Term, old: Term, new: Term) -> Term:
         return and_(*(and_(t.is_output(p), s.live(t.component(p))) for p in (old, new)))
@@ -180,7 +182,7 @@ def swap(k: Term, old: Term, new: Term) -> Term:
 
 
 def a_group(t: Theory) -> tuple[Group, Callable[[Term], Term]]:
-    """Any functionalities, and any mode named for each, of its own chain."""
+    """Any set of functionalities, and for each any mode of its chain."""
     group = t.logic.function("in_group", (FUNCTIONALITY,), "Bool")
     to = t.logic.function("mode_named", (FUNCTIONALITY,), MODE)
     t.logic.facts.append(t.logic.all((FUNCTIONALITY,), lambda f: equal(t.whose(to(f)), f)))

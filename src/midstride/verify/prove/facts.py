@@ -1,8 +1,8 @@
-"""F2 and F3 (semantics.md section 5), for structures of any size.
+"""F2 and F3 (docs/semantics.md, section 5), for structures of any size.
 
-That ``best`` is greatest is proved of the algorithm, as an invariant: it starts above every valid assignment, each
-lowering stays above, it can go on while anyone is unsatisfied, and where it ends is valid. That it ends is the
-finiteness of chains and systems, which first-order logic cannot say: each lowering is strict.
+That ``best`` is the greatest valid assignment is proved as an invariant of its algorithm: it starts above every valid
+assignment, each lowering stays above, it can continue while any functionality is unsatisfied, and its result is valid.
+It terminates because each lowering is strict and chains are finite, which first-order logic cannot express.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ def _closed(t: Theory) -> Case:
     a = t.start("one")
     b = _assignment(t, a, "other")
     join = a.in_modes(lambda f: if_(t.at_least(a.mode(f), b.mode(f)), a.mode(f), b.mode(f)))
-    asked = [
-        Part("the one is satisfied", t.everyone_satisfied(a)),
-        Part("the other is satisfied", t.everyone_satisfied(b)),
+    premises = [
+        Part("the first is satisfied", t.all_satisfied(a)),
+        Part("the second is satisfied", t.all_satisfied(b)),
     ]
-    return Case(t.structure_valid(a), asked, t.valid(join), (a, b, join), active(t, join))
+    return Case(t.structure_valid(a), premises, t.valid(join), (a, b, join), active(t, join))
 
 
 def _start(t: Theory) -> Case:
     a = t.start("valid")
     normal = a.in_modes(t.normal)
     return Case(
-        t.valid(a), [], [Part("all normal is no worse than it", _above(t, normal, a))], (a, normal), active(t, a)
+        t.valid(a), [], [Part("all normal modes are no worse", _above(t, normal, a))], (a, normal), active(t, a)
     )
 
 
@@ -63,43 +63,43 @@ def _lowered(t: Theory) -> Case:
             and_(equal(t.whose(n), f), t.at_least(b.mode(f), n), t.better(n, m)), not_(t.mode_satisfied(b, f, n))
         ),
     )
-    asked = [
-        Part("a valid assignment is no better than what is reached", _above(t, b, a)),
-        Part("that assignment is valid", t.everyone_satisfied(a)),
-        Part("no better mode from there on is satisfied", first),
+    premises = [
+        Part("a valid assignment is no better than the current one", _above(t, b, a)),
+        Part("that assignment is valid", t.all_satisfied(a)),
+        Part("no mode in between is satisfied", first),
     ]
     after = b.in_modes(lambda g: if_(equal(g, f), m, b.mode(g)))
-    return Case([], asked, [Part("it is no better than what is reached then", _above(t, after, a))], (a, b, after),
+    return Case([], premises, [Part("it is no better than the result", _above(t, after, a))], (a, b, after),
                 and_(active(t, a), not_(equal(m, b.mode(f)))))  # fmt: skip
 
 
 def _goes_on(t: Theory) -> Case:
     _, b, f, _ = _lowering(t)
     strictly = t.logic.some((MODE,), lambda n: and_(t.better(b.mode(f), n), t.mode_satisfied(b, f, n)))
-    asked = [Part("it is unsatisfied", not_(t.satisfied(b, f)))]
-    return Case([], asked, [Part("a strictly worse mode of it is satisfied", strictly)], (b,))
+    premises = [Part("it is unsatisfied", not_(t.satisfied(b, f)))]
+    return Case([], premises, [Part("a strictly worse mode of it is satisfied", strictly)], (b,))
 
 
 def _end(t: Theory) -> Case:
     a, b, _, _ = _lowering(t)
-    asked = [
-        Part("nobody is left to lower", t.everyone_satisfied(b)),
+    premises = [
+        Part("every functionality is satisfied", t.all_satisfied(b)),
         Part("the structure is valid", and_(*(part.formula for part in t.structure_valid(a)))),
         Part("every valid assignment is no better", _above(t, b, a)),
     ]
     conclusion = [*t.valid(b), Part("it is no worse than any valid assignment", _above(t, b, a))]
-    return Case([], asked, conclusion, (a, b), active(t, b))
+    return Case([], premises, conclusion, (a, b), active(t, b))
 
 
 def _unique(t: Theory) -> Case:
     a = t.start("one")
     b = _assignment(t, a, "other")
-    asked = [
-        Part("the one is no worse than the other", _above(t, a, b)),
-        Part("the other is no worse than the one", _above(t, b, a)),
+    premises = [
+        Part("the first is no worse than the second", _above(t, a, b)),
+        Part("the second is no worse than the first", _above(t, b, a)),
     ]
     same = t.logic.all((FUNCTIONALITY,), lambda f: implies(t.live_in(a, f), equal(a.mode(f), b.mode(f))))
-    return Case([], asked, [Part("they are the same", same)], (a, b), active(t, a))
+    return Case([], premises, [Part("they are the same", same)], (a, b), active(t, a))
 
 
 def _more(t: Theory) -> Case:
@@ -108,12 +108,12 @@ def _more(t: Theory) -> Case:
     after = t.state("after", s.live, attached, s.mode)
     f = t.logic.constant("the_functionality", FUNCTIONALITY)
     more = t.logic.all((PORT, TOPIC), lambda p, k: implies(s.attached(p, k), attached(p, k)))
-    asked = [
-        Part("no attachment is taken away", more),
+    premises = [
+        Part("no attachment is removed", more),
         Part("it was satisfied", t.satisfied(s, f)),
     ]
     t.logic.facts.append(s.live(t.host(f)))
-    return Case([], asked, [Part("it is satisfied", t.satisfied(after, f))], (s, after), active(t, s))
+    return Case([], premises, [Part("it is satisfied", t.satisfied(after, f))], (s, after), active(t, s))
 
 
 def _grows(t: Theory) -> Case:
@@ -123,16 +123,16 @@ def _grows(t: Theory) -> Case:
     more = t.state("more", a.live, attached, a.mode)
     b = _assignment(t, more, "more")
     join = more.in_modes(lambda f: if_(t.at_least(a.mode(f), b.mode(f)), a.mode(f), b.mode(f)))
-    asked = [
+    premises = [
         Part(
-            "no attachment is taken away",
+            "no attachment is removed",
             t.logic.all((PORT, TOPIC), lambda p, k: implies(a.attached(p, k), attached(p, k))),
         ),
-        Part("the one is satisfied with less", t.everyone_satisfied(a)),
-        Part("the other is satisfied with more", t.everyone_satisfied(b)),
+        Part("the first is satisfied with less", t.all_satisfied(a)),
+        Part("the second is satisfied with more", t.all_satisfied(b)),
     ]
-    conclusion = [Part("everyone is satisfied with more", t.everyone_satisfied(join))]
-    return Case([], asked, conclusion, (a, b, join), active(t, join))
+    conclusion = [Part("every functionality is satisfied with more", t.all_satisfied(join))]
+    return Case([], premises, conclusion, (a, b, join), active(t, join))
 
 
 def _goal(name: str, kind: str, claim: str, build: Callable[[Theory], Case], *rules: str) -> Goal:
@@ -143,11 +143,11 @@ _CHAINS = "modes form chains"
 
 FACT_GOALS: tuple[Goal, ...] = (
     _goal("better of two", "F2", "valid assignments are closed under the pointwise better of two", _closed, "M2"),
-    _goal("best: start", "F2", "all normal is above every valid assignment", _start, _CHAINS),
+    _goal("best: start", "F2", "all normal modes are above every valid assignment", _start, _CHAINS),
     _goal("best: step", "F2", "one lowering stays above every valid assignment", _lowered, "M2"),
-    _goal("best: goes on", "F2", "whoever is unsatisfied has a worse mode that is satisfied", _goes_on, "M1"),
-    _goal("best: end", "F2", "where it ends is valid, and the greatest", _end),
-    _goal("best: unique", "F2", "there is but one greatest", _unique, _CHAINS),
-    _goal("more attached", "F3", "more attachments never unsatisfy a functionality", _more),
+    _goal("best: goes on", "F2", "an unsatisfied functionality has a worse mode that is satisfied", _goes_on, "M1"),
+    _goal("best: end", "F2", "its result is valid, and the greatest", _end),
+    _goal("best: unique", "F2", "there is only one greatest assignment", _unique, _CHAINS),
+    _goal("more attached", "F3", "more attachments never make a functionality unsatisfied", _more),
     _goal("best grows", "F3", "valid with less, joined with valid with more, is valid with more", _grows, "M2"),
 )

@@ -1,8 +1,9 @@
-"""What is proved: F1 for every action, and what its conjuncts that F1 does not need are for.
+"""What is proved of actions: that each is safe (F1), and what the conjuncts that F1 does not need are for.
 
-`F1` goals: the action takes a valid configuration to a valid one. `fit` goals: what is attached fits its topic, as
-``attach`` judges it; undoing a ``detach`` rests on that. `F6` goals: the undo is allowed, and leads back. `check`
-goals: what ``midstride.model.action`` looks at is enough. The facts F2 and F3 are in :mod:`.facts`.
+`F1` goals: the action takes a valid configuration to a valid one. `fit` goals: attached ports fit their topics, as
+``attach`` requires; undoing a ``detach`` relies on that. `F6` goals: the undo is allowed, and restores the
+configuration. `check` goals: the functionalities that ``midstride.model.action`` checks are enough. The facts F2 and F3
+are in :mod:`.facts`.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from midstride.verify.prove import actions as act
 from midstride.verify.prove.terms import FALSE, TRUE, Term, and_, equal, if_, implies, not_, or_
 from midstride.verify.prove.theory import ASSUMPTION, FUNCTIONALITY, PORT, TOPIC, Part, State, Theory
 
-FITS = "what is attached fits"
+FITS = "attached ports fit their topics"
 
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """A goal as formulas: from ``given`` and ``asked`` follows ``conclusion``.
+    """A goal as formulas: ``given`` and ``asked`` imply ``conclusion``.
 
-    ``occurs`` says that something happens at all; ``action`` is what a counterexample tells of the action, as constants
-    and relations: see :mod:`.words`.
+    ``occurs`` rules out the trivial case; ``action`` is the action's kind, for the text of a counterexample (see
+    :mod:`.counterexample`).
     """
 
     given: list[Part]
@@ -35,9 +36,9 @@ class Case:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """One theorem. Dropping any conjunct of ``asked`` or rule of ``rules`` must break it, but for those in ``spare``.
+    """One theorem. Dropping any conjunct of ``asked`` or rule of ``rules`` must break it, except those in ``spare``.
 
-    ``together``: conjuncts of which each alone is implied by the rest, but not both.
+    ``together``: conjuncts that the rest implies one at a time, but not together.
     """
 
     name: str
@@ -50,7 +51,7 @@ class Goal:
 
 
 def active(t: Theory, s: State) -> Term:
-    """Some live functionality assumes something: nothing is satisfied for want of assumptions."""
+    """Some live functionality has an assumption, so validity is not trivial."""
     return t.logic.some((FUNCTIONALITY, ASSUMPTION), lambda f, a: and_(t.live_in(s, f), t.assumes(s.mode(f), a)))
 
 
@@ -59,7 +60,7 @@ def _some_member(t: Theory, group: act.Group) -> Term:
 
 
 def _step(t: Theory, s: State, action: str) -> tuple[act.ActionFormula, Term]:
-    """The action of that name, taken in ``s`` of whatever it may be taken of; and that it is not empty."""
+    """The action of that name in ``s``, with arbitrary arguments; and that it is not empty."""
     if action in ("create", "remove"):
         step = (act.create if action == "create" else act.remove)(t, s, act.a_component(t))
         return step, TRUE
@@ -114,13 +115,13 @@ def _undone(action: str) -> Callable[[Theory], Case]:
                     act.swap(k, old, new), t.satisfies(t.current(s, old), t.topic_guarantee(k))
                 ),
             )
-            asked.append(Part("every old still meets its topic", old_meets))
+            asked.append(Part("every old output still meets its topic", old_meets))
             back = act.handover(t, after, lambda k, old, new: act.swap(k, new, old), "undone")
         else:
             other = act.upgrade if action == "degrade" else act.degrade
             back = other(t, after, act.in_group, s.mode)
-        conclusion = [Part(f"the undo asks: {part.name}", part.formula) for part in back.precondition]
-        conclusion += [Part(f"undone, {part.name}", part.formula) for part in t.same(back.after, s)]
+        conclusion = [Part(f"the undo requires: {part.name}", part.formula) for part in back.precondition]
+        conclusion += [Part(f"after the undo, {part.name}", part.formula) for part in t.same(back.after, s)]
         return Case(given, asked, conclusion, (s, after, back.after), and_(some, active(t, s)), action)
 
     return build
@@ -137,17 +138,17 @@ def _remove_undone(t: Theory) -> Case:
     midway = again.after.in_modes(lambda g: if_(and_(raised(g), equal(t.host(g), c)), s.mode(g), again.after.mode(g)))
     t.logic.facts += [equal(t.host(f), c), not_(raised(f)), not_(equal(s.mode(f), t.last(f)))]
     up = act.upgrade(t, midway, lambda g: equal(g, f), s.mode)
-    conclusion = [Part(f"the undo asks: {part.name}", part.formula) for part in again.precondition]
-    conclusion += [Part(f"the upgrade of the undo asks: {part.name}", part.formula) for part in up.precondition]
-    everyone = again.after.in_modes(lambda g: if_(equal(t.host(g), c), s.mode(g), again.after.mode(g)))
-    conclusion += [Part(f"undone, {part.name}", part.formula) for part in t.same(everyone, s)]
+    conclusion = [Part(f"the undo requires: {part.name}", part.formula) for part in again.precondition]
+    conclusion += [Part(f"the upgrade of the undo requires: {part.name}", part.formula) for part in up.precondition]
+    all_raised = again.after.in_modes(lambda g: if_(equal(t.host(g), c), s.mode(g), again.after.mode(g)))
+    conclusion += [Part(f"after the undo, {part.name}", part.formula) for part in t.same(all_raised, s)]
     return Case(t.valid(s), step.precondition, conclusion, (s, step.after, up.after), active(t, s), "remove")
 
 
 def _apart_undone(t: Theory) -> Case:
-    """An old that no longer meets its topic: on the way back everyone stays satisfied, whatever came apart already.
+    """Undoing a hand-over whose old output no longer meets its topic: everything stays satisfied in between.
 
-    An attachment of ``before`` may be missing there where its output does not meet the topic; others may be there.
+    In between, an attachment of ``before`` may be missing if its output does not meet the topic; others may exist.
     """
     s = t.start()
     attached = t.logic.function("attached_between", (PORT, TOPIC), "Bool")
@@ -165,7 +166,7 @@ def _apart_undone(t: Theory) -> Case:
     asked = [Part("only outputs that do not meet their topic are missing", kept)]
     given = [t.valid(s)[0]]
     some = t.logic.some((PORT, TOPIC), lambda p, k: and_(s.attached(p, k), not_(attached(p, k))))
-    conclusion = [Part("every functionality is satisfied", t.everyone_satisfied(between))]
+    conclusion = [Part("every functionality is satisfied", t.all_satisfied(between))]
     return Case(given, asked, conclusion, (s, between), and_(some, active(t, s)), "")
 
 
@@ -174,14 +175,14 @@ def _consumes(t: Theory, s: State, f: Term, k: Term) -> Term:
 
 
 def _checked(action: str) -> Callable[[Theory], Case]:
-    """The neighbours that ``check`` judges are all that can be unsatisfied."""
+    """Only the neighbours that ``check`` examines can become unsatisfied."""
 
     def build(t: Theory) -> Case:
         s = t.start()
         step, some = _step(t, s, action)
         after = step.after
         asked = [part for part in step.precondition if part.name not in (act.STAYS, act.OUTSIDE, act.INSIDE)]
-        wanted = [part for part in step.precondition if part not in asked]
+        required = [part for part in step.precondition if part not in asked]
         affected: Callable[[Term], Term]
         if action == "detach output":
             k = "the_topic"
@@ -200,12 +201,12 @@ def _checked(action: str) -> Callable[[Theory], Case]:
             def affected(f: Term) -> Term:
                 return or_(act.in_group(f), t.logic.some((TOPIC,), lambda k: and_(lost(k), _consumes(t, s, f, k))))
 
-        judged = t.logic.all(
+        examined = t.logic.all(
             (FUNCTIONALITY,),
             lambda f: implies(and_(t.live_in(after, f), affected(f)), t.satisfied(after, f)),
         )
-        asked.append(Part("everyone that `check` looks at is satisfied", or_(topic_kept, judged)))
-        return Case(t.valid(s), asked, wanted, (s, after), and_(some, active(t, s)), action)
+        asked.append(Part("every functionality that `check` examines is satisfied", or_(topic_kept, examined)))
+        return Case(t.valid(s), asked, required, (s, after), and_(some, active(t, s)), action)
 
     return build
 
@@ -220,8 +221,8 @@ def _goal(name: str, kind: str, claim: str, build: Callable[[Theory], Case], *sp
 
 
 _VALID = "a valid configuration stays valid"
-_BACK = "the undo is allowed and leads back"
-_LOCAL = "what `check` looks at is enough"
+_BACK = "the undo is allowed and restores the configuration"
+_LOCAL = "the functionalities that `check` examines are enough"
 
 ACTION_GOALS: tuple[Goal, ...] = (
     _goal("create", "F1", _VALID, _preserved("create"), rules=("M1",)),
@@ -239,7 +240,7 @@ ACTION_GOALS: tuple[Goal, ...] = (
     _goal("handover", "fit", FITS, _fitting("handover"), act.OLD, act.NEW, act.ONCE, act.CAPS,
           rules=("M2",)),
     _goal("create", "F6", _BACK, _undone("create"), act.CAPACITY),
-    _goal("remove", "F6", "create and upgrades lead back", _remove_undone),
+    _goal("remove", "F6", "create and upgrades restore the configuration", _remove_undone),
     _goal("attach output", "F6", _BACK, _undone("attach output"), act.LIVE, act.CONTRACT, act.CAP),
     _goal("attach input", "F6", _BACK, _undone("attach input"), act.LIVE, act.CONTRACT, act.CAP),
     _goal("detach output", "F6", _BACK, _undone("detach output"), act.STAYS),
@@ -247,7 +248,7 @@ ACTION_GOALS: tuple[Goal, ...] = (
     _goal("degrade F", "F6", _BACK, _undone("degrade"), act.OUTSIDE, act.INSIDE),
     _goal("upgrade F", "F6", _BACK, _undone("upgrade"), act.INSIDE),
     _goal("handover", "F6", _BACK, _undone("handover"), act.MEETS, act.CAPS),
-    _goal("handover apart", "F6", "everyone stays satisfied on the way back", _apart_undone),
+    _goal("handover apart", "F6", "every functionality stays satisfied during the undo", _apart_undone),
     _goal("detach output", "check", _LOCAL, _checked("detach output"), act.ATTACHED, rules=(_NAMED,)),
     _goal("detach input", "check", _LOCAL, _checked("detach input"), act.ATTACHED, rules=(_NAMED,)),
     _goal("degrade F", "check", _LOCAL, _checked("degrade"), act.LIVE, _DOWN, rules=(_NAMED,)),

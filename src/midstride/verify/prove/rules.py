@@ -1,4 +1,4 @@
-"""The rules that every well-formed system obeys (semantics.md sections 1 and 2), each with the name it is told by."""
+"""The rules that every well-formed system obeys (docs/semantics.md, sections 1 and 2), by name."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from midstride.verify.prove.theory import (
 
 
 def rules(t: Theory) -> list[Part]:
-    """What every well-formed system obeys (sections 1 and 2)."""
+    """The rules, as named formulas."""
     logic = t.logic
     sat, nothing, better, whose = t.satisfies, t.nothing, t.better, t.whose
     satisfaction = and_(
@@ -62,7 +62,7 @@ def rules(t: Theory) -> list[Part]:
     )
     return [
         Part("satisfaction is a preorder, and `nothing` satisfies nothing", satisfaction),
-        Part("ports, functionalities and offers are declared in order", declared),
+        Part("ports, functionalities and offers are well-formed", declared),
         Part("an assumption names associated inputs", named),
         Part("modes form chains", chains),
         Part("M1", m1),

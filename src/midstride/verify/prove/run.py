@@ -1,8 +1,8 @@
 """Runs the proofs: verdicts as data.
 
-A goal is asked part by part: premises and the negation of one part of its conclusion, over sorts of any size;
-unsatisfiable is a proof. For a weakened goal (one conjunct or rule left out) a counterexample is looked for in a small
-system, where it can be told; only a conjunct that the goal is said not to need is proved away without bounds.
+A goal is proved part by part: the premises and the negation of one part of its conclusion, over sorts of any size, must
+be unsatisfiable. A weakened goal (without one conjunct or rule) must have a counterexample, which is searched in small
+systems, where it is readable. If the goal is declared not to need the conjunct, the weakened goal is proved instead.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from typing import Any, Final
 
 from midstride.errors import SolverMissing, VerificationError
 from midstride.verify.prove import solvers
+from midstride.verify.prove.counterexample import Counterexample
 from midstride.verify.prove.facts import FACT_GOALS
 from midstride.verify.prove.goals import ACTION_GOALS, Case, Goal
 from midstride.verify.prove.rules import rules
 from midstride.verify.prove.terms import Term, and_, app, not_
 from midstride.verify.prove.theory import SORTS, Part, Theory
-from midstride.verify.prove.wording import Wording
 from midstride.verify.verdict import Answer
 
 GOALS: Final[tuple[Goal, ...]] = (*ACTION_GOALS, *FACT_GOALS)
-# Counterexamples are looked for in these, the smallest first. A model in them is one of systems of any size.
+# Counterexamples are searched in systems of these sizes, smallest first.
 SIZES: Final[tuple[Mapping[str, int], ...]] = tuple(
     dict(zip(SORTS, numbers, strict=True))
     for numbers in (
@@ -61,7 +61,7 @@ class Weakened:
 
 @dataclass(frozen=True, slots=True)
 class Proof:
-    """The verdict on one goal, by one or both solvers, and what shows that it is not vacuous."""
+    """The verdict on one goal, by one or both solvers, and the evidence that it is not vacuous."""
 
     goal: Goal
     answer: Answer
@@ -72,7 +72,7 @@ class Proof:
 
     @property
     def ok(self) -> bool:
-        """Proved, of something that can happen, and each conjunct is needed just where it is said to be."""
+        """Proved, not vacuous, and each conjunct is needed exactly where it is declared to be."""
         shown = self.possible is Answer.HOLDS and all(weakened.as_expected for weakened in self.weakened)
         return self.answer is Answer.HOLDS and shown
 
@@ -93,9 +93,9 @@ class Proof:
 def prove(
     names: Sequence[solvers.Name] = solvers.NAMES, goals: Iterable[Goal] = GOALS, seconds: float = SECONDS
 ) -> Iterator[Proof]:
-    """Each goal's proof, as it is found. A solver that is absent makes every goal UNKNOWN, and says so.
+    """The proof of each goal, as it is found. A missing solver makes every goal UNKNOWN, with that reason.
 
-    ``seconds`` is the time limit of one question. The weakened goals are asked of the first solver that is there.
+    ``seconds`` is the time limit of one query. Weakened goals are checked by the first solver that is installed.
     """
     for goal in goals:
         yield prove_goal(goal, names, seconds)
@@ -105,40 +105,40 @@ def prove_goal(goal: Goal, names: Sequence[solvers.Name] = solvers.NAMES, second
     took: dict[str, float] = {}
     answers: list[Answer] = []
     because: list[str] = []
-    there: list[solvers.Name] = []
+    installed: list[solvers.Name] = []
     for name in names:
         started = time.perf_counter()
         try:
             answer, reason = _proved(goal, name, seconds)
-            there.append(name)
-        except SolverMissing as absent:
-            answer, reason = Answer.UNKNOWN, str(absent)
+            installed.append(name)
+        except SolverMissing as error:
+            answer, reason = Answer.UNKNOWN, str(error)
         took[name] = time.perf_counter() - started
         answers.append(answer)
         because += [] if reason is None else [reason]
-    if not there:
+    if not installed:
         return Proof(goal, Answer.UNKNOWN, took, "; ".join(because))
-    first = there[0]
-    total = _together(answers)
+    first = installed[0]
+    total = _combined(answers)
     if total is not Answer.HOLDS:
         model = _model(goal, first, (), seconds, violated=True)
         if model is not None and Answer.HOLDS in answers:
             total, because = Answer.UNKNOWN, [*because, "the solvers disagree"]
         elif model is not None:
             total, because = Answer.VIOLATED, [model]
-    possible = Answer.HOLDS if all(_possible(goal, name, seconds) for name in there) else Answer.UNKNOWN
+    possible = Answer.HOLDS if all(_possible(goal, name, seconds) for name in installed) else Answer.UNKNOWN
     weakened = tuple(_weakened(goal, dropped, needed, first, seconds) for dropped, needed in weakenings(goal))
     return Proof(goal, total, took, "; ".join(because) or None, possible, weakened)
 
 
-def _together(answers: Iterable[Answer]) -> Answer:
-    """HOLDS only where every solver says so; two that contradict each other leave it open."""
-    said = set(answers)
-    return said.pop() if len(said) == 1 else Answer.UNKNOWN
+def _combined(answers: Iterable[Answer]) -> Answer:
+    """HOLDS only if every solver agrees; UNKNOWN if they differ."""
+    distinct = set(answers)
+    return distinct.pop() if len(distinct) == 1 else Answer.UNKNOWN
 
 
 def weakenings(goal: Goal) -> Iterator[tuple[tuple[str, ...], bool]]:
-    """What is left out, and whether the goal then fails."""
+    """The parts to leave out, and whether the goal must fail without them."""
     for part in goal.build(Theory()).asked:
         yield (part.name,), part.name not in goal.spare
     for rule in goal.rules:
@@ -148,7 +148,7 @@ def weakenings(goal: Goal) -> Iterator[tuple[tuple[str, ...], bool]]:
 
 
 def premises(t: Theory, case: Case, dropped: tuple[str, ...]) -> list[tuple[str, Term]]:
-    """What a goal rests on, but for what is left out."""
+    """The premises of a goal, without the dropped ones."""
     parts = [*rules(t), *case.given, *case.asked]
     missing = set(dropped) - {part.name for part in parts}
     assert not missing, f"no conjunct is called {missing}"
@@ -156,7 +156,7 @@ def premises(t: Theory, case: Case, dropped: tuple[str, ...]) -> list[tuple[str,
 
 
 def script(goal: Goal, part: int, dropped: tuple[str, ...] = ()) -> str:
-    """The negated goal for one part of its conclusion, without bounds, as SMT-LIB text."""
+    """The unbounded negation of one part of the goal, as SMT-LIB text."""
     t = Theory()
     case = goal.build(t)
     concluded: Part = case.conclusion[part]
@@ -168,14 +168,14 @@ def _proved(goal: Goal, name: solvers.Name, seconds: float, dropped: tuple[str, 
         answer: solvers.Answer = "unknown"
         for strategy in solvers.STRATEGIES[name]:
             session = solvers.open_session(name, seconds, strategy)
-            solvers.tell(session, script(goal, number, dropped))
-            answer = solvers.ask(session)
+            solvers.send(session, script(goal, number, dropped))
+            answer = solvers.check_sat(session)
             if answer != "unknown":
                 break
         if answer == "sat":
             return Answer.VIOLATED, f"{name}: does not follow: {part.name}"
         if answer == "unknown":
-            return Answer.UNKNOWN, f"{name} does not decide it ({seconds:g} s at most): {part.name}"
+            return Answer.UNKNOWN, f"{name} does not decide within {seconds:g} s: {part.name}"
     return Answer.HOLDS, None
 
 
@@ -184,49 +184,49 @@ def _weakened(goal: Goal, dropped: tuple[str, ...], needed: bool, name: solvers.
         answer, _ = _proved(goal, name, seconds, dropped)
         if answer is Answer.HOLDS:
             return Weakened(dropped, needed, answer)
-    told = _model(goal, name, dropped, seconds, violated=True)
-    return Weakened(dropped, needed, Answer.UNKNOWN if told is None else Answer.VIOLATED, told)
+    text = _model(goal, name, dropped, seconds, violated=True)
+    return Weakened(dropped, needed, Answer.UNKNOWN if text is None else Answer.VIOLATED, text)
 
 
 def _possible(goal: Goal, name: solvers.Name, seconds: float) -> bool:
-    """Whether rules and precondition can all be true, of something that happens."""
+    """Whether the premises can all be true in a non-trivial case."""
     return _model(goal, name, (), seconds, violated=False) is not None
 
 
 def _model(goal: Goal, name: solvers.Name, dropped: tuple[str, ...], seconds: float, *, violated: bool) -> str | None:
-    """A small model of the premises, in words (of those alone, or with the conclusion violated), or None."""
+    """The text of a small model of the premises (``violated``: in which the conclusion is false), or None."""
     for sizes in SIZES:
         t = Theory(sizes)
         case = goal.build(t)
-        wanted = not_(and_(*(part.formula for part in case.conclusion))) if violated else case.occurs
+        query = not_(and_(*(part.formula for part in case.conclusion))) if violated else case.occurs
         session = solvers.open_session(name, seconds)
-        solvers.tell(session, t.logic.script([*premises(t, case, dropped), ("wanted", wanted)]))
-        if solvers.ask(session) != "sat":
+        solvers.send(session, t.logic.script([*premises(t, case, dropped), ("query", query)]))
+        if solvers.check_sat(session) != "sat":
             continue
         if violated:
             _shrink(t, session)
-        return str(Wording(t, case, session)) if violated else ""
+        return str(Counterexample(t, case, session)) if violated else ""
     return None
 
 
 def _shrink(t: Theory, session: solvers.Session) -> None:
-    """Leaves out of the model found whatever it can do without, one relation after another."""
+    """Remove from the model every tuple that it does not need, one by one."""
     for atom in _atoms(t):
         if solvers.value(session, atom) == "false":
-            solvers.tell(session, f"(assert (not {atom}))\n")
-            kept = solvers.ask(session)
+            solvers.send(session, f"(assert (not {atom}))\n")
+            kept = solvers.check_sat(session)
         else:
-            solvers.tell(session, f"(push 1)\n(assert (not {atom}))\n")
-            kept = solvers.ask(session)
+            solvers.send(session, f"(push 1)\n(assert (not {atom}))\n")
+            kept = solvers.check_sat(session)
             if kept != "sat":
-                solvers.tell(session, f"(pop 1)\n(assert {atom})\n")
-                kept = solvers.ask(session)
+                solvers.send(session, f"(pop 1)\n(assert {atom})\n")
+                kept = solvers.check_sat(session)
         if kept != "sat":
-            raise VerificationError("a solver takes back a model that it gave")
+            raise VerificationError("a solver contradicts its own model")
 
 
 def _atoms(t: Theory) -> list[Term]:
-    """Every relation, of every elements."""
+    """Every relation applied to every combination of elements."""
     return [
         app(name, *chosen)
         for name, (arguments, result) in t.logic.declared.items()

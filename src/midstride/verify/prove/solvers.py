@@ -1,4 +1,4 @@
-"""The solvers: each takes SMT-LIB text and answers in it. Neither is needed for anything but the proofs."""
+"""The SMT solvers, through SMT-LIB text. Only the proofs need them."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ _PACKAGE: Final[dict[Name, str]] = {"z3": "z3-solver", "cvc5": "cvc5"}
 
 
 class Session(Protocol):
-    """One conversation. Commands add to what was said before."""
+    """One session. Each command adds to the ones before."""
 
-    def say(self, text: str) -> str: ...
+    def execute(self, text: str) -> str: ...
 
 
 class _Z3:
     def __init__(self, seconds: float, _: str) -> None:
         self._z3: Any = _imported("z3")
         self._context = self._z3.Context()
-        self.say(f"(set-option :timeout {int(seconds * 1000)})")
+        self.execute(f"(set-option :timeout {int(seconds * 1000)})")
 
-    def say(self, text: str) -> str:
+    def execute(self, text: str) -> str:
         return str(self._z3.Z3_eval_smtlib2_string(self._context.ref(), text))
 
 
@@ -46,32 +46,28 @@ class _Cvc5:
         self._parser = cvc5.InputParser(self._solver)
         self._parser.setIncrementalStringInput(cvc5.InputLanguage.SMT_LIB_2_6, "proof")
 
-    def say(self, text: str) -> str:
+    def execute(self, text: str) -> str:
         self._parser.appendIncrementalStringInput(text)
-        told = []
+        answers = []
         while not (command := self._parser.nextCommand()).isNull():
-            told.append(str(command.invoke(self._solver, self._parser.getSymbolManager())))
-        return "".join(told)
+            answers.append(str(command.invoke(self._solver, self._parser.getSymbolManager())))
+        return "".join(answers)
 
 
-# How to instantiate quantifiers: what one way leaves open another may decide.
+# Ways to instantiate quantifiers, tried in order: one may decide what another leaves open.
 STRATEGIES: Final[dict[Name, tuple[str, ...]]] = {"z3": ("",), "cvc5": ("enum-inst-interleave", "enum-inst")}
 _SESSIONS: Final[dict[Name, Callable[[float, str], Session]]] = {"z3": _Z3, "cvc5": _Cvc5}
-
-_PACKAGES: Final[dict[Name, str]] = {"z3": "z3-solver", "cvc5": "cvc5"}
 
 
 def _imported(name: Name) -> Any:
     try:
         return importlib.import_module(name)
     except ImportError:
-        raise SolverMissing(
-            f"the solver {name} is not installed, so it proves nothing: pip install {_PACKAGES[name]}"
-        ) from None
+        raise SolverMissing(f"the solver {name} is not installed: pip install {_PACKAGE[name]}") from None
 
 
 def open_session(name: Name, seconds: float, strategy: str | None = None) -> Session:
-    """A conversation in which no answer takes longer than that. Raises SolverMissing."""
+    """A session in which no answer takes longer than ``seconds``. Raises SolverMissing."""
     return _SESSIONS[name](seconds, strategy or STRATEGIES[name][0])
 
 
@@ -83,29 +79,29 @@ def version_of(name: Name) -> str | None:
         return None
 
 
-def tell(session: Session, text: str) -> None:
-    """Say what asks nothing. An answer is a complaint then, and an error: what was not understood would be missing."""
-    if told := session.say(text).strip():
-        raise VerificationError(f"a solver does not understand what it is told: {told[:500]}")
+def send(session: Session, text: str) -> None:
+    """Send declarations and assertions. Any answer is an error: an assertion would be missing."""
+    if answer := session.execute(text).strip():
+        raise VerificationError(f"a solver rejects its input: {answer[:500]}")
 
 
-def ask(session: Session) -> Answer:
-    """Whether what was said can be true. What is neither yes nor no is ``unknown``, a complaint an error."""
-    told = session.say("(check-sat)\n").strip()
+def check_sat(session: Session) -> Answer:
+    """Whether the assertions can all be true. Raises VerificationError where the solver reports an error."""
+    text = session.execute("(check-sat)\n").strip()
     for answer in _DECIDED:
-        if told == answer:
+        if text == answer:
             return answer
-    if told.startswith("unknown") or "timeout" in told or "canceled" in told:  # cvc5 says why: `unknown (TIMEOUT)`
+    if text.startswith("unknown") or "timeout" in text or "canceled" in text:  # cvc5 adds a reason: `unknown (TIMEOUT)`
         return "unknown"
-    raise VerificationError(f"a solver answers what is not an answer: {told[:500]}")
+    raise VerificationError(f"unexpected answer from a solver: {text[:500]}")
 
 
 def value(session: Session, term: str) -> str:
     """The value of a term in the model just found."""
-    told = session.say(f"(get-value ({term}))\n").strip()
-    if not told.endswith("))"):
-        raise VerificationError(f"a solver does not tell a value: {told[:500]}")
-    inside = told[:-2].rstrip()
+    text = session.execute(f"(get-value ({term}))\n").strip()
+    if not text.endswith("))"):
+        raise VerificationError(f"unexpected value from a solver: {text[:500]}")
+    inside = text[:-2].rstrip()
     if not inside.endswith(")"):
         return inside.split()[-1]
     depth = 0
@@ -113,4 +109,4 @@ def value(session: Session, term: str) -> str:
         depth += (inside[place] == ")") - (inside[place] == "(")
         if depth == 0:
             return inside[place:]
-    raise VerificationError(f"a solver does not tell a value: {told[:500]}")
+    raise VerificationError(f"unexpected value from a solver: {text[:500]}")

@@ -1,8 +1,8 @@
 """Formulas as SMT-LIB text, over sorts of any size or over a few named elements.
 
-One formula is written once, as a Python function of a :class:`Logic`. Without sizes its quantifiers are quantifiers
-over uninterpreted sorts: what is unsatisfiable so is so for systems of any size. With sizes each sort has that many
-elements and quantifiers are written out: a model found so is a model of the other form as well, and can be told.
+A formula is written once, as a Python function of a :class:`Logic`. Without sizes, its quantifiers range over
+uninterpreted sorts: unsatisfiable means unsatisfiable in systems of any size. With sizes, each sort has that many
+elements and quantifiers are expanded: a model is also one of the unbounded form, and can be shown.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def if_(condition: Term, then: Term, otherwise: Term) -> Term:
 
 
 class Logic:
-    """What a script declares, and how its quantifiers are written. ``sizes``: so many elements of each sort, or any."""
+    """The declarations of a script, and its quantifiers. ``sizes``: the number of elements of each sort, or any."""
 
     def __init__(self, sorts: Sequence[str], sizes: Mapping[str, int] | None = None) -> None:
         self.sorts, self.sizes = tuple(sorts), sizes
@@ -77,7 +77,7 @@ class Logic:
         return [f"{sort.lower()}_{number}" for number in range(1, self.sizes[sort] + 1)]
 
     def function(self, name: str, arguments: Sequence[str], result: str) -> Callable[..., Term]:
-        """Declares a function (or, without arguments, a constant) and returns what applies it."""
+        """Declare a function (or, without arguments, a constant); the result applies it."""
         self.declared[name] = (tuple(arguments), result)
         return lambda *terms: app(name, *terms)
 
@@ -91,10 +91,10 @@ class Logic:
         return self._quantified("exists", or_, sorts, body)
 
     def _quantified(
-        self, name: str, written_out: Callable[..., Term], sorts: Sequence[str], body: Callable[..., Term]
+        self, name: str, expanded: Callable[..., Term], sorts: Sequence[str], body: Callable[..., Term]
     ) -> Term:
         if self.bounded:
-            return written_out(*(body(*chosen) for chosen in product(*map(self.elements, sorts))))
+            return expanded(*(body(*chosen) for chosen in product(*map(self.elements, sorts))))
         variables = [f"{sort[0].lower()}{next(self._fresh)}" for sort in sorts]
         inside = body(*variables)
         if inside in (TRUE, FALSE):
@@ -107,11 +107,11 @@ class Logic:
         return app("+", "0", *map(amount, self.elements(sort)))
 
     def number(self, sort: str, holds: Callable[[Term], Term]) -> Term:
-        """How many elements of a bounded sort there are of which ``holds`` is true."""
+        """The number of elements of a bounded sort for which ``holds`` is true."""
         return self.total(sort, lambda element: if_(holds(element), "1", "0"))
 
     def script(self, assertions: Iterable[tuple[str, Term]]) -> str:
-        """Declarations, facts and named assertions as SMT-LIB text, without the question."""
+        """Declarations, facts and named assertions as SMT-LIB text, without ``check-sat``."""
         lines = ["(set-logic ALL)"]
         for sort in self.sorts:
             if self.bounded:
@@ -121,6 +121,6 @@ class Logic:
         for name, (arguments, result) in self.declared.items():
             lines.append(f"(declare-fun {name} ({' '.join(arguments)}) {result})")
         lines += [f"(assert {fact})" for fact in self.facts]
-        for told, term in assertions:
-            lines += [f"; {told}", f"(assert {term})"]
+        for name, term in assertions:
+            lines += [f"; {name}", f"(assert {term})"]
         return "\n".join(lines) + "\n"

@@ -1,9 +1,9 @@
-"""The model as a first-order theory: what is declared, configurations, satisfaction, validity.
+"""The model as a first-order theory: declarations, configurations, satisfaction, validity.
 
-Semantics.md sections 1 to 3. Contracts are elements with a satisfaction relation, of which nothing is known but what
-section 1 says of it. How many publishers a topic has and how much of a resource is held are numbers; of those, three
-laws of finite sets are stated: a part is no larger than the whole (:meth:`Theory.state`, for publishers and amounts),
-and an exchange one for one changes no number (``actions.handover``). In bounded scripts they are counted instead.
+See docs/semantics.md, sections 1 to 3. Contracts are elements with a satisfaction relation that obeys section 1 and is
+otherwise arbitrary. The publishers of a topic and the held amount of a resource are numbers, with three laws of finite
+sets: a part is no larger than the whole (:meth:`Theory.state`, for publishers and amounts), and one-to-one replacement
+keeps the number (``actions.handover``). Bounded scripts count instead.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class State:
-    """A configuration: what is live, what is attached, the modes; and what is counted of it."""
+    """A configuration: live components, attachments, modes; and the derived numbers."""
 
     live: Callable[[Term], Term]
     attached: Callable[[Term, Term], Term]
@@ -41,7 +41,7 @@ class State:
 
 
 class Theory:
-    """The declarations, as functions of SMT-LIB; what is satisfied in a state. The rules are in :mod:`.rules`."""
+    """The declarations, as SMT-LIB functions, and satisfaction in a state. The rules are in :mod:`.rules`."""
 
     def __init__(self, sizes: Mapping[str, int] | None = None) -> None:
         logic = self.logic = Logic(SORTS, sizes)
@@ -65,7 +65,7 @@ class Theory:
         self.is_named = declare("is_named", (ASSUMPTION,), "Bool")
         self.names = declare("names", (ASSUMPTION, PORT), "Bool")
         self.wants = declare("wants", (ASSUMPTION,), PREDICATE)
-        # the world
+        # the system context
         self.topic_guarantee = declare("topic_guarantee", (TOPIC,), PREDICATE)
         self.capped = declare("capped", (TOPIC,), "Bool")
         self.cap = declare("cap", (TOPIC,), "Int")
@@ -75,7 +75,7 @@ class Theory:
         self.capacity = declare("capacity", (RESOURCE,), "Real")
         self.holds = declare("holds", (COMPONENT, RESOURCE), "Real")
         self._states: list[State] = []
-        if logic.bounded:  # numbers that are easily told
+        if logic.bounded:  # small numbers, for readable counterexamples
             few = ("0", "1", "2")
             logic.facts += [
                 logic.all((TOPIC,), lambda k: or_(*(equal(self.cap(k), n) for n in few))),
@@ -89,7 +89,7 @@ class Theory:
     # -- states --------------------------------------------------------------------------------------
 
     def start(self, tag: str = "before") -> State:
-        """A configuration of which nothing is known but that each functionality is in a mode of its own."""
+        """An arbitrary configuration in which each functionality is in one of its modes."""
         logic = self.logic
         mode = logic.function(f"mode_{tag}", (FUNCTIONALITY,), MODE)
         logic.facts.append(logic.all((FUNCTIONALITY,), lambda f: equal(self.whose(mode(f)), f)))
@@ -104,7 +104,7 @@ class Theory:
         attached: Callable[[Term, Term], Term],
         mode: Callable[[Term], Term],
     ) -> State:
-        """The configuration of these three; its numbers are related to those of every other one made before."""
+        """A configuration; its numbers are related to those of every earlier one."""
         logic = self.logic
         if logic.bounded:
             state = State(
@@ -149,7 +149,7 @@ class Theory:
         ]
 
     def same(self, s: State, t: State) -> list[Part]:
-        """That two configurations are one. The modes of what is not live are nobody's."""
+        """Two configurations are the same. Modes count only for live components."""
         logic = self.logic
         return [
             Part("the same components are live", logic.all((COMPONENT,), lambda c: iff(s.live(c), t.live(c)))),
@@ -166,7 +166,7 @@ class Theory:
     # -- satisfaction and validity ---------------------------------------------------------------------
 
     def current(self, s: State, output: Term) -> Term:
-        """What an output guarantees in the current mode of its owner."""
+        """The guarantee of an output in the current mode of its owner."""
         return self.guarantee(s.mode(self.owner(output)), output)
 
     def topic_satisfied(self, s: State, k: Term) -> Term:
@@ -208,7 +208,7 @@ class Theory:
         return if_(self.is_named(a), named, or_(by_input, by_offer))
 
     def mode_satisfied(self, s: State, f: Term, m: Term) -> Term:
-        """Whether all that mode ``m`` of ``f`` assumes is satisfied in ``s``, whatever mode ``f`` is in there."""
+        """Whether the assumptions of mode ``m`` of ``f`` are satisfied in ``s``, whatever mode ``f`` is in."""
         return self.logic.all((ASSUMPTION,), lambda a: implies(self.assumes(m, a), self.assumption_satisfied(s, f, a)))
 
     def satisfied(self, s: State, f: Term) -> Term:
@@ -217,7 +217,7 @@ class Theory:
     def live_in(self, s: State, f: Term) -> Term:
         return s.live(self.host(f))
 
-    def everyone_satisfied(self, s: State) -> Term:
+    def all_satisfied(self, s: State) -> Term:
         return self.logic.all((FUNCTIONALITY,), lambda f: implies(s.live(self.host(f)), self.satisfied(s, f)))
 
     def cap_holds(self, s: State, k: Term) -> Term:
@@ -227,7 +227,7 @@ class Theory:
         return self.logic.all((RESOURCE,), lambda r: app("<=", s.held(r), self.capacity(r)))
 
     def structure_valid(self, s: State) -> list[Part]:
-        """The part of validity that modes have no share in."""
+        """The part of validity that does not depend on modes."""
         logic = self.logic
         return [
             Part(
@@ -240,10 +240,10 @@ class Theory:
 
     def valid(self, s: State) -> list[Part]:
         """Section 3: the safety property."""
-        return [Part("every functionality is satisfied", self.everyone_satisfied(s)), *self.structure_valid(s)]
+        return [Part("every functionality is satisfied", self.all_satisfied(s)), *self.structure_valid(s)]
 
     def fits(self, p: Term, k: Term) -> Term:
-        """Whether the contracts of a port and a topic fit as ``attach`` judges them."""
+        """Whether the contracts of a port and a topic fit, as ``attach`` requires."""
         normal = self.guarantee(self.normal(self.owner(p)), p)
         needed = self.topic_guarantee(k)
         return if_(self.is_output(p), self.satisfies(normal, needed), self.satisfies(needed, self.input_assumes(p)))

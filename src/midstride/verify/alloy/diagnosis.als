@@ -1,21 +1,20 @@
 /*
- * What a dump asks beside the actions: parts of their preconditions by themselves, so that a refusal can say which part
- * failed, and for whom.
+ * For dumps: the parts of preconditions, so that a refusal can say which part failed, and for which functionality.
  */
-module telling
+module diagnosis
 open system
 open actions
 open groups
 open handover
 open limits
 
-/* The contracts of a port and a topic fit, as `attach` asks. */
+/* The contracts of a port and a topic fit, as `attach` requires. */
 pred fits[conn: Connector, p: Port] {
   p in Output => satisfy[norm_mode[assoc_outputs.p].mode_guars[p], conn.conn_guar]
   p in Input => satisfy[conn.conn_guar, p.input_asm]
 }
 
-/* An output, in its functionality's current mode, satisfies a topic, as `handover` asks. */
+/* An output, in its functionality's current mode, satisfies a topic, as `handover` requires. */
 pred satisfies_now[s: System, conn: Connector, o: Output] {
   satisfy[s.cur_mode[assoc_outputs.o].mode_guars[o], conn.conn_guar]
 }
@@ -26,7 +25,7 @@ fun unsatisfied[s: System, among: set Functionality, roles: Connector -> Port, m
   { f: among, a: mode[f].mode_asms | not asm_satisfied[s, roles, mode, f, a] }
 }
 
-/* Nothing has changed, as after `set`. */
+/* Nothing changes, as with `set`. */
 pred unchanged[s, t: System] {
   t.comps = s.comps
   t.roles = s.roles
@@ -36,17 +35,17 @@ pred unchanged[s, t: System] {
 
 /* ---- checks ---- */
 
-/* The parts are the whole. */
+/* The parts agree with the preconditions. */
 assert FitsIsAttach {
   all s: System, conn: s.conns, p: ports[s.comps] - s.roles[conn] | can_attach[s, conn, p] <=> fits[conn, p]
 }
-assert NobodyLacks {
+assert NoneUnsatisfiedIsDetach {
   all s: System, conn: Connector, p: s.roles[conn] |
     can_detach[s, conn, p] <=> no unsatisfied[s, s.comps.funcs, s.roles - conn -> p, s.cur_mode]
 }
 check FitsIsAttach for 5 but 1 System expect 0
-check NobodyLacks for 5 but 1 System expect 0
-run SomeoneLacks {
+check NoneUnsatisfiedIsDetach for 5 but 1 System expect 0
+run SomeUnsatisfied {
   rules
   some s: System, conn: Connector, p: s.roles[conn] |
     valid_sys[s] and some unsatisfied[s, s.comps.funcs, s.roles - conn -> p, s.cur_mode]

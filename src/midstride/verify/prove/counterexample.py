@@ -1,10 +1,11 @@
-"""A model of a bounded script, told in words: what there was, what was done, and what does not hold then."""
+"""The text of a counterexample: the configuration before, the action, and what does not hold afterwards."""
 
 from __future__ import annotations
 
 from functools import cache
 from itertools import product
 
+from midstride.model import wording
 from midstride.verify.prove.goals import Case
 from midstride.verify.prove.solvers import Session, value
 from midstride.verify.prove.terms import Term, app
@@ -21,8 +22,8 @@ from midstride.verify.prove.theory import (
 )
 
 
-class Wording:
-    """Reads a model as it is asked of it. Components are c1, c2, …, their functionalities c1.f1, and so on."""
+class Counterexample:
+    """Reads a solver's model lazily. Components are c1, c2, …, their functionalities c1.f1, and so on."""
 
     def __init__(self, t: Theory, case: Case, session: Session) -> None:
         self.t, self.case = t, case
@@ -48,7 +49,7 @@ class Wording:
     def assumption(self, f: Term, a: Term) -> str:
         if self.true(self.t.is_named(a)):
             named = [self.port(p) for p in self.every(PORT) if self.true(self.t.names(a, p))]
-            return " or ".join(named) or "an input of no name"
+            return " or ".join(named) or "no input"
         return f"contract {self.short(self.value(self.t.wants(a)))}"
 
     # -- the configuration -------------------------------------------------------------------------------
@@ -58,61 +59,58 @@ class Wording:
         return f"assumes {' and '.join(wanted)}" if wanted else "assumes nothing"
 
     def modes(self, s: State) -> list[str]:
-        told = []
+        lines = []
         for f in self.every(FUNCTIONALITY):
             if self.true(self.t.live_in(s, f)):
                 m = self.value(s.mode(f))
-                told.append(f"{self.functionality(f)} in {self.short(m)} ({self.needs(f, m)})")
-        return told
+                lines.append(f"{self.functionality(f)} in {self.short(m)} ({self.needs(f, m)})")
+        return lines
 
     def attachments(self, s: State) -> list[str]:
-        told = []
+        lines = []
         for k, p in product(self.every(TOPIC), self.every(PORT)):
             if not self.true(s.attached(p, k)):
                 continue
             if not self.true(self.t.is_output(p)):
-                told.append(f"input {self.port(p)} on {self.short(k)}")
+                lines.append(f"input {self.port(p)} on {self.short(k)}")
                 continue
             meets = self.true(self.t.satisfies(self.t.current(s, p), self.t.topic_guarantee(k)))
-            told.append(f"output {self.port(p)} on {self.short(k)} ({'meets' if meets else 'does not meet'} it)")
-        return told
+            lines.append(f"output {self.port(p)} on {self.short(k)} ({'meets' if meets else 'does not meet'} it)")
+        return lines
 
     def configuration(self, s: State) -> str:
         live = [self.short(c) for c in self.every(COMPONENT) if self.true(s.live(c))]
-        parts = [f"live {', '.join(live) or 'nobody'}", *self.modes(s), *self.attachments(s)]
+        parts = [f"live {', '.join(live) or 'nothing'}", *self.modes(s), *self.attachments(s)]
         for e, k in product(self.every(OFFER), self.every(TOPIC)):
             if self.true(self.t.offered_on(e, k)):
                 parts.append(f"the environment publishes on {self.short(k)}")
         return "; ".join(parts)
 
-    # -- what was done, and what came of it ------------------------------------------------------------
+    # -- the action and its result ------------------------------------------------------------
 
     def action(self) -> str:
         action = self.case.action
-        word, _, which = action.partition(" ")
-        if word in ("create", "remove"):
-            return f"{word} {self.short(self.value('the_component'))}"
-        if word in ("attach", "detach"):
-            where = "to" if word == "attach" else "from"
-            return f"{word} {which} {self.port(self.value('the_port'))} {where} {self.short(self.value('the_topic'))}"
-        if word in ("degrade", "upgrade"):
+        kind, _, direction = action.partition(" ")
+        if kind in ("create", "remove"):
+            instance = self.short(self.value("the_component"))
+            return wording.creation(instance) if kind == "create" else wording.removal(instance)
+        if kind in ("attach", "detach"):
+            port, topic = f"{direction} {self.port(self.value('the_port'))}", self.short(self.value("the_topic"))
+            return wording.attachment(port, topic) if kind == "attach" else wording.detachment(port, topic)
+        if kind in ("degrade", "upgrade"):
             members = [f for f in self.every(FUNCTIONALITY) if self.true(app("in_group", f))]
-            chosen = [f"{self.functionality(f)} to {self.short(self.value(app('mode_named', f)))}" for f in members]
-            return f"{word} {', '.join(chosen) or 'nobody'}"
-        if word == "handover":
+            entered = {f: self.short(self.value(app("mode_named", f))) for f in members}
+            return wording.mode_changes(kind, ((self.functionality(f), None, mode) for f, mode in entered.items()))
+        if kind == "handover":
             swaps = product(self.every(TOPIC), self.every(PORT), self.every(PORT))
-            chosen = [
-                f"{self.short(k)} from {self.port(o)} to {self.port(n)}"
-                for k, o, n in swaps
-                if self.true(app("swapped", k, o, n))
-            ]
-            return f"hand over {', '.join(chosen) or 'nothing'}"
+            chosen = [each for each in swaps if self.true(app("swapped", *each))]
+            return wording.handover((self.short(k), self.port(o), self.port(n)) for k, o, n in chosen)
         return ""
 
     def breaches(self, s: State) -> list[str]:
-        """What makes a configuration invalid, where it should be valid."""
+        """What makes a configuration invalid."""
         t = self.t
-        told: list[str] = []
+        lines: list[str] = []
         for f, a in product(self.every(FUNCTIONALITY), self.every(ASSUMPTION)):
             m = self.value(s.mode(f))
             if (
@@ -120,20 +118,20 @@ class Wording:
                 and self.true(t.assumes(m, a))
                 and not self.true(t.assumption_satisfied(s, f, a))
             ):
-                told.append(f"{self.functionality(f)} in {self.short(m)} lacks {self.assumption(f, a)}")
+                lines.append(f"{self.functionality(f)} in {self.short(m)} lacks {self.assumption(f, a)}")
         for k, p in product(self.every(TOPIC), self.every(PORT)):
             if self.true(s.attached(p, k)) and not self.true(s.live(t.component(p))):
-                told.append(f"{self.port(p)} is attached to {self.short(k)}, and is not live")
+                lines.append(f"{self.port(p)} is attached to {self.short(k)} but is not live")
         for k in self.every(TOPIC):
             if not self.true(t.cap_holds(s, k)):
                 count, cap = self.value(s.publishers(k)), self.value(t.cap(k))
                 counted = f"{count} publisher{'' if count == '1' else 's'}"
-                told.append(f"{self.short(k)} has {counted}, at most {_number(cap)} allowed")
+                lines.append(f"{self.short(k)} has {counted}, more than the {_number(cap)} allowed")
         for r in self.every(RESOURCE):
             if not self.true(app("<=", s.held(r), t.capacity(r))):
                 held, capacity = _number(self.value(s.held(r))), _number(self.value(t.capacity(r)))
-                told.append(f"{held} of {self.short(r)} is held, its capacity is {capacity}")
-        return told
+                lines.append(f"{held} of {self.short(r)} is held, but its capacity is {capacity}")
+        return lines
 
     def __str__(self) -> str:
         before, *later = self.case.states
@@ -151,7 +149,7 @@ class Wording:
 
 
 def _number(text: str) -> str:
-    """`(- 1)`, `(/ 1.0 2.0)`, `1.0` as people write them."""
+    """`(- 1)`, `(/ 1.0 2.0)` and `1.0` in ordinary notation."""
     words = text.replace("(", " ").replace(")", " ").split()
     if words[0] == "-":
         return f"-{_number(' '.join(words[1:]))}"

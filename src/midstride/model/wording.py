@@ -1,0 +1,52 @@
+"""The wording of actions: the same wherever an action is shown, be it in a plan, a report, a refusal or a proof.
+
+Plain strings go in, since what is shown is sometimes an action, sometimes a step of a JSON document.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+
+def creation(instance: str, component: str = "") -> str:
+    """``create camera_2 (BetterCamera)``"""
+    return f"create {instance} ({component})" if component else f"create {instance}"
+
+
+def removal(instance: str) -> str:
+    """``remove camera``"""
+    return f"remove {instance}"
+
+
+def attachment(port: str, topic: str) -> str:
+    """``attach camera.image to /image``"""
+    return f"attach {port} to {topic}"
+
+
+def detachment(port: str, topic: str) -> str:
+    """``detach camera.image from /image``"""
+    return f"detach {port} from {topic}"
+
+
+def mode_changes(kind: str, changes: Iterable[tuple[str, str | None, str]]) -> str:
+    """``degrade viewer.show from normal to degraded``, for each functionality, its mode if known, and the next."""
+    parts = [
+        f"{name} to {after}" if before is None else f"{name} from {before} to {after}"
+        for name, before, after in changes
+    ]
+    return f"{kind} {', '.join(parts) or 'nothing'}"
+
+
+def handover(swaps: Iterable[tuple[str, str, str]]) -> str:
+    """``hand over /image from camera.image to camera_2.image``, for each topic, its old and its new output."""
+    return f"hand over {', '.join(swap(*each) for each in swaps) or 'nothing'}"
+
+
+def swap(topic: str, old: str, new: str) -> str:
+    """``/image from camera.image to camera_2.image``"""
+    return f"{topic} from {old} to {new}"
+
+
+def parameters(instance: str, values: Mapping[str, object]) -> str:
+    """``set gain = 2.0, label = 'left' on filter``"""
+    return f"set {', '.join(f'{name} = {value!r}' for name, value in sorted(values.items()))} on {instance}"

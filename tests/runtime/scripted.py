@@ -1,0 +1,435 @@
+"""Components, a client and a back end whose behaviour the test writes, in virtual time.
+
+The parts of the runtime are tested on them one by one; :mod:`tests.runtime.systems` runs whole examples.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable, Coroutine
+from dataclasses import dataclass, field
+from dataclasses import replace as changed
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, TypeVar
+
+from msgspec import structs
+
+from midstride.backends.simulator.clock import SimulatedClock
+from midstride.codec.component import NamedComponentForm
+from midstride.errors import CallTimeout, CommandRefused, MidstrideError, Unreachable
+from midstride.model.component import ComponentSpec
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.specification import Specification
+from midstride.runtime.action_driver import ActionDriver
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
+from midstride.runtime.clock import Clock
+from midstride.runtime.component_client import ComponentClient, ComponentEvent, LatestState, Reported
+from midstride.runtime.events import EventLog
+from midstride.runtime.executor import Executor
+from midstride.runtime.launcher import Launcher
+from midstride.runtime.reconciler import Reconciler
+from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.state_store import StateStore
+from midstride.testing.clock import run
+from midstride.wire.commands import (
+    AttachCommand,
+    Attached,
+    AwaitCutCommand,
+    AwaitWriteCommand,
+    Command,
+    CutResult,
+    DetachCommand,
+    Detached,
+    Done,
+    ExportedState,
+    ExportStateCommand,
+    GatedWrites,
+    Grid,
+    GridCommand,
+    ModesBefore,
+    ModesCommand,
+    ObserveCommand,
+    ParametersBefore,
+    RecordCommand,
+    Recording,
+    Records,
+    RecordsCommand,
+    SetParametersCommand,
+    WelcomeCommand,
+)
+from midstride.wire.frames import PROTOCOL, Greeting, Registration
+from midstride.wire.pipe import PipeNetwork
+from midstride.wire.state import ComponentState, Endpoint, FunctionalityState, LinkState
+from midstride.wire.transport import Transport
+from tests.model import build
+
+R = TypeVar("R")
+T = TypeVar("T")
+C = TypeVar("C", bound=Command[Any])
+
+TOKEN = "the token of the system"
+
+REFUSED = CommandRefused("the component refused it")
+TIMEOUT = CallTimeout("the component did not answer")
+UNREACHABLE = Unreachable("the component cannot be reached")
+
+# What a component replies where the test says nothing else.
+REPLIES: dict[type[Command[Any]], Any] = {
+    AttachCommand: Attached(matched=1),
+    AwaitCutCommand: CutResult(outcome="done"),
+    AwaitWriteCommand: GatedWrites(gated=1, wrong_type=None),
+    DetachCommand: Detached(acknowledged=True, last=None),
+    ExportStateCommand: ExportedState(state=None),
+    GridCommand: Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=1),
+    ModesCommand: ModesBefore(before={}),
+    RecordCommand: Recording(now=0),
+    RecordsCommand: Records(rows=[], publisher_identity=True, now=0),
+    SetParametersCommand: ParametersBefore(before={}),
+}
+
+
+class Sent(NamedTuple):
+    """One command and how the client was asked to send it."""
+
+    how: Literal["read", "change", "undo", "observe", "peek"]
+    instance: str
+    command: Command[Any]
+
+
+class ScriptedClient(ComponentClient):
+    """Records each command, and replies as the test says: a value, an exception, or a function of the command.
+
+    A component is in the modes that it was sent last, and otherwise in the state that it reported last.
+    """
+
+    def __init__(self, clock: SimulatedClock) -> None:
+        super().__init__(PipeNetwork(), clock, TOKEN)
+        self.sent: list[Sent] = []
+        self.states: dict[str, ComponentState] = {}
+        self.present: dict[str, tuple[Greeting, Registration]] = {}
+        self.disconnected: list[str] = []
+        self.accepted: list[str] = []
+        self.on_event: Callable[[ComponentEvent], None] = lambda _: None
+        self._replies: dict[tuple[str, type[Command[Any]]], list[Any]] = {}
+        self._registered: dict[str, asyncio.Event] = {}
+
+    # -- the script --------------------------------------------------------------------------------
+
+    def reply(self, instance: str, command: type[Command[Any]], *replies: Any) -> None:
+        """``instance`` replies to the next commands of this class with ``replies``, the last one for ever."""
+        self._replies[instance, command] = list(replies)
+
+    def report(self, state: ComponentState) -> None:
+        """The component reports ``state`` by itself."""
+        self.states[state.instance] = state
+        self.on_event(Reported(state))
+
+    def register(self, instance: Instance, *, token: str = TOKEN, **options: Any) -> None:
+        """The component of ``instance`` is up, and has said what it is."""
+        self.present[instance.name] = (greeting(instance.name, token), registration(instance.component, **options))
+        self.states.setdefault(instance.name, reported(instance))
+        self._event(instance.name).set()
+
+    def commands(self, instance: str | None = None) -> list[Command[Any]]:
+        """What was sent, to ``instance`` where given."""
+        return [sent.command for sent in self.sent if instance in (None, sent.instance)]
+
+    def of(self, kind: type[C], instance: str | None = None) -> list[C]:
+        """The commands of that class among these."""
+        return [command for command in self.commands(instance) if isinstance(command, kind)]
+
+    @property
+    def changes(self) -> list[tuple[str, str]]:
+        """The commands that change something, in order: instance and name, ``undo`` before the name of one."""
+        return [
+            (sent.instance, sent.command.name if sent.how == "change" else f"undo {sent.command.name}")
+            for sent in self.sent
+            if sent.how in ("change", "undo")
+        ]
+
+    def _event(self, instance: str) -> asyncio.Event:
+        return self._registered.setdefault(instance, asyncio.Event())
+
+    async def _reply(self, how: Any, instance: str, command: Command[Any]) -> Any:
+        self.sent.append(Sent(how, instance, command))
+        await asyncio.sleep(0)
+        script = self._replies.get((instance, type(command)))
+        if script:
+            answer = script.pop(0) if len(script) > 1 else script[0]
+        elif isinstance(command, (ObserveCommand, WelcomeCommand)):
+            answer = self.states.get(instance, UNREACHABLE)
+        else:
+            answer = REPLIES.get(type(command), Done())
+        if callable(answer):
+            answer = answer(command)
+        if isinstance(answer, Coroutine):
+            answer = await answer
+        if isinstance(answer, BaseException):
+            raise answer
+        if isinstance(command, ModesCommand) and instance in self.states:
+            state = self.states[instance]
+            modes = {name: _functionality(mode) for name, mode in command.modes.items()}
+            self.states[instance] = structs.replace(state, functionalities=state.functionalities | modes)
+        return answer
+
+    # -- the client --------------------------------------------------------------------------------
+
+    async def connect(self, instance: str) -> Greeting:
+        await self._event(instance).wait()
+        return self.present[instance][0]
+
+    async def registered(self, instance: str) -> tuple[Greeting, Registration]:
+        await self._event(instance).wait()
+        return self.present[instance]
+
+    def latest(self, instance: str) -> LatestState | None:
+        state = self.states.get(instance)
+        return None if state is None else LatestState(state, 0.0)
+
+    def responsive(self, instance: str) -> ComponentState | None:
+        return self.states.get(instance)
+
+    def disconnect(self, instance: str) -> None:
+        self.disconnected.append(instance)
+        self.states.pop(instance, None)
+        self.present.pop(instance, None)
+        self._registered.pop(instance, None)
+
+    def accept(self, instance: str) -> None:
+        self.accepted.append(instance)
+
+    async def read(self, instance: str, command: Command[R]) -> R:
+        reply: R = await self._reply("read", instance, command)
+        return reply
+
+    async def change(self, instance: str, command: Command[R]) -> R:
+        reply: R = await self._reply("change", instance, command)
+        return reply
+
+    async def observe(self, instance: str) -> ComponentState:
+        state: ComponentState = await self._reply("observe", instance, ObserveCommand())
+        return state
+
+    async def peek(self, instance: str) -> ComponentState:
+        state: ComponentState = await self._reply("peek", instance, ObserveCommand())
+        return state
+
+    async def undo(self, instance: str, command: Command[Any]) -> None:
+        with contextlib.suppress(MidstrideError):
+            await self._reply("undo", instance, command)
+
+
+class ScriptedBackend:
+    """Implements :class:`midstride.runtime.backend.Backend`: started components register at once unless told not to."""
+
+    def __init__(self, clock: Clock, client: ScriptedClient) -> None:
+        self.name = "scripted"
+        self.clock = clock
+        self.transport: Transport = PipeNetwork()
+        self.launches: list[Launch] = []
+        self.running: set[str] = set()
+        self.ended: list[tuple[str, float]] = []
+        self.fail_start: dict[str, Exception] = {}
+        self.fail_end: dict[str, Exception] = {}
+        self.lingering: dict[str, int] = {}
+        self.instances: dict[str, Instance] = {}  # those that register when they are started
+        self._client = client
+
+    async def open(self, on_exit: Callable[[Exited], None]) -> None: ...
+
+    async def close(self) -> None: ...
+
+    async def start(self, launch: Launch) -> Handle:
+        self.launches.append(launch)
+        if launch.instance in self.fail_start:
+            raise self.fail_start[launch.instance]
+        self.running.add(launch.instance)
+        if launch.instance in self.instances:
+            self._client.register(self.instances[launch.instance])
+        return Handle(launch.instance, 100 + len(self.launches), 1.0, f"/logs/{launch.instance}.log")
+
+    async def adopt(self, handle: Handle) -> bool:
+        return handle.instance in self.running
+
+    async def end(self, instance: str, grace: float) -> None:
+        self.ended.append((instance, grace))
+        if instance in self.fail_end:
+            raise self.fail_end[instance]
+        self.running.discard(instance)
+
+    async def endpoints(self) -> Endpoints:
+        return Endpoints()
+
+    async def lingering_readers(self, topic: str) -> int:
+        return self.lingering.get(topic, 0)
+
+
+@dataclass
+class Bench:
+    """The parts that carry steps out, on a scripted client and back end."""
+
+    configuration: Configuration
+    path: Path
+    specification: Specification = field(default_factory=lambda: Specification("bench"))
+
+    def __post_init__(self) -> None:
+        self.clock = SimulatedClock()
+        self.clock.follow(asyncio.get_running_loop())
+        self.client = ScriptedClient(self.clock)
+        self.backend = ScriptedBackend(self.clock, self.client)
+        self.events = EventLog()
+        self.launcher = Launcher(self.backend, self.client, TOKEN, self.path)
+        self.system = RunningSystem(self.specification, self.configuration)
+        self.store = StateStore(self.path / "state.db")
+        self.store.begin(self.backend.name, TOKEN, self.specification)
+        self.gone: set[str] = set()
+        self.driver = ActionDriver(
+            self.client,
+            self.launcher,
+            lambda kind, words, details: self.events.add(kind, words, **details),
+            has_exited=self.gone.__contains__,
+            lingering_readers=self.backend.lingering_readers,
+        )
+        self.executor = Executor(self.driver, self.system, self.store)
+        for instance in self.configuration.instances.values():
+            self.attend(instance)
+
+    def attend(self, *instances: Instance) -> None:
+        """These run already, as the configuration has them."""
+        for instance in instances:
+            live = instance.name in self.configuration.instances
+            self.client.report(reported(instance, self.configuration if live else None))
+            self.client.register(instance)
+            if instance.component.run is not None:
+                self.backend.running.add(instance.name)
+                self.launcher.handles[instance.name] = Handle(instance.name, 7, 1.0)
+
+    def startable(self, *instances: Instance) -> None:
+        """These register as soon as they are started."""
+        self.backend.instances.update({instance.name: instance for instance in instances})
+
+    def words(self, kind: str | None = None) -> list[str]:
+        """What the events say, of that kind where given."""
+        return [event.words for event in self.events.since() if kind in (None, event.kind)]
+
+    def kinds(self) -> list[str]:
+        return [event.kind for event in self.events.since()]
+
+    def saved(self) -> list[str]:
+        """The names of the instances that the next manager would find."""
+        return [instance.name for instance in self.saved_instances()]
+
+    def saved_instances(self) -> list[Instance]:
+        state = StateStore(self.store.path).load()
+        assert state is not None
+        return [entry.instance for entry in state.instances]
+
+
+@dataclass
+class ReconcilingBench(Bench):
+    """A bench with a reconciler, whose turn and busyness the test decides on."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.turn = asyncio.Lock()
+        self.busy = False
+        self.reconciler = Reconciler(
+            self.system, self.events, self.store, lambda: self.executor, lambda: self.turn, lambda: self.busy
+        )
+        self.reconciler.connect(self.client, self.launcher)
+        self.client.on_event = self.reconciler.on_component_event
+        for live in self.configuration.instances.values():
+            self.store.write_instance(live, self.launcher.handles.get(live.name))
+
+    def exits(self, event: Exited) -> None:
+        """The process of a component ends."""
+        self.client.states.pop(event.instance, None)
+        self.reconciler.on_exit(event)
+
+    def degrades(self, instance: str) -> None:
+        """A component reports that its functionality has degraded."""
+        found = self.configuration.instances[instance]
+        self.client.report(reported(found, self.system.configuration, modes={"work": "degraded"}))
+
+
+def bench(
+    configuration: Configuration, path: Path, body: Callable[[Bench], Coroutine[Any, Any, T]], **options: Any
+) -> T:
+    """Run ``body`` in virtual time on a bench where ``configuration`` is live."""
+
+    async def main() -> T:
+        return await body(Bench(configuration, path, **options))
+
+    return run(main())
+
+
+# -- values --------------------------------------------------------------------------------------------
+
+
+def started(component: ComponentSpec, run: str = "python3 node.py") -> ComponentSpec:
+    """``component`` as one that the manager starts; without a command it is started by hand."""
+    return changed(component, run=run)
+
+
+def instance(name: str, component: ComponentSpec, role: str | None = None) -> Instance:
+    return Instance(name, role or name, component)
+
+
+TALKER = started(build.source("Talker"))
+LISTENER = started(build.sink("Listener"))
+
+
+def talking(**instances: ComponentSpec) -> Configuration:
+    """``talker`` publishes on /chatter at 10 Hz, ``listener`` relies on it at 5 Hz, both in their normal modes."""
+    live = {"talker": TALKER, "listener": LISTENER} | instances
+    modes = {"talker.work": 0, "listener.work": 0}
+    return build.system(live, ["talker.out /chatter", "listener.in /chatter"], modes=modes)
+
+
+def greeting(name: str, token: str = TOKEN) -> Greeting:
+    return Greeting(protocol=PROTOCOL, instance=name, uuid=f"uuid of {name}", pid=7, start_token=token)
+
+
+def registration(component: ComponentSpec, endpoints: tuple[Endpoint, ...] = ()) -> Registration:
+    return Registration(declaration=NamedComponentForm.of(component), endpoints=list(endpoints))
+
+
+def reported(
+    instance: Instance,
+    configuration: Configuration | None = None,
+    *,
+    modes: dict[str, str] | None = None,
+    gates: dict[str, Literal["open", "closed"]] | None = None,
+    **fields: Any,
+) -> ComponentState:
+    """The state of ``instance`` as ``configuration`` has it (in its last modes and unattached without one).
+
+    ``modes`` (by functionality) and ``gates`` (``"port topic"``) are other than there; further fields are as given.
+    """
+    functionalities = {}
+    for ref in instance.functionality_refs():
+        spec = instance.component.functionalities[ref.functionality]
+        mode = spec.modes[spec.last_mode] if configuration is None else configuration.mode(ref)
+        functionalities[ref.functionality] = _functionality((modes or {}).get(ref.functionality, mode.name))
+    ports: dict[str, dict[str, LinkState]] = {}
+    for port, connector in [] if configuration is None else configuration.attached_ports(instance.name):
+        topic = configuration.context.connectors[connector].topic if configuration is not None else connector
+        ports.setdefault(port.port, {})[topic] = LinkState(
+            gate="open" if instance.component.has_output(port.port) else None, count=0
+        )
+    for where, gate in (gates or {}).items():
+        name, topic = where.split()
+        ports.setdefault(name, {})[topic] = LinkState(gate=gate, count=0)
+    found: dict[str, Any] = {
+        "uuid": f"uuid of {instance.name}",
+        "pid": 7,
+        "revision": 1,
+        "parameters": {},
+        "stopping": 0.0,
+    } | fields
+    return ComponentState(instance=instance.name, functionalities=functionalities, ports=ports, **found)
+
+
+def _functionality(mode: str) -> FunctionalityState:
+    return FunctionalityState(mode=mode, since=0.0, because=f"it entered {mode}")

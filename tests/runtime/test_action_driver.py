@@ -1,0 +1,372 @@
+"""The action driver: what each action of the model sends to components, and what it leaves where it fails."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from immutables import Map
+
+from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed
+from midstride.model.action import (
+    Action,
+    Attach,
+    Create,
+    Degrade,
+    Detach,
+    Handover,
+    Remove,
+    SetParameters,
+    Swap,
+    Upgrade,
+)
+from midstride.model.component import Connector
+from midstride.model.configuration import Configuration, SystemContext, configure
+from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT
+from midstride.wire.commands import (
+    AttachCommand,
+    AwaitCutCommand,
+    AwaitWriteCommand,
+    CutResult,
+    DetachCommand,
+    Detached,
+    ExportedState,
+    ExportStateCommand,
+    GatedWrites,
+    Grid,
+    GridCommand,
+    ImportStateCommand,
+    LastWrite,
+    ModesCommand,
+    ReleaseCommand,
+    SetParametersCommand,
+)
+from tests.model import build
+from tests.model.build import work
+from tests.runtime.scripted import (
+    LISTENER,
+    REFUSED,
+    TALKER,
+    TIMEOUT,
+    UNREACHABLE,
+    Bench,
+    bench,
+    instance,
+    talking,
+)
+
+OUT, IN, NEW_OUT = build.port("talker.out"), build.port("listener.in"), build.port("talker_2.out")
+NEW = instance("talker_2", TALKER, role="talker")
+EXPORTED = ExportedState(state=b"what the old one knows")
+HANDOVER = Handover((Swap("/chatter", OUT, NEW_OUT),))
+
+
+def replacing(role: str = "talker") -> Configuration:
+    """``talker`` is about to be handed over to ``talker_2``, of the same role or another."""
+    new = instance("talker_2", TALKER, role=role)
+    return talking().with_instance(new).with_modes({work("talker_2"): 0})
+
+
+async def perform(b: Bench, action: Action) -> None:
+    await b.driver.perform(action, b.system.configuration, "for the test")
+
+
+# -- attaching and detaching ---------------------------------------------------------------------------
+
+
+def test_a_port_is_attached_once_it_is_matched_with_the_other_side(tmp_path: Path) -> None:
+    instances = {"talker": TALKER, "second": TALKER, "listener": LISTENER}
+    configuration = build.system(instances, ["talker.out /chatter", "second.out /chatter"])
+
+    async def body(b: Bench) -> None:
+        await perform(b, Attach(IN, "/chatter"))
+        assert b.client.commands() == [AttachCommand(port="in", topic="/chatter", peers=2, timeout=ATTACH_TIMEOUT)]
+        await perform(b, Attach(build.port("second.out"), "/chatter"))
+        [attach] = b.client.of(AttachCommand, "second")
+        assert attach.peers == 0, "an output waits for subscribers, and there is none"
+
+    bench(configuration, tmp_path, body)
+
+
+@pytest.mark.parametrize("error", [REFUSED, TIMEOUT, UNREACHABLE])
+def test_an_attachment_that_fails_is_undone(error: MidstrideError, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", AttachCommand, error)
+        with pytest.raises(type(error)):
+            await perform(b, Attach(OUT, "/chatter"))
+        assert b.client.changes == [("talker", "attach"), ("talker", "undo detach")]
+
+    bench(build.system({"talker": TALKER}, [], topics={"/chatter": build.at(5.0)}), tmp_path, body)
+
+
+def test_a_detachment_that_fails_is_undone(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", DetachCommand, TIMEOUT)
+        with pytest.raises(CallTimeout):
+            await perform(b, Detach(OUT, "/chatter"))
+        assert [(sent.how, sent.command) for sent in b.client.sent] == [
+            ("change", DetachCommand(port="out", topic="/chatter", timeout=DETACH_TIMEOUT)),
+            ("undo", AttachCommand(port="out", topic="/chatter", timeout=DETACH_TIMEOUT)),
+        ]
+        assert b.driver.last_numbers == {}
+
+    bench(talking(), tmp_path, body)
+
+
+def test_a_detachment_keeps_the_last_number_and_says_what_is_not_known(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", DetachCommand, Detached(acknowledged=None, last=41))
+        b.client.reply("listener", DetachCommand, Detached(acknowledged=None, last=None))
+        await perform(b, Detach(OUT, "/chatter"))
+        await perform(b, Detach(IN, "/chatter"))
+        assert b.driver.last_numbers == {OUT: 41}
+        assert b.words("note") == ["talker.out: unknown whether its last messages on /chatter arrived"]
+
+    bench(talking(), tmp_path, body)
+
+
+def two_contracts(*attachments: str) -> Configuration:
+    """The topic /chatter by the contract it had, ``/chatter``, and the one it will have, ``/chatter'``."""
+    connectors = {name: Connector(name, build.at(5.0), topic="/chatter") for name in ("/chatter", "/chatter'")}
+    pairs = [(build.port(port), name) for port, name in (text.split() for text in attachments)]
+    return configure(SystemContext(Map(connectors)), [instance("talker", TALKER)], pairs)
+
+
+def test_another_contract_of_a_topic_needs_no_second_endpoint(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await perform(b, Attach(OUT, "/chatter'"))
+        assert b.client.sent == []
+
+    bench(two_contracts("talker.out /chatter"), tmp_path, body)
+
+
+def test_an_endpoint_that_another_contract_of_its_topic_needs_is_kept(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await perform(b, Detach(OUT, "/chatter"))
+        assert b.client.sent == []
+        b.system.configuration = b.system.configuration.without_attachment(OUT, "/chatter")
+        await perform(b, Detach(OUT, "/chatter'"))
+        assert b.client.commands() == [DetachCommand(port="out", topic="/chatter", timeout=DETACH_TIMEOUT)]
+
+    bench(two_contracts("talker.out /chatter", "talker.out /chatter'"), tmp_path, body)
+
+
+# -- processes that have ended -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", [Detach(OUT, "/chatter"), Degrade(Map({work("talker"): 1})), Remove("talker")])
+def test_nothing_is_taken_from_a_process_that_has_ended(action: Action, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.gone.add("talker")
+        await perform(b, action)
+        assert b.client.sent == [] and b.backend.ended == []
+
+    bench(talking(), tmp_path, body)
+
+
+def test_of_several_only_those_that_run_are_degraded(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.gone.add("listener")
+        await perform(b, Degrade(Map({work("listener"): 1, work("talker"): 1})))
+        assert b.client.changes == [("talker", "modes")]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_a_process_that_has_ended_cannot_be_given_anything(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.gone.add("listener")
+        b.client.reply("listener", ModesCommand, UNREACHABLE)
+        with pytest.raises(type(UNREACHABLE)):
+            await perform(b, Upgrade(Map({work("listener"): 0})))
+
+    bench(talking().with_modes({work("listener"): 1}), tmp_path, body)
+
+
+# -- modes and parameters ------------------------------------------------------------------------------
+
+
+def test_modes_are_sent_by_name_with_the_reason(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await perform(b, Degrade(Map({work("talker"): 1, work("listener"): 1})))
+        assert [(sent.instance, sent.command) for sent in b.client.sent] == [
+            (name, ModesCommand(modes={"work": "degraded"}, because="for the test", timeout=b.driver.drain_timeout))
+            for name in ("listener", "talker")
+        ]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_where_one_component_does_not_change_its_mode_the_others_go_back(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", ModesCommand, REFUSED)
+        with pytest.raises(CommandRefused):
+            await perform(b, Degrade(Map({work("talker"): 1, work("listener"): 1})))
+        assert b.client.changes == [
+            ("listener", "modes"),
+            ("talker", "modes"),
+            ("talker", "undo modes"),
+            ("listener", "undo modes"),
+        ]
+        assert [command.modes for command in b.client.of(ModesCommand, "listener")][1] == {"work": "normal"}
+
+    bench(talking(), tmp_path, body)
+
+
+def test_parameters_are_set_as_given(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await perform(b, SetParameters("talker", Map(gain=2)))
+        assert b.client.commands("talker") == [SetParametersCommand(parameters={"gain": 2})]
+
+    bench(talking(), tmp_path, body)
+
+
+# -- state ---------------------------------------------------------------------------------------------
+
+
+def test_what_replaces_a_removed_instance_has_its_state(tmp_path: Path) -> None:
+    other = instance("other", TALKER)
+
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", ExportStateCommand, EXPORTED)
+        b.startable(NEW, other)
+        await perform(b, Remove("talker"))
+        assert [name for name, _ in b.backend.ended] == ["talker"]
+        await perform(b, Create(other))
+        await perform(b, Create(NEW))
+        assert EXPORTED.state is not None
+        assert b.client.of(ImportStateCommand, "talker_2") == [ImportStateCommand(state=EXPORTED.state)]
+        assert b.client.of(ImportStateCommand, "other") == [], "it is of another role"
+
+    bench(talking(), tmp_path, body)
+
+
+@pytest.mark.parametrize("error", [TIMEOUT, UNREACHABLE])
+def test_what_no_longer_answers_is_removed_without_its_state(error: MidstrideError, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", ExportStateCommand, error)
+        await perform(b, Remove("talker"))
+        assert b.words("note") == [f"the state of talker is lost: {error}"]
+        assert [name for name, _ in b.backend.ended] == ["talker"]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_what_cannot_export_its_state_is_not_removed(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", ExportStateCommand, REFUSED)
+        with pytest.raises(CommandRefused):
+            await perform(b, Remove("talker"))
+        assert b.backend.ended == []
+
+    bench(talking(), tmp_path, body)
+
+
+def test_what_was_started_by_hand_is_released_and_left_running(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await perform(b, Remove("talker"))
+        assert [command.name for command in b.client.commands("talker")] == ["export_state", "release"]
+        assert b.client.of(ReleaseCommand, "talker") and b.backend.ended == []
+        assert b.words("note") == ["talker was started elsewhere: it is released, and left running"]
+
+    bench(talking(talker=build.source("Talker")), tmp_path, body)
+
+
+def test_a_state_that_is_refused_fails_the_step_but_not_a_roll_back(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", ExportStateCommand, EXPORTED)
+        b.client.reply("talker_2", ImportStateCommand, REFUSED)
+        b.startable(NEW)
+        await perform(b, Remove("talker"))
+        with pytest.raises(CommandRefused):
+            await perform(b, Create(NEW))
+        b.driver.rolling_back = True
+        await perform(b, Create(NEW))
+        assert b.words("note") == [f"talker_2 did not restore its state: {REFUSED}"]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_a_roll_back_exports_nothing_from_what_it_removes(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.driver.rolling_back = True
+        await perform(b, Remove("talker"))
+        assert b.client.sent == []
+
+    bench(talking(), tmp_path, body)
+
+
+# -- handing over --------------------------------------------------------------------------------------
+
+
+def test_state_travels_before_the_hand_over_of_a_role(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", ExportStateCommand, EXPORTED)
+        seen: list[list[str]] = []
+
+        async def before(configuration: Configuration, action: Handover) -> None:
+            assert (configuration, action) == (b.system.configuration, HANDOVER)
+            seen.append([command.name for command in b.client.commands()])
+
+        b.driver.before_handover = before
+        await perform(b, HANDOVER)
+        assert seen == [["export_state", "import_state"]]
+        assert EXPORTED.state is not None
+        assert b.client.of(ImportStateCommand, "talker_2") == [ImportStateCommand(state=EXPORTED.state)]
+
+    bench(replacing(), tmp_path, body)
+
+
+def test_one_that_keeps_no_state_hands_none_on(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await perform(b, HANDOVER)
+        assert b.client.of(ExportStateCommand, "talker")
+        assert b.client.of(ImportStateCommand, "talker_2") == []
+
+    bench(replacing(), tmp_path, body)
+
+
+def test_another_role_has_a_state_of_its_own(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", ExportStateCommand, EXPORTED)
+        await perform(b, HANDOVER)
+        assert b.client.of(ExportStateCommand) == []
+
+    bench(replacing(role="second talker"), tmp_path, body)
+
+
+def test_a_state_that_cannot_be_had_fails_the_hand_over_but_not_a_roll_back(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", ExportStateCommand, TIMEOUT)
+        with pytest.raises(CallTimeout):
+            await perform(b, HANDOVER)
+        assert b.client.changes == []
+        b.driver.rolling_back = True
+        await perform(b, HANDOVER)
+        assert b.words("note") == [f"talker_2 keeps its own state: {TIMEOUT}"]
+        assert b.client.changes
+
+    bench(replacing(), tmp_path, body)
+
+
+def test_the_last_number_before_a_hand_over_is_kept_and_its_warnings_are_reported(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        last: dict[str, LastWrite | None] = {"out /chatter": LastWrite(number=17, source=5)}
+        b.client.reply("talker", AwaitCutCommand, CutResult(outcome="done", last=last))
+        b.client.reply("talker", GridCommand, Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=3))
+        await perform(b, HANDOVER)
+        assert b.driver.last_numbers == {OUT: 17}
+        [note] = b.words("note")
+        assert "talker.out had 3 readers on /chatter, and talker_2.out has found 1 of them" in note
+
+    bench(replacing(), tmp_path, body)
+
+
+def test_a_hand_over_that_fails_keeps_no_number(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", AwaitWriteCommand, GatedWrites(gated=0, wrong_type=None))
+        with pytest.raises(StepFailed):
+            await perform(b, HANDOVER)
+        assert b.driver.last_numbers == {}
+
+    bench(replacing(), tmp_path, body)

@@ -1,0 +1,277 @@
+"""The executor: steps in order, each checked and acknowledged before the model moves on, taken back where one fails."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace as changed
+from pathlib import Path
+
+import pytest
+from immutables import Map
+
+from midstride.errors import BackendError, StepFailed
+from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters
+from midstride.model.component import ParameterSpec
+from midstride.model.configuration import Configuration
+from midstride.wire.commands import AttachCommand, DetachCommand, Detached, ModesCommand, SetParametersCommand
+from tests.model import build
+from tests.model.build import work
+from tests.runtime.scripted import (
+    LISTENER,
+    REFUSED,
+    TALKER,
+    TIMEOUT,
+    UNREACHABLE,
+    Bench,
+    bench,
+    instance,
+    started,
+    talking,
+)
+
+OUT, IN = build.port("talker.out"), build.port("listener.in")
+SECOND = instance("second", TALKER)
+# The listener's functionality, then the talker's port, and the two back again.
+DEGRADE, DETACH = Degrade(Map({work("listener"): 1})), Detach(OUT, "/chatter")
+
+
+def test_each_step_is_carried_out_and_only_then_in_the_model(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        start = b.system.configuration
+        seen: list[tuple[Configuration, int]] = []
+        b.executor.on_moved = lambda configuration: seen.append((configuration, len(b.client.changes)))
+        await b.executor.run([DEGRADE, DETACH])
+        first = DEGRADE.effect(start)
+        assert seen == [(first, 1), (DETACH.effect(first), 2)]
+        assert b.system.configuration == seen[-1][0] and b.system.revision == 2
+        assert b.client.changes == [("listener", "modes"), ("talker", "detach")]
+        assert b.words() == [
+            "1/2 degrade listener.work from normal to degraded",
+            "1/2 done",
+            "2/2 detach talker.out from /chatter",
+            "2/2 done",
+        ]
+        assert [(event.kind, event.index, event.of) for event in b.events.since()] == [
+            (kind, index, 2) for index in (0, 1) for kind in ("step", "step_done")
+        ]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_a_step_whose_precondition_does_not_hold_reaches_no_component(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        start = b.system.configuration
+        with pytest.raises(StepFailed, match=r"detach talker\.out from /chatter: cannot detach") as failed:
+            await b.executor.run([DETACH])
+        assert failed.value.outcome == "rolled_back"
+        assert b.client.sent == []
+        assert (b.system.configuration, b.system.revision) == (start, 0)
+
+    bench(talking(), tmp_path, body)
+
+
+def test_what_was_done_before_a_failure_is_undone_last_first(tmp_path: Path) -> None:
+    configuration = build.system(
+        {"talker": TALKER, "listener": LISTENER, "other": TALKER},
+        ["talker.out /chatter", "listener.in /chatter"],
+        modes={"talker.work": 0, "listener.work": 0},
+    )
+
+    async def body(b: Bench) -> None:
+        b.client.reply("other", AttachCommand, REFUSED)
+        with pytest.raises(StepFailed) as failed:
+            await b.executor.run([DEGRADE, DETACH, Attach(build.port("other.out"), "/chatter"), Remove("talker")])
+        assert failed.value.outcome == "rolled_back"
+        assert str(failed.value) == f"attach other.out to /chatter: {REFUSED}"
+        assert b.client.changes == [
+            ("listener", "modes"),
+            ("talker", "detach"),
+            ("other", "attach"),
+            ("other", "undo detach"),  # the failed step leaves nothing either
+            ("talker", "attach"),
+            ("listener", "modes"),
+        ]
+        assert [command.modes for command in b.client.of(ModesCommand, "listener")] == [
+            {"work": "degraded"},
+            {"work": "normal"},
+        ]
+        assert b.system.configuration == configuration
+        assert b.backend.ended == []
+        assert b.kinds()[-3:] == ["step_failed", "rollback", "rolled_back"]
+        assert b.driver.rolling_back
+
+    bench(configuration, tmp_path, body)
+
+
+def test_a_roll_back_that_fails_is_in_the_reason_and_ends_there(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", AttachCommand, TIMEOUT)
+        remove = Remove("listener")  # which is attached, so it fails
+        with pytest.raises(StepFailed) as failed:
+            await b.executor.run([DEGRADE, DETACH, remove])
+        assert failed.value.outcome == "failed"
+        assert str(failed.value).endswith(f"; and the roll-back failed: attach talker.out to /chatter: {TIMEOUT}")
+        assert b.client.changes[-2:] == [("talker", "attach"), ("talker", "undo detach")]
+        assert b.system.configuration == DETACH.effect(DEGRADE.effect(talking())), "the model says what is so"
+        assert b.kinds()[-1] == "rollback_failed"
+
+    bench(talking(), tmp_path, body)
+
+
+def test_a_step_that_is_rejected_once_it_is_done_is_undone_as_well(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        async def reject(configuration: Configuration) -> None:
+            assert configuration == DEGRADE.effect(talking())
+            raise BackendError("this is not what was asked for")
+
+        b.executor.after_step = reject
+        with pytest.raises(StepFailed, match=r"degrade listener\.work from normal to degraded: this is not what was asked for"):
+            await b.executor.run([DEGRADE, DETACH])
+        assert b.client.changes == [("listener", "modes"), ("listener", "modes")]
+        assert b.system.configuration == talking()
+
+    bench(talking(), tmp_path, body)
+
+
+def test_an_unexpected_error_is_taken_back_and_logged(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", DetachCommand, KeyError("what is this?"))
+        with pytest.raises(StepFailed, match=r"internal error: KeyError\('what is this\?'\)") as failed:
+            await b.executor.run([DEGRADE, DETACH])
+        assert failed.value.outcome == "rolled_back"
+        assert b.system.configuration == talking()
+
+    bench(talking(), tmp_path, body)
+    assert "Traceback" in caplog.text
+
+
+def test_cancelled_during_a_step_it_waits_for_its_end_and_takes_everything_back(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        detaching, answered = asyncio.Event(), asyncio.Event()
+
+        async def reply() -> Detached:
+            detaching.set()
+            await answered.wait()
+            return Detached(acknowledged=True, last=None)
+
+        b.client.reply("talker", DetachCommand, lambda _: reply())
+        running = asyncio.ensure_future(b.executor.run([DEGRADE, DETACH]))
+        await detaching.wait()
+        running.cancel()
+        await asyncio.sleep(1)
+        assert not running.done(), "the component may still carry the command out"
+        answered.set()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        assert b.client.changes[2:] == [("talker", "attach"), ("listener", "modes")]
+        assert b.system.configuration == talking()
+        assert "step_failed" in b.kinds() and "the manager is shutting down" in b.words("step_failed")[0]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_cancelled_during_a_creation_it_is_broken_off_at_once(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        running = asyncio.ensure_future(b.executor.run([Create(SECOND)]))
+        await asyncio.sleep(1)
+        assert b.saved() == ["second"]
+        running.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await running
+        assert b.clock.steady() == 1.0
+        assert b.backend.running == {"talker", "listener"} and b.saved() == []
+        assert b.system.configuration == talking()
+
+    bench(talking(), tmp_path, body)
+
+
+def test_creations_in_a_row_are_started_at_once(tmp_path: Path) -> None:
+    third = instance("third", TALKER)
+
+    async def body(b: Bench) -> None:
+        begun: list[str] = []
+        b.executor.on_started = lambda instance: begun.append(instance.name)
+        running = asyncio.ensure_future(b.executor.run([Create(SECOND), Create(third)]))
+        await asyncio.sleep(1)
+        assert [launch.instance for launch in b.backend.launches] == begun == ["second", "third"]
+        assert b.system.configuration == talking(), "none of them has registered"
+        b.client.register(third)
+        b.client.register(SECOND)
+        await running
+        assert set(b.system.configuration.instances) == {"talker", "listener", "second", "third"}
+        assert len(b.backend.launches) == 2
+
+    bench(talking(), tmp_path, body)
+
+
+def test_where_one_creation_fails_what_was_started_ahead_is_ended(tmp_path: Path) -> None:
+    third = instance("third", TALKER)
+
+    async def body(b: Bench) -> None:
+        b.startable(third)
+        with pytest.raises(StepFailed, match="second did not register"):
+            await b.executor.run([Create(SECOND), Create(third), DEGRADE])
+        assert b.backend.running == {"talker", "listener"}
+        assert b.saved() == []
+
+    bench(talking(), tmp_path, body)
+
+
+def test_what_cannot_be_ended_again_is_kept_for_the_next_manager(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.fail_end["second"] = BackendError("the kernel keeps it")
+        with pytest.raises(StepFailed, match="second did not register"):
+            await b.executor.run([Create(SECOND)])
+        assert b.saved() == ["second"]
+
+    bench(talking(), tmp_path, body)
+
+
+def test_what_the_next_manager_finds_follows_the_steps(tmp_path: Path) -> None:
+    tuned = started(
+        build.component("Tuned", {}, [], [build.mode("normal")], parameters={"gain": ParameterSpec(1, True)})
+    )
+
+    async def body(b: Bench) -> None:
+        added = instance("tuned", tuned)
+        b.startable(added)
+        await b.executor.run([Create(added), SetParameters("tuned", Map(gain=2))])
+        [saved] = b.saved_instances()
+        assert saved == changed(added, parameters=Map(gain=2)) == b.system.configuration.instances["tuned"]
+        assert b.client.of(SetParametersCommand, "tuned") == [SetParametersCommand(parameters={"gain": 2})]
+        await b.executor.run([Remove("tuned")])
+        assert b.saved() == []
+
+    bench(talking(), tmp_path, body)
+
+
+# -- lowering ------------------------------------------------------------------------------------------
+
+
+def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_path: Path) -> None:
+    """The talker is lowered while the listener relies on it; its failure does not keep the listener from following."""
+
+    async def body(b: Bench) -> None:
+        moved: list[Configuration] = []
+        b.executor.on_moved = moved.append
+        b.client.reply("talker", ModesCommand, UNREACHABLE)
+        left = await b.executor.lower({work("talker"): 1, work("listener"): 1}, "the camera exited unexpectedly")
+        assert left == {work("talker")}
+        assert b.system.configuration == DEGRADE.effect(talking()) and moved == [b.system.configuration]
+        [command] = b.client.of(ModesCommand, "listener")
+        assert command.because == "the camera exited unexpectedly"
+        assert b.words("degraded") == ["degrade listener.work from normal to degraded"]
+        assert b.words("note") == [f"degrade talker.work from normal to degraded failed: {UNREACHABLE}"]
+        assert b.client.changes == [("listener", "modes"), ("talker", "modes")], "it is not raised again"
+
+    bench(talking(), tmp_path, body)
+
+
+def test_where_nothing_can_be_lowered_the_model_stays(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("listener", ModesCommand, TIMEOUT)
+        assert await b.executor.lower({work("listener"): 1}, "") == {work("listener")}
+        assert await b.executor.lower({}, "") == set()
+        assert (b.system.configuration, b.system.revision) == (talking(), 0)
+
+    bench(talking(), tmp_path, body)

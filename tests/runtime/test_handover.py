@@ -1,0 +1,460 @@
+"""The hand-over as the manager sees it: what it asks of the two sides, in which order, and what it makes of replies."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from immutables import Map
+
+from midstride.errors import CommandRefused, StepFailed, Unreachable
+from midstride.model.action import Handover, Swap
+from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
+from midstride.model.configuration import Configuration
+from midstride.runtime.handover import (
+    ATTACH_TIMEOUT,
+    DETACH_TIMEOUT,
+    LEADS,
+    MEET_TURN,
+    MEET_TURNS,
+    OTHERS_PATIENCE,
+    PROBATION,
+    RESUME_AT_LEAST,
+    RESUME_PERIODS,
+    RESUME_WITHOUT_RATE,
+    HandoverResult,
+    hand_over,
+)
+from midstride.wire.commands import (
+    AttachCommand,
+    Attached,
+    AwaitCutCommand,
+    AwaitWriteCommand,
+    CancelCutCommand,
+    CutInCommand,
+    CutOutCommand,
+    CutResult,
+    CutSwap,
+    DetachCommand,
+    GatedWrites,
+    Grid,
+    GridCommand,
+    LastWrite,
+    MeetCommand,
+)
+from tests.model import build
+from tests.model.build import work
+from tests.runtime.scripted import (
+    REFUSED,
+    TALKER,
+    TIMEOUT,
+    UNREACHABLE,
+    Bench,
+    C,
+    bench,
+    instance,
+    reported,
+    started,
+    talking,
+)
+
+OUT, NEW_OUT = build.port("talker.out"), build.port("talker_2.out")
+SWAP = Swap("/chatter", OUT, NEW_OUT)
+CONFIGURATION = talking().with_instance(instance("talker_2", TALKER, "talker")).with_modes({work("talker_2"): 0})
+
+
+async def swapped(b: Bench, *swaps: Swap) -> HandoverResult:
+    return await hand_over(b.client, b.backend.lingering_readers, b.configuration, Handover(swaps or (SWAP,)))
+
+
+async def fails(b: Bench, words: str, *swaps: Swap) -> None:
+    """It fails for this reason, and leaves the old side as it was and the new one off the topic."""
+    with pytest.raises(StepFailed, match=words):
+        await swapped(b, *swaps)
+    assert [entry for entry in b.client.changes if entry[1] == "detach"] == []
+    assert ("talker_2", "undo detach") in b.client.changes[-len(swaps or (SWAP,)) :]
+
+
+def only(b: Bench, kind: type[C], instance: str) -> C:
+    [command] = b.client.of(kind, instance)
+    return command
+
+
+# -- the order of things -------------------------------------------------------------------------------
+
+
+def test_the_two_sides_are_asked_in_the_order_that_loses_nothing(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        last: dict[str, LastWrite | None] = {"out /chatter": LastWrite(number=17, source=5)}
+        b.client.reply("talker", AwaitCutCommand, CutResult(outcome="done", last=last))
+        assert await swapped(b) == HandoverResult({OUT: 17})
+        assert [(sent.instance, sent.command.name) for sent in b.client.sent] == [
+            ("talker", "grid"),
+            ("talker_2", "attach"),
+            ("talker_2", "await_write"),
+            ("talker", "observe"),
+            ("talker_2", "meet"),
+            ("talker", "grid"),
+            ("talker", "cut_out"),  # before the new side: it alone can go on by itself
+            ("talker_2", "cut_in"),
+            ("talker_2", "await_cut"),
+            ("talker", "await_cut"),
+            ("talker", "detach"),
+        ]
+        cut_out = b.client.of(CutOutCommand, "talker")[0]
+        assert only(b, CutInCommand, "talker_2") == CutInCommand(
+            cut=cut_out.cut,
+            swaps=[CutSwap(port="out", topic="/chatter")],
+            at=cut_out.at,
+            peer="talker",
+            address="memory:talker",
+            epoch=cut_out.at,
+        )
+        assert only(b, DetachCommand, "talker") == DetachCommand(port="out", topic="/chatter", timeout=DETACH_TIMEOUT)
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+@pytest.mark.parametrize(("readers", "lingering", "expected"), [(3, 0, 3), (3, 2, 1), (None, 0, 0)])
+def test_the_new_publisher_waits_behind_its_gate_for_every_living_reader_of_the_old(
+    readers: int | None, lingering: int, expected: int, tmp_path: Path
+) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.lingering["/chatter"] = lingering
+        b.client.reply("talker", GridCommand, Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=readers))
+        b.client.reply("talker_2", AttachCommand, Attached(matched=expected))
+        assert (await swapped(b)).warnings == ()
+        assert only(b, AttachCommand, "talker_2") == AttachCommand(
+            port="out",
+            topic="/chatter",
+            gate="closed",
+            peers=1,
+            everyone=expected,
+            patience=OTHERS_PATIENCE,
+            timeout=ATTACH_TIMEOUT + OTHERS_PATIENCE,
+        )
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_readers_that_the_new_publisher_does_not_find_are_a_warning(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", GridCommand, Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=3))
+        b.client.reply("talker_2", AttachCommand, Attached(matched=2))
+        [warning] = (await swapped(b)).warnings
+        assert warning.startswith("talker.out had 3 readers on /chatter, and talker_2.out has found 2 of them")
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_an_old_side_that_does_not_detach_is_a_warning_since_the_new_one_writes(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", DetachCommand, TIMEOUT)
+        [warning] = (await swapped(b)).warnings
+        assert warning == f"talker.out could not be taken off /chatter after the hand-over: {TIMEOUT}"
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+# -- before the cut ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("seen", "words"),
+    [
+        (
+            GatedWrites(gated=3, wrong_type="Int32 instead of String"),
+            r"talker_2\.out wrote a message of the wrong type behind its gate: Int32 instead of String",
+        ),
+        (GatedWrites(gated=0, wrong_type=None), r"talker_2\.out has written nothing within 6 s"),
+    ],
+)
+def test_a_new_side_that_does_not_write_as_it_should_does_not_take_over(
+    seen: GatedWrites, words: str, tmp_path: Path
+) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", AwaitWriteCommand, seen)
+        await fails(b, words)
+        assert b.client.of(CutOutCommand) == []
+        probation = only(b, AwaitWriteCommand, "talker_2")
+        assert probation == AwaitWriteCommand(port="out", topic="/chatter", timeout=PROBATION + 10 * 0.1)
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_the_two_sides_have_some_turns_to_find_each_other(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", MeetCommand, REFUSED, REFUSED, REFUSED, None)
+        await swapped(b)
+        meetings = b.client.of(MeetCommand, "talker_2")
+        assert meetings == [MeetCommand(peer="talker", address="memory:talker", timeout=MEET_TURN)] * 4
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_two_sides_that_do_not_find_each_other_stay_as_they_are(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", MeetCommand, REFUSED)
+        await fails(b, str(REFUSED))
+        assert len(b.client.of(MeetCommand, "talker_2")) == MEET_TURNS
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_an_old_side_that_ends_meanwhile_is_known_in_one_turn(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        def dies(_: MeetCommand) -> CommandRefused:
+            b.client.states.pop("talker")
+            return REFUSED
+
+        b.client.reply("talker_2", MeetCommand, dies)
+        await fails(b, str(UNREACHABLE))
+        assert len(b.client.of(MeetCommand, "talker_2")) == 1
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_a_new_side_that_degraded_is_the_reason_whatever_it_refused(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        def degrades(_: AwaitWriteCommand) -> CommandRefused:
+            b.client.report(reported(b.configuration.instances["talker_2"], modes={"work": "degraded"}))
+            return REFUSED
+
+        b.client.reply("talker_2", AwaitWriteCommand, degrades)
+        await fails(b, r"talker_2\.work degraded to degraded by itself: it entered degraded")
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+@pytest.mark.parametrize("error", [REFUSED, UNREACHABLE])
+def test_a_new_side_in_its_mode_or_gone_leaves_the_first_reason(error: Exception, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        if error is UNREACHABLE:
+            b.client.states.pop("talker_2")
+        b.client.reply("talker_2", AttachCommand, error)
+        await fails(b, f"^{error}$")
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+# -- the cut -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("grid", "at", "epoch"),
+    [
+        # The next slot of the grid after the lead; 0.1 s ahead of 12.34 s is 12.44 s.
+        (Grid(trigger="rate", now=12_340_000_000, epoch=0, period=0.5), 12_500_000_000, True),
+        (Grid(trigger="rate", now=12_340_000_000, epoch=20_000_000, period=0.1), 12_520_000_000, True),
+        (Grid(trigger="rate", now=12_340_000_000, epoch=0, period=0.44), 12_760_000_000, True),
+        # What has no grid is cut at the moment itself.
+        (Grid(trigger="message", now=12_340_000_000), 12_440_000_000, False),
+        (Grid(trigger="none", now=12_340_000_000), 12_440_000_000, False),
+    ],
+)
+def test_the_cut_is_at_a_slot_of_the_old_sides_grid(grid: Grid, at: int, epoch: bool, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", GridCommand, grid)
+        await swapped(b)
+        [cut_out], [cut_in] = b.client.of(CutOutCommand, "talker"), b.client.of(CutInCommand, "talker_2")
+        assert (cut_out.at, cut_in.at) == (at, at)
+        assert cut_in.epoch == (at if epoch else None)
+        # What is written neither at a rate nor for a message would not be written again.
+        assert cut_in.swaps[0].latch is (grid.trigger == "none")
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+@pytest.mark.parametrize(
+    ("period", "topic_rate", "seconds"),
+    [
+        # In its next slot the old side writes again: the silence is RESUME_PERIODS periods, one of them is that.
+        (0.2, 5.0, 1.8),
+        (0.02, 5.0, 0.18),
+        (0.001, 5.0, RESUME_AT_LEAST),
+        (None, 5.0, 1.8),  # by the contract of the topic
+        (None, None, 0.9),  # by what the old side guarantees: 10 Hz
+    ],
+)
+def test_the_old_side_resumes_after_a_silence_of_so_many_periods(
+    period: float | None, topic_rate: float | None, seconds: float, tmp_path: Path
+) -> None:
+    configuration = build.system(
+        {"talker": TALKER, "talker_2": TALKER},
+        ["talker.out /chatter"],
+        topics={"/chatter": build.at(topic_rate)},
+        modes={"talker.work": 0, "talker_2.work": 0},
+    )
+
+    async def body(b: Bench) -> None:
+        trigger = "message" if period is None else "rate"
+        b.client.reply("talker", GridCommand, Grid(trigger=trigger, now=0, epoch=0, period=period, readers=1))  # type: ignore[arg-type]
+        await swapped(b)
+        [cut_out] = b.client.of(CutOutCommand, "talker")
+        assert cut_out.resume_after == pytest.approx(seconds)
+        if period is not None and seconds > RESUME_AT_LEAST:
+            assert cut_out.resume_after + period == pytest.approx(RESUME_PERIODS * period)
+
+    bench(configuration, tmp_path, body)
+
+
+def test_without_any_rate_the_old_side_resumes_after_a_fixed_time(tmp_path: Path) -> None:
+    latched = started(build.component("Map", {}, ["out"], [build.mode("normal", out=build.at()), build.mode("off")]))
+    configuration = build.system(
+        {"talker": latched, "talker_2": latched},
+        ["talker.out /chatter"],
+        topics={"/chatter": build.at()},
+        modes={"talker.work": 0, "talker_2.work": 0},
+    )
+
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", GridCommand, Grid(trigger="none", now=0))
+        await swapped(b)
+        [cut_out] = b.client.of(CutOutCommand, "talker")
+        assert cut_out.resume_after == RESUME_WITHOUT_RATE
+        probation = b.client.of(AwaitWriteCommand, "talker_2")
+        assert [command.timeout for command in probation] == [PROBATION]
+
+    bench(configuration, tmp_path, body)
+
+
+@pytest.mark.parametrize("late", [CutOutCommand, CutInCommand])
+def test_a_cut_that_one_side_learns_of_too_late_is_agreed_again_later(late: type, tmp_path: Path) -> None:
+    side = "talker" if late is CutOutCommand else "talker_2"
+
+    async def body(b: Bench) -> None:
+        b.client.reply(side, late, REFUSED, None)
+        await swapped(b)
+        cuts = b.client.of(CutOutCommand, "talker")
+        assert [cut.at for cut in cuts] == [100_000_000, 300_000_000], LEADS
+        cancelled = CancelCutCommand(cut=cuts[0].cut)
+        assert b.client.of(CancelCutCommand, "talker_2") == [cancelled]
+        assert b.client.of(CancelCutCommand, "talker") == [cancelled]
+        assert cuts[1].cut != cuts[0].cut
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_a_cut_that_cannot_be_agreed_in_time_is_given_up(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", CutInCommand, REFUSED)
+        await fails(b, str(REFUSED))
+        assert len(b.client.of(CutInCommand, "talker_2")) == len(LEADS)
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+@pytest.mark.parametrize(
+    ("side", "outcome", "words"),
+    [
+        ("talker_2", "cancelled", r"talker_2 did not publish after the cut; talker continues"),
+        ("talker_2", "waiting", r"talker_2 did not publish after the cut; talker continues"),
+        ("talker", "resumed", r"talker resumed before it learned that talker_2 had published"),
+        ("talker", "waiting", r"talker resumed before it learned that talker_2 had published"),
+    ],
+)
+def test_a_cut_that_either_side_did_not_pass_is_taken_back(side: str, outcome: str, words: str, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply(side, AwaitCutCommand, CutResult(outcome=outcome))  # type: ignore[arg-type]
+        await fails(b, words)
+        assert b.client.changes[-3:] == [
+            ("talker_2", "undo cancel_cut"),  # first: only one of them may write
+            ("talker", "undo cancel_cut"),
+            ("talker_2", "undo detach"),
+        ]
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_a_hand_over_that_is_cancelled_is_taken_back(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", AwaitCutCommand, lambda _: asyncio.sleep(3))
+        swapping = asyncio.ensure_future(swapped(b))
+        await asyncio.sleep(1)
+        swapping.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await swapping
+        assert b.client.changes[-3:] == [
+            ("talker_2", "undo cancel_cut"),
+            ("talker", "undo cancel_cut"),
+            ("talker_2", "undo detach"),
+        ]
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+# -- several outputs -----------------------------------------------------------------------------------
+
+
+def camera(*functionalities: tuple[str, ...]) -> ComponentSpec:
+    """One functionality for each group of outputs, all at 10 Hz."""
+    groups = [
+        FunctionalitySpec(
+            f"work{number}",
+            (Mode("normal", (), Map({name: build.at(10.0) for name in outputs})), build.mode("degraded")),
+            (),
+            outputs,
+        )
+        for number, outputs in enumerate(functionalities)
+    ]
+    outputs = tuple(name for group in functionalities for name in group)
+    return started(ComponentSpec.of("Camera", outputs=outputs, functionalities=tuple(groups)))
+
+
+def cameras(component: ComponentSpec) -> tuple[Configuration, list[Swap]]:
+    attachments = [f"old.{name} /{name}" for name in component.outputs]
+    configuration = build.system({"old": component, "new": component}, attachments)
+    configuration = configuration.with_modes(dict.fromkeys(configuration.modes, 0))
+    return configuration, [Swap(f"/{name}", PortRef("old", name), PortRef("new", name)) for name in component.outputs]
+
+
+def test_outputs_of_one_functionality_share_a_cut(tmp_path: Path) -> None:
+    configuration, swaps = cameras(camera(("left", "right")))
+
+    async def body(b: Bench) -> None:
+        last = {"left /left": LastWrite(number=3, source=0), "right /right": None}
+        b.client.reply("old", AwaitCutCommand, CutResult(outcome="done", last=last))
+        assert (await swapped(b, *swaps)).last == {swaps[0].old: 3, swaps[1].old: None}
+        [cut] = b.client.of(CutOutCommand, "old")
+        assert cut.swaps == [CutSwap(port="left", topic="/left"), CutSwap(port="right", topic="/right")]
+        assert [command.name for command in b.client.commands("old")][-2:] == ["detach", "detach"]
+
+    bench(configuration, tmp_path, body)
+
+
+def test_functionalities_of_their_own_grids_are_cut_apart_but_at_about_one_moment(tmp_path: Path) -> None:
+    configuration, swaps = cameras(camera(("left",), ("right",)))
+
+    async def body(b: Bench) -> None:
+        replies: list[Callable[..., Grid]] = [_grid(period) for period in (0.1, 0.1, 0.03, 0.4)]
+        b.client.reply("old", GridCommand, *replies)
+        await swapped(b, *swaps)
+        cuts = b.client.of(CutOutCommand, "old")
+        assert [(cut.swaps, cut.at) for cut in cuts] == [
+            ([CutSwap(port="left", topic="/left")], 1_110_000_000),
+            ([CutSwap(port="right", topic="/right")], 1_200_000_000),
+        ]
+        assert len({cut.cut for cut in cuts}) == 2
+
+    bench(configuration, tmp_path, body)
+
+
+def _grid(period: float) -> Callable[..., Grid]:
+    return lambda _: Grid(trigger="rate", now=1_000_000_000, epoch=0, period=period, readers=0)
+
+
+def test_where_the_second_output_does_not_come_the_first_is_taken_back_too(tmp_path: Path) -> None:
+    configuration, swaps = cameras(camera(("left",), ("right",)))
+
+    async def body(b: Bench) -> None:
+        b.client.reply("new", AttachCommand, Attached(matched=1), Unreachable("it has ended"))
+        with pytest.raises(StepFailed, match="it has ended"):
+            await swapped(b, *swaps)
+        undone = [sent.command for sent in b.client.sent if sent.how == "undo"]
+        assert undone == [
+            DetachCommand(port=name, topic=f"/{name}", timeout=DETACH_TIMEOUT) for name in ("left", "right")
+        ]
+
+    bench(configuration, tmp_path, body)

@@ -1,0 +1,277 @@
+"""The launcher: a process started, its registration checked, its end; every way in which that fails."""
+
+from __future__ import annotations
+
+import asyncio
+from dataclasses import replace as changed
+from pathlib import Path
+
+import pytest
+from immutables import Map
+
+from midstride.errors import BackendError, StartFailed, Unreachable
+from midstride.model.component import ComponentSpec, ParameterSpec
+from midstride.model.configuration import Instance
+from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.runtime.launcher import ADOPT_TIMEOUT, REGISTRATION_TIMEOUT, RELEASE_TIMEOUT, STOP_GRACE
+from midstride.wire.commands import ObserveCommand, ReleaseCommand, WelcomeCommand
+from midstride.wire.state import Endpoint
+from tests.model import build
+from tests.runtime.scripted import (
+    LISTENER,
+    REFUSED,
+    TIMEOUT,
+    TOKEN,
+    UNREACHABLE,
+    Bench,
+    bench,
+    instance,
+    reported,
+    started,
+)
+
+NOTHING = build.system({}, [])
+CAMERA = instance("front/camera", started(build.source("Camera"), "python3 'my camera.py' --fast"))
+BY_HAND = instance("camera", build.source("Camera"))
+
+
+def test_a_process_is_started_as_its_command_says_and_welcomed(tmp_path: Path) -> None:
+    tuned = changed(CAMERA, component=changed(CAMERA.component, parameters=Map(gain=ParameterSpec(1, True))))
+    tuned = changed(tuned, parameters=Map(gain=3))
+
+    async def body(b: Bench) -> None:
+        assert await b.launcher.start(tuned)
+        assert not await b.launcher.start(tuned), "it is coming up already"
+        arguments = ("python3", "my camera.py", "--fast")
+        assert b.backend.launches == [Launch("front/camera", "front", arguments, TOKEN, tmp_path, {"gain": 3})]
+        registering = asyncio.ensure_future(b.launcher.registered(tuned))
+        await asyncio.sleep(1)
+        assert not registering.done() and b.client.sent == []
+        b.client.register(tuned)
+        await registering
+        [(how, name, welcome)] = [sent for sent in b.client.sent if sent.how == "change"]
+        assert (how, name) == ("change", "front/camera") and isinstance(welcome, WelcomeCommand) and welcome.manager
+        assert b.launcher.handles == {"front/camera": Handle("front/camera", 101, 1.0, "/logs/front/camera.log")}
+        assert len(b.backend.launches) == 1
+
+    bench(NOTHING, tmp_path, body)
+
+
+@pytest.mark.parametrize(("stopping", "grace"), [(0.0, STOP_GRACE), (12.0, 12.0)])
+def test_a_component_has_the_time_to_end_that_it_asks_for(stopping: float, grace: float, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(CAMERA)
+        b.client.report(reported(CAMERA, stopping=stopping))
+        await b.launcher.registered(CAMERA)
+        await b.launcher.end("front/camera")
+        assert b.backend.ended == [("front/camera", grace)]
+        assert b.client.disconnected == ["front/camera"] and b.launcher.handles == {}
+
+    bench(NOTHING, tmp_path, body)
+
+
+@pytest.mark.parametrize(("run", "words"), [("", "has an empty `run` command"), ("echo 'x", "cannot be split")])
+def test_a_command_that_is_none_is_refused(run: str, words: str, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        for _ in range(2):  # the first try leaves nothing in the way of another
+            with pytest.raises(StartFailed, match=words):
+                await b.launcher.start(instance("camera", started(build.source("Camera"), run)))
+        assert b.backend.launches == [] and b.launcher.handles == {}
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_a_back_end_that_cannot_start_it_can_be_tried_again(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.fail_start["front/camera"] = StartFailed("no such program")
+        with pytest.raises(StartFailed, match="no such program"):
+            await b.launcher.start(CAMERA)
+        assert b.launcher.handles == {}
+        del b.backend.fail_start["front/camera"]
+        b.startable(CAMERA)
+        await b.launcher.registered(CAMERA)
+
+    bench(NOTHING, tmp_path, body)
+
+
+@pytest.mark.parametrize(
+    ("started_", "words"),
+    [
+        (CAMERA, "it was started with `python3 'my camera.py' --fast`.*Its log: /logs/front/camera.log"),
+        (BY_HAND, "it is started elsewhere"),
+    ],
+)
+def test_a_component_that_does_not_register_is_ended(started_: Instance, words: str, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        with pytest.raises(StartFailed, match=rf"{started_.name} did not register within .* s .*{words}"):
+            await b.launcher.registered(started_)
+        assert b.clock.steady() == pytest.approx(REGISTRATION_TIMEOUT)
+        assert b.backend.running == set() and b.launcher.handles == {}
+        assert [name for name, _ in b.backend.ended] == [launch.instance for launch in b.backend.launches]
+
+    bench(NOTHING, tmp_path, body)
+
+
+@pytest.mark.parametrize(
+    ("exited", "words"),
+    [
+        (Exited("front/camera", 3, "no device\n"), r"front/camera exited with status 3 before it registered:\nno dev"),
+        (Exited("front/camera", -9), "front/camera was killed by signal 9 .* and wrote nothing to its log"),
+        (Exited("front/camera", None), "front/camera ended before it registered"),
+    ],
+)
+def test_a_process_that_exits_first_says_how(exited: Exited, words: str, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        registering = asyncio.ensure_future(b.launcher.registered(CAMERA))
+        await asyncio.sleep(1)
+        b.launcher.exited(Exited("another", 1))
+        b.launcher.exited(exited)
+        b.launcher.exited(exited)
+        with pytest.raises(StartFailed, match=words):
+            await registering
+        assert b.clock.steady() == 1.0, "it is not waited for any longer"
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_another_component_of_that_name_is_not_taken_for_it(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.register(CAMERA, token="another system's")
+        with pytest.raises(StartFailed, match="another node called front/camera is running already"):
+            await b.launcher.registered(CAMERA)
+        assert b.client.sent == [], "it is not this system's"
+        assert [name for name, _ in b.backend.ended] == ["front/camera"]
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_one_that_was_started_by_hand_has_no_token(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.register(BY_HAND, token="")
+        await b.launcher.registered(BY_HAND)
+        assert (b.backend.launches, b.launcher.handles) == ([], {})
+
+    bench(NOTHING, tmp_path, body)
+
+
+OTHER = started(build.source("Camera", rate=1.0))
+EXTRA = (Endpoint(kind="service", name="/camera/reset"),)
+
+
+@pytest.mark.parametrize(
+    ("component", "endpoints", "words"),
+    [
+        (OTHER, (), "front/camera is not the Camera that was declared: .*1 Hz"),
+        (CAMERA.component, EXTRA, "its node has service /camera/reset, which component Camera does not allow"),
+    ],
+)
+def test_a_component_that_is_not_as_declared_is_ended(
+    component: ComponentSpec, endpoints: tuple[Endpoint, ...], words: str, tmp_path: Path
+) -> None:
+    async def body(b: Bench) -> None:
+        b.client.register(changed(CAMERA, component=component), endpoints=endpoints)
+        with pytest.raises(StartFailed, match=words):
+            await b.launcher.registered(CAMERA)
+        assert b.client.sent == [] and b.backend.running == set()
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_one_that_refuses_its_welcome_is_ended(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.startable(CAMERA)
+        b.client.reply("front/camera", WelcomeCommand, REFUSED)
+        with pytest.raises(StartFailed, match=f"registered but could not be accepted: {REFUSED}"):
+            await b.launcher.registered(CAMERA)
+        assert b.backend.running == set()
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_a_start_that_is_cancelled_leaves_no_process(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        registering = asyncio.ensure_future(b.launcher.registered(CAMERA))
+        await asyncio.sleep(1)
+        registering.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await registering
+        assert b.backend.running == set()
+        b.startable(CAMERA)
+        await b.launcher.registered(CAMERA)
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_abandoning_never_fails_and_keeps_what_could_not_be_ended(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        await b.launcher.abandon("unheard of")
+        assert b.backend.ended == []
+        await b.launcher.start(CAMERA)
+        b.backend.fail_end["front/camera"] = BackendError("the kernel keeps it")
+        await b.launcher.abandon("front/camera")
+        assert list(b.launcher.handles) == ["front/camera"]
+        with pytest.raises(BackendError, match="the kernel keeps it"):
+            await b.launcher.end("front/camera")
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_one_that_was_started_by_hand_is_released(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.attend(BY_HAND)
+        await b.launcher.release("camera")
+        assert b.client.commands("camera") == [ReleaseCommand(timeout=RELEASE_TIMEOUT)]
+        assert b.client.disconnected == ["camera"]
+        b.client.reply("camera", ReleaseCommand, UNREACHABLE)
+        await b.launcher.release("camera")  # it has ended: nothing is left to release
+        b.client.reply("camera", ReleaseCommand, TIMEOUT)
+        with pytest.raises(type(TIMEOUT)):
+            await b.launcher.release("camera")
+
+    bench(NOTHING, tmp_path, body)
+
+
+# -- components of an earlier manager ------------------------------------------------------------------
+
+HANDLE = Handle("front/camera", 4711, 12.5)
+
+
+def test_a_component_that_still_runs_is_adopted(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        assert await b.launcher.adopt(HANDLE) is None, "its process has ended"
+        assert b.launcher.handles == {}
+        b.backend.running.add("front/camera")
+        b.client.register(CAMERA)
+        state = reported(CAMERA, stopping=8.0)
+        b.client.report(state)
+        assert await b.launcher.adopt(HANDLE) == state
+        assert b.launcher.handles == {"front/camera": HANDLE}
+        await b.launcher.end("front/camera")
+        assert b.backend.ended == [("front/camera", 8.0)]
+
+    bench(NOTHING, tmp_path, body)
+
+
+@pytest.mark.parametrize("own", [True, False])
+def test_a_component_that_runs_and_does_not_answer(own: bool, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.running.add("front/camera")
+        if own:
+            with pytest.raises(Unreachable, match=r"front/camera runs \(process 4711\), but does not answer"):
+                await b.launcher.adopt(HANDLE, own=True)
+        else:
+            assert await b.launcher.adopt(HANDLE, own=False) is None
+        assert b.clock.steady() == ADOPT_TIMEOUT
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_a_component_of_another_system_is_not_adopted(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.running.add("listener")
+        b.client.register(instance("listener", LISTENER), token="another system's")
+        b.client.reply("listener", ObserveCommand, REFUSED)
+        assert await b.launcher.adopt(Handle("listener"), own=False) is None
+        assert b.launcher.handles == {}
+
+    bench(NOTHING, tmp_path, body)

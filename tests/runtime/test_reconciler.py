@@ -1,0 +1,299 @@
+"""The reconciler: crashes and degradations are taken into the model at once, and what relied on them is lowered."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.errors import StartFailed
+from midstride.model.configuration import Configuration
+from midstride.runtime.backend import Exited
+from midstride.runtime.component_client import Disconnected
+from midstride.testing.clock import run
+from midstride.wire.commands import ModesCommand
+from tests.model import build
+from tests.model.build import work
+from tests.runtime.scripted import (
+    LISTENER,
+    TALKER,
+    TIMEOUT,
+    UNREACHABLE,
+    ReconcilingBench,
+    instance,
+    reported,
+    started,
+    talking,
+)
+
+TALKER_EXITED = Exited("talker", -9, "no device")
+DEGRADED_LISTENER = {work("listener"): 1}
+
+
+def reconciling(
+    configuration: Configuration, path: Path, body: Callable[[ReconcilingBench], Coroutine[Any, Any, None]]
+) -> None:
+    async def main() -> None:
+        r = ReconcilingBench(configuration, path)
+        try:
+            await body(r)
+        finally:
+            await r.reconciler.close()
+
+    run(main())
+
+
+async def moment() -> None:
+    """Until what has been set off is done."""
+    await asyncio.sleep(0.001)
+
+
+# -- crashes -------------------------------------------------------------------------------------------
+
+
+def test_a_crash_takes_the_instance_out_of_the_model_and_lowers_what_relied_on_it(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.exits(TALKER_EXITED)
+        await moment()
+        assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
+        assert r.client.of(ModesCommand) == [
+            ModesCommand(
+                modes={"work": "degraded"}, because="talker exited unexpectedly", timeout=r.driver.drain_timeout
+            )
+        ]
+        [event] = [event for event in r.events.since() if event.kind == "exited"]
+        assert (event.words, event.log) == ("talker exited unexpectedly (status -9)", "no device")
+        assert "talker" not in r.launcher.handles and r.client.disconnected == ["talker"]
+        assert r.saved() == ["listener"]
+        assert r.reconciler.crashes.all() == {"talker": TALKER_EXITED}
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_what_nothing_relies_on_lowers_nothing(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.exits(Exited("listener", None))
+        await moment()
+        assert r.system.configuration == talking().without_instance("listener") and r.system.revision == 1
+        assert r.client.sent == []
+        assert r.words("exited") == ["listener exited unexpectedly"]
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_two_crashes_at_once_are_one_step(tmp_path: Path) -> None:
+    """The filter is not lowered: it is no longer there when what it relied on is looked at."""
+    configuration = build.system(
+        {"talker": TALKER, "filter": started(build.filter_()), "listener": LISTENER},
+        ["talker.out /raw", "filter.in /raw", "filter.out /chatter", "listener.in /chatter"],
+        modes={"talker.work": 0, "filter.work": 0, "listener.work": 0},
+    )
+
+    async def body(r: ReconcilingBench) -> None:
+        r.exits(TALKER_EXITED)
+        r.exits(Exited("filter", 1))
+        await moment()
+        assert r.client.changes == [("listener", "modes")]
+        assert list(r.system.configuration.instances) == ["listener"]
+        because = "filter exited unexpectedly; talker exited unexpectedly"
+        assert [command.because for command in r.client.of(ModesCommand)] == [because]
+
+    reconciling(configuration, tmp_path, body)
+
+
+def test_an_exit_during_a_start_fails_the_start_and_is_no_crash(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        starting = asyncio.ensure_future(r.launcher.registered(instance("second", build.source())))
+        await moment()
+        r.exits(Exited("second", 1))
+        with pytest.raises(StartFailed, match="second exited with status 1 before it registered"):
+            await starting
+        assert r.system.revision == 0 and r.kinds() == []
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_a_component_that_was_started_by_hand_is_gone_with_its_connection(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.reconciler.on_component_event(Disconnected("listener"))  # it has a process, whose exit is the news
+        r.reconciler.on_component_event(Disconnected("unheard of"))
+        await moment()
+        assert r.system.revision == 0
+        r.client.states.pop("talker")
+        r.reconciler.on_component_event(Disconnected("talker"))
+        await moment()
+        assert sorted(r.system.configuration.instances) == ["listener"]
+        assert r.words("exited") == ["talker exited unexpectedly"]
+
+    reconciling(talking(talker=build.source("Talker")), tmp_path, body)
+
+
+def test_what_could_not_be_lowered_is_lowered_the_next_time(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.client.reply("listener", ModesCommand, TIMEOUT)
+        r.exits(TALKER_EXITED)
+        await moment()
+        assert r.system.configuration == talking().without_instance("talker")
+        r.client.reply("listener", ModesCommand)
+        await r.reconciler.reconcile()
+        assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
+        assert r.client.of(ModesCommand)[-1].because == "its input was lost before it could be degraded"
+        await r.reconciler.reconcile()
+        assert len(r.client.of(ModesCommand)) == 2, "it is done"
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_what_could_not_be_lowered_and_crashes_as_well_is_forgotten(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.client.reply("listener", ModesCommand, UNREACHABLE)
+        r.exits(TALKER_EXITED)
+        await moment()
+        r.exits(Exited("listener", -9))
+        await moment()
+        assert list(r.system.configuration.instances) == []
+        assert len(r.client.of(ModesCommand)) == 1
+
+    reconciling(talking(), tmp_path, body)
+
+
+# -- degradations --------------------------------------------------------------------------------------
+
+
+def test_a_component_that_degrades_is_believed_and_what_relies_on_it_is_lowered(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.degrades("talker")
+        await moment()
+        assert r.system.configuration == talking().with_modes({work("talker"): 1, work("listener"): 1})
+        assert r.client.changes == [("listener", "modes")], "the talker has degraded already"
+        assert r.client.accepted == ["talker"]
+        assert r.reconciler.degraded == {work("talker")}
+        [event, _] = [event for event in r.events.since() if event.kind == "degraded"]
+        assert event.words == "talker.work degraded to degraded by itself" and event.functionality == "talker.work"
+        r.degrades("talker")
+        await moment()
+        assert r.system.revision == 2, "it is no news"
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_a_component_in_a_better_mode_than_it_should_be_is_left_alone(tmp_path: Path) -> None:
+    """A mode change of a plan may be under way; and raising is a plan's affair."""
+
+    async def body(r: ReconcilingBench) -> None:
+        r.client.report(reported(r.configuration.instances["listener"], talking()))
+        await r.reconciler.reconcile()
+        assert r.system.revision == 0 and r.client.sent == []
+
+    reconciling(talking().with_modes(DEGRADED_LISTENER), tmp_path, body)
+
+
+# -- commands ------------------------------------------------------------------------------------------
+
+
+def test_during_a_command_nothing_is_changed_beside_it(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.busy = True
+        async with r.reconciler.around():
+            r.exits(TALKER_EXITED)
+            r.degrades("listener")
+            await moment()
+            assert r.system.revision == 0
+            assert r.words("exited"), "but it is known at once"
+        assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
+        assert r.client.sent == [], "the listener has degraded by itself"
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_a_command_begins_with_what_has_happened(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.busy = True
+        r.exits(TALKER_EXITED)
+        async with r.reconciler.around():
+            assert "talker" not in r.system.configuration.instances
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_a_command_that_fails_is_followed_by_what_has_happened_meanwhile(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        async def command() -> None:
+            async with r.reconciler.around():
+                r.exits(TALKER_EXITED)
+                raise ValueError("no such thing")
+
+        r.busy = True
+        with pytest.raises(ValueError, match="no such thing"):
+            await command()
+        await moment()
+        assert "talker" not in r.system.configuration.instances
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_the_reconciler_waits_for_its_turn(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        async with r.turn:
+            r.exits(TALKER_EXITED)
+            await moment()
+            assert r.system.revision == 0
+        await moment()
+        assert r.system.revision == 2
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_waiting_for_crashes_includes_those_that_are_being_reconciled(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        answered = asyncio.Event()
+
+        async def reply() -> object:
+            await answered.wait()
+            return None
+
+        r.client.reply("listener", ModesCommand, lambda _: reply())
+        await r.reconciler.reconcile_crashes()
+        r.exits(TALKER_EXITED)
+        await moment()
+        assert r.reconciler.crashes.unsettled == {}
+        waiting = asyncio.ensure_future(r.reconciler.reconcile_crashes())
+        await moment()
+        assert not waiting.done()
+        answered.set()
+        await waiting
+        assert r.system.configuration.modes[work("listener")] == 1
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_an_error_while_it_works_alone_is_reported_and_the_next_crash_is_handled(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        executor, r.executor = r.executor, None  # type: ignore[assignment]
+        r.exits(TALKER_EXITED)
+        await moment()
+        assert "reconciling failed: internal error: AttributeError" in r.words("note")[0]
+        r.executor = executor
+        r.exits(Exited("listener", 1))
+        await moment()
+        assert list(r.system.configuration.instances) == []
+
+    reconciling(talking(), tmp_path, body)
+    assert "Traceback" in caplog.text
+
+
+def test_closing_ends_what_is_under_way(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        async with r.turn:
+            r.exits(TALKER_EXITED)
+            await moment()
+            await r.reconciler.close()
+        await moment()
+        assert r.system.revision == 0
+
+    reconciling(talking(), tmp_path, body)

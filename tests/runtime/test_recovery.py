@@ -1,0 +1,200 @@
+"""Finding a running system again: what an earlier manager knew, and what its components say now."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace as changed
+from pathlib import Path
+from typing import Literal
+
+import pytest
+from immutables import Map
+
+from midstride.errors import BackendError, Unreachable
+from midstride.model.configuration import Configuration, Instance
+from midstride.model.specification import Node, Specification
+from midstride.runtime.backend import Handle
+from midstride.runtime.recovery import recover
+from midstride.runtime.state_store import SavedInstance
+from midstride.wire.commands import GateCommand, ObserveCommand, RecordCommand
+from tests.model import build
+from tests.model.build import work
+from tests.runtime.scripted import REFUSED, TALKER, Bench, bench, instance, reported, talking
+
+OUT, NEW_OUT = build.port("talker.out"), build.port("talker_2.out")
+NEW = instance("talker_2", TALKER, "talker")
+RUNNING = talking()
+SPECIFICATION = Specification(
+    "bench",
+    RUNNING.context.connectors,
+    Map({kind.component.name: kind.component for kind in RUNNING.instances.values()}),
+    Map({name: Node(name, found.component.name) for name, found in RUNNING.instances.items()}),
+)
+# A manager that was killed during a hand-over has left both: one of them publishes.
+TWICE = RUNNING.with_instance(NEW).with_attachment(NEW_OUT, "/chatter")
+
+
+def entry(live: Instance) -> SavedInstance:
+    return SavedInstance(live, None if live.component.run is None else Handle(live.name, 4711, 12.5))
+
+
+async def recovered(b: Bench, *saved: Instance) -> Configuration:
+    known = saved or tuple(b.configuration.instances[name] for name in sorted(b.configuration.instances))
+    b.launcher.handles.clear()
+    entries: Sequence[SavedInstance] = [entry(instance) for instance in known]
+    return await recover(entries, SPECIFICATION, b.launcher, b.client, b.events.add)
+
+
+def test_what_still_runs_is_in_the_model_as_it_reports_it(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.report(reported(b.configuration.instances["listener"], b.configuration, modes={"work": "degraded"}))
+        assert await recovered(b) == RUNNING.with_modes({work("listener"): 1})
+        assert sorted(b.launcher.handles) == ["listener", "talker"]
+        assert b.words("adopted") == ["listener was reattached unchanged", "talker was reattached unchanged"]
+        assert b.client.of(GateCommand) == [] and b.backend.ended == []
+
+    bench(RUNNING, tmp_path, body)
+
+
+def test_the_model_has_the_modes_that_components_are_in_after_everything_was_looked_at(tmp_path: Path) -> None:
+    """What was under way may have been settled since a component was looked at first: a cut, a mode."""
+
+    async def body(b: Bench) -> None:
+        listener = b.configuration.instances["listener"]
+        later = reported(listener, b.configuration, modes={"work": "degraded"}, revision=2)
+        b.client.reply("listener", ObserveCommand, reported(listener, b.configuration), later)
+        assert await recovered(b) == RUNNING.with_modes({work("listener"): 1})
+
+    bench(RUNNING, tmp_path, body)
+
+
+def test_what_no_longer_runs_is_not_in_the_model(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.running.discard("talker")
+        assert await recovered(b) == RUNNING.without_instance("talker")
+        assert b.words("gone") == ["talker is no longer running"]
+
+    bench(RUNNING, tmp_path, body)
+
+
+def test_a_component_that_runs_and_does_not_answer_stops_the_recovery(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.disconnect("talker")
+        with pytest.raises(Unreachable, match=r"talker runs .* but does not answer"):
+            await recovered(b)
+        assert b.backend.ended == []
+
+    bench(RUNNING, tmp_path, body)
+
+
+def test_recordings_of_an_earlier_manager_end(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("listener", RecordCommand, REFUSED)  # which does not matter
+        await recovered(b)
+        assert [(sent.how, sent.instance) for sent in b.client.sent if isinstance(sent.command, RecordCommand)] == [
+            ("undo", "listener")
+        ], "the talker has no inputs"
+        assert b.client.of(RecordCommand) == [RecordCommand(inputs=["in"], on=False)]
+
+    bench(RUNNING, tmp_path, body)
+
+
+# -- half-done changes ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("published", "other"), [("talker", "talker_2"), ("talker_2", "talker")])
+def test_of_two_instances_of_a_role_the_one_behind_its_gate_is_ended(
+    published: str, other: str, tmp_path: Path
+) -> None:
+    async def body(b: Bench) -> None:
+        b.client.report(reported(b.configuration.instances[other], b.configuration, gates={"out /chatter": "closed"}))
+        assert await recovered(b) == b.configuration.without_instance(other)
+        assert [name for name, _ in b.backend.ended] == [other]
+        assert f"ended {other}, which an earlier manager had left half done" in b.words("ended")
+        assert b.client.of(GateCommand) == []
+
+    bench(TWICE, tmp_path, body)
+
+
+def test_of_two_instances_that_do_the_same_the_first_stays(tmp_path: Path) -> None:
+    ninth, tenth = (instance(f"talker_{number}", TALKER, "talker") for number in (9, 10))
+    configuration = RUNNING.without_instance("talker").with_instance(ninth).with_instance(tenth)
+
+    async def body(b: Bench) -> None:
+        assert list((await recovered(b)).instances_by_role["talker"]) == ["talker_9"]
+
+    bench(configuration, tmp_path, body)
+
+
+def test_a_half_done_instance_that_cannot_be_ended_is_left_out(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.fail_end["talker_2"] = BackendError("the kernel keeps it")
+        assert await recovered(b) == RUNNING
+        assert "talker_2" in b.launcher.handles, "`down` tries again"
+
+    bench(RUNNING.with_instance(NEW), tmp_path, body)
+
+
+def test_the_last_instance_of_a_role_has_its_gate_opened(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        talker = b.configuration.instances["talker"]
+        b.client.report(reported(talker, b.configuration, gates={"out /chatter": "closed"}))
+        assert await recovered(b) == RUNNING
+        [gate] = [sent for sent in b.client.sent if isinstance(sent.command, GateCommand)]
+        assert gate == ("change", "talker", GateCommand(port="out", topic="/chatter", gate="open"))
+
+    bench(RUNNING, tmp_path, body)
+
+
+def test_a_gate_that_a_cut_has_opened_meanwhile_is_left_as_it_is(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        talker = b.configuration.instances["talker"]
+        gates: list[dict[str, Literal["open", "closed"]]] = [{"out /chatter": "closed"}, {"out /chatter": "open"}]
+        b.client.reply("talker", ObserveCommand, *(reported(talker, b.configuration, gates=gate) for gate in gates))
+        assert await recovered(b) == RUNNING
+        assert b.client.of(GateCommand) == []
+
+    bench(RUNNING, tmp_path, body)
+
+
+def test_topics_of_no_specification_are_left_out(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        talker = b.configuration.instances["talker"]
+        b.client.report(reported(talker, b.configuration, gates={"out /elsewhere": "closed"}))
+        assert await recovered(b) == RUNNING
+        assert b.client.of(GateCommand) == []
+
+    bench(RUNNING, tmp_path, body)
+
+
+# -- components started by hand ------------------------------------------------------------------------
+
+BY_HAND = talking(talker=build.source("Talker"))
+
+
+def test_a_component_that_was_started_by_hand_is_found_again(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.running.add("talker")
+        assert await recovered(b) == BY_HAND
+        assert list(b.launcher.handles) == ["listener"], "it is not this manager's to end"
+
+    bench(BY_HAND, tmp_path, body)
+
+
+def test_one_that_belongs_to_another_system_by_now_is_left_alone(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.running.add("talker")
+        b.client.reply("talker", ObserveCommand, REFUSED)
+        assert await recovered(b) == BY_HAND.without_instance("talker")
+        assert b.backend.ended == []
+
+    bench(BY_HAND, tmp_path, body)
+
+
+def test_a_saved_instance_has_the_parameters_it_was_saved_with(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        tuned = changed(b.configuration.instances["talker"], parameters=Map(gain=3))
+        found = await recovered(b, tuned, b.configuration.instances["listener"])
+        assert found.instances["talker"].parameters == Map(gain=3)
+
+    bench(RUNNING, tmp_path, body)
