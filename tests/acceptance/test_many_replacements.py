@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from tests.acceptance.support import Recorder, ended, managed, swap_specification
 
@@ -38,7 +38,7 @@ async def replaced_so_often(manager: Manager) -> list[str]:
     for number in range(REPLACEMENTS):
         seen = manager.log()[-1].n
         # Waits until the new publisher is matched with the sink, and with as many others as the old one.
-        outcome = await manager.change(Request(replace=(("source", component),)))
+        outcome = await manager.change(PlanRequest(replace=(("source", component),)))
         if outcome.outcome == "done":
             component, last_failed = next(components), False
         else:

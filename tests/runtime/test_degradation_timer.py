@@ -10,7 +10,7 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, structure
 from midstride.plan.change import Change
-from midstride.plan.disruption import Levels, instances_touched
+from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES, planner
 from midstride.runtime.degradation_timer import DegradationTimer
@@ -49,7 +49,7 @@ def carried_out(plan: Plan, steps: int) -> tuple[dict[str, float], dict[str, flo
         nonlocal configuration
         clock.now += 1.0 + len(visited) / 7
         configuration = action.apply(configuration)
-        timer.moved(configuration, instances_touched(action))
+        timer.moved(configuration, action.instances())
         visited.append((clock.now, configuration))
 
     for step in plan.steps[:steps]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Collection
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -39,10 +40,17 @@ def test_each_step_is_carried_out_and_only_then_in_the_model(tmp_path: Path) -> 
     async def body(b: Bench) -> None:
         start = b.system.configuration
         seen: list[tuple[Configuration, int]] = []
-        b.executor.on_moved = lambda configuration: seen.append((configuration, len(b.client.changes)))
+        changed: list[Collection[str]] = []
+
+        def on_moved(configuration: Configuration, instances: Collection[str]) -> None:
+            seen.append((configuration, len(b.client.changes)))
+            changed.append(instances)
+
+        b.executor.on_moved = on_moved
         await b.executor.run([DEGRADE, DETACH])
         first = DEGRADE.effect(start)
         assert seen == [(first, 1), (DETACH.effect(first), 2)]
+        assert changed == [("listener",), ("talker",)]
         assert b.system.configuration == seen[-1][0] and b.system.revision == 2
         assert b.client.changes == [("listener", "modes"), ("talker", "detach")]
         assert b.words() == [
@@ -125,7 +133,8 @@ def test_a_step_that_is_rejected_once_it_is_done_is_undone_as_well(tmp_path: Pat
             raise BackendError("this is not what was asked for")
 
         b.executor.after_step = reject
-        with pytest.raises(StepFailed, match=r"degrade listener\.work from normal to degraded: this is not what was asked for"):
+        words = r"degrade listener\.work from normal to degraded: this is not what was asked for"
+        with pytest.raises(StepFailed, match=words):
             await b.executor.run([DEGRADE, DETACH])
         assert b.client.changes == [("listener", "modes"), ("listener", "modes")]
         assert b.system.configuration == talking()
@@ -252,12 +261,13 @@ def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_pat
     """The talker is lowered while the listener relies on it; its failure does not keep the listener from following."""
 
     async def body(b: Bench) -> None:
-        moved: list[Configuration] = []
-        b.executor.on_moved = moved.append
+        moved: list[tuple[Configuration, list[str]]] = []
+        b.executor.on_moved = lambda configuration, instances: moved.append((configuration, sorted(instances)))
         b.client.reply("talker", ModesCommand, UNREACHABLE)
         left = await b.executor.lower({work("talker"): 1, work("listener"): 1}, "the camera exited unexpectedly")
         assert left == {work("talker")}
-        assert b.system.configuration == DEGRADE.effect(talking()) and moved == [b.system.configuration]
+        assert b.system.configuration == DEGRADE.effect(talking())
+        assert moved == [(b.system.configuration, ["listener"])]
         [command] = b.client.of(ModesCommand, "listener")
         assert command.because == "the camera exited unexpectedly"
         assert b.words("degraded") == ["degrade listener.work from normal to degraded"]

@@ -20,7 +20,6 @@ from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Action, Create, Degrade, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration, Instance
-from midstride.plan.disruption import instances_touched
 from midstride.plan.forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.running_system import RunningSystem
@@ -100,7 +99,7 @@ class Executor:
         before = self.system.configuration
         after = action.apply(before)
         await self.driver.perform(action, before, f"the plan asked for it: {action.describe(before)}")
-        self._moved(after, instances_touched(action))
+        self._moved(after, action.instances())
         match action:
             case Remove(instance):
                 self.store.remove_instance(instance)
