@@ -28,6 +28,11 @@ class Plane:
 
         await self._backend.call(instance, Command("ping", {}, uuid.uuid4().hex, self._token, None), timeout)
 
+    def request(self, **wanted: Any) -> Any:
+        from midstride.plan.request import Request
+
+        return Request(**wanted)
+
     def outcome(self, result: Any) -> tuple[str, str | None]:
         return result["outcome"], result["because"]
 

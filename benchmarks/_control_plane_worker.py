@@ -58,6 +58,11 @@ class Plane:
 
         await self._client.read(instance, PingCommand())
 
+    def request(self, **wanted: Any) -> Any:
+        from midstride.plan.request import PlanRequest
+
+        return PlanRequest(**wanted)
+
     def outcome(self, result: Any) -> tuple[str, str | None]:
         return result.outcome, result.because
 
@@ -203,10 +208,8 @@ class Session:
 
     async def change(self, **request: Any) -> list[Happened]:
         """Carry a change out; its events."""
-        from midstride.plan.request import Request
-
         last = self.events()[-1].n
-        outcome, because = self.plane.outcome(await self.manager.change(Request(**request)))
+        outcome, because = self.plane.outcome(await self.manager.change(self.plane.request(**request)))
         if outcome != "done":
             raise SystemExit(f"{request}: {outcome}: {because}")
         return self.events(last)

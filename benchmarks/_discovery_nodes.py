@@ -19,6 +19,7 @@ from typing import Any
 
 import rclpy
 from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.executors import SingleThreadedExecutor
 from std_msgs.msg import String
 
 TOPIC, PRESENT = "/discovery", "/discovery_present"
@@ -28,7 +29,10 @@ PROBE = 8.0
 
 
 def spin(node: Any) -> None:
-    rclpy.spin(node)
+    """With an executor for itself: two threads cannot share one."""
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    executor.spin()
 
 
 def nodes(name: str) -> tuple[Any, Any]:
@@ -42,7 +46,7 @@ def watched(name: str) -> None:
     data, control = nodes(name)
     data.create_subscription(String, TOPIC, lambda message: None, 10)
     threading.Thread(target=spin, args=(control,), daemon=True).start()
-    rclpy.spin(data)
+    spin(data)
 
 
 def manager(services: bool) -> None:
@@ -67,7 +71,7 @@ def manager(services: bool) -> None:
     if services:
         node.create_subscription(String, PRESENT, present, 100)
         node.create_timer(0.05, call)
-    rclpy.spin(node)
+    spin(node)
 
 
 def peer(name: str, services: bool) -> None:
@@ -84,7 +88,7 @@ def peer(name: str, services: bool) -> None:
 
     signal.signal(signal.SIGTERM, leave)
     try:
-        rclpy.spin(data)
+        spin(data)
     except KeyboardInterrupt:
         rclpy.shutdown()
         os._exit(0)

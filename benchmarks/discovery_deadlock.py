@@ -82,6 +82,8 @@ def segment(python: str, env: dict[str, str], services: bool, seconds: float) ->
                 settled = time.monotonic() + STILL + 2.0
             time.sleep(1.0)
             for name, process in staying.items():
+                if process.poll() is not None:
+                    raise SystemExit(f"{name} has exited with status {process.returncode}")
                 now = switches(process.pid) or 0
                 rates.append(now - counts[name])
                 if now != counts[name]:

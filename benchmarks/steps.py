@@ -26,7 +26,7 @@ from typing import Any
 from _control_plane_worker import HERE, specification
 
 from midstride.backends.simulator import Simulator
-from midstride.plan.request import Request
+from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 
@@ -156,7 +156,7 @@ async def replaced(manager: Manager, meter: Meter, component: str) -> tuple[dict
     manager.events.add = marking  # type: ignore[method-assign]
     first = marks[0]
     try:
-        outcome = await asyncio.create_task(manager.change(Request(replace=(("source", component),))))
+        outcome = await asyncio.create_task(manager.change(PlanRequest(replace=(("source", component),))))
     finally:
         manager.events.add = add  # type: ignore[method-assign]
     if outcome.outcome != "done":
