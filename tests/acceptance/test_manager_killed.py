@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.runtime.handover import RESUME_PERIODS
+from midstride.runtime.agreed_cut import RESUME_PERIODS
 from midstride.wire.commands import Receipt
 from tests.acceptance.support import PERIOD, ROOT, Recorder, ended
 

@@ -13,6 +13,7 @@ from midstride.errors import CommandRefused, StepFailed, Unreachable
 from midstride.model.action import Handover, Swap
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.agreed_cut import RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
 from midstride.runtime.handover import (
     ATTACH_TIMEOUT,
     DETACH_TIMEOUT,
@@ -21,9 +22,6 @@ from midstride.runtime.handover import (
     MEET_TIMEOUT,
     OUTSIDE_READERS_TIMEOUT,
     PROBATION,
-    RESUME_PERIODS,
-    RESUME_WITHOUT_RATE,
-    SHORTEST_RESUME,
     HandoverResult,
     hand_over,
 )

@@ -2,16 +2,15 @@
 
 The new publisher is behind a closed gate until both sides know the cut, a future slot of the old publisher's time grid
 (docs/semantics.md section 7). The old side is sent the cut first, and resumes publishing unless the new side reports
-its first message: if the manager exits at any point, the topic is silent for at most ``RESUME_PERIODS`` periods.
+its first message: if the manager exits at any point, the topic is silent for at most ``RESUME_PERIODS`` periods
+(:mod:`.agreed_cut`).
 """
 
 from __future__ import annotations
 
 import asyncio
-import math
-import uuid
 from collections.abc import Awaitable, Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from midstride.errors import CommandRefused, MidstrideError, StepFailed
@@ -19,30 +18,21 @@ from midstride.model.action import Handover, Swap
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
+from midstride.runtime.agreed_cut import Cut, agree_cuts, cut_in, cut_out, topic_of
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
     AwaitWriteCommand,
     CancelCutCommand,
-    CutInCommand,
-    CutOutCommand,
-    CutSwap,
     DetachCommand,
     GridCommand,
     MeetCommand,
-    Trigger,
 )
 
 # The number of readers on a topic that the middleware still counts although their processes have exited.
 LingeringReaders: TypeAlias = Callable[[str], Awaitable[int]]
 
-# The old side resumes if the new side has not reported its first write for this many periods,
-RESUME_PERIODS: Final = 10
-# but at least for this long (s), which is more than the jitter of a busy machine.
-SHORTEST_RESUME: Final = 0.1
-# The same if no rate defines a period (s).
-RESUME_WITHOUT_RATE: Final = 2.0
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
 # of these, the next one is tried.
 LEADS: Final = (0.1, 0.3, 1.0)
@@ -56,28 +46,6 @@ DETACH_TIMEOUT: Final = 2.0
 # How often, and how long each time (s), the two sides try to connect to each other.
 MEET_ATTEMPTS: Final = 10
 MEET_TIMEOUT: Final = 0.5
-
-
-@dataclass(slots=True)
-class Cut:
-    """One cut between two components, for the outputs of one functionality, which share a time grid."""
-
-    old: str
-    new: str
-    swaps: list[Swap]
-    id: str = field(default_factory=lambda: uuid.uuid4().hex)
-    trigger: Trigger = "none"
-    epoch: int | None = None
-    period: float | None = None
-    at: int = 0
-
-    def resume_after(self, declared: float | None) -> float:
-        """How long the old side waits for the new one's first write (s)."""
-        period = self.period if self.period is not None else declared
-        if period is None:
-            return RESUME_WITHOUT_RATE
-        # The old side then writes in its next slot, which may be a period later.
-        return max((RESUME_PERIODS - 1) * period, SHORTEST_RESUME)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +77,7 @@ async def hand_over(
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in swaps}):
             await _meet(client, new, old)
         for lead in LEADS:
-            cuts = await _agree(client, configuration, swaps, lead)
+            cuts = await agree_cuts(client, configuration, swaps, lead)
             if await _announce(client, configuration, cuts, last_try=lead == LEADS[-1]):
                 break
         last = await _await_cuts(client, configuration, cuts)
@@ -145,9 +113,9 @@ async def _announce(client: ComponentClient, configuration: Configuration, cuts:
     """Send each cut to both sides. False if one side received it too late; then all cuts have been cancelled."""
     try:
         for cut in cuts:  # the old side first: it resumes if the new side never learns of the cut
-            await client.change(cut.old, _cut_out(configuration, cut))
+            await client.change(cut.old, cut_out(configuration, cut))
         for cut in cuts:
-            await client.change(cut.new, _cut_in(configuration, cut, client.address(cut.old)))
+            await client.change(cut.new, cut_in(configuration, cut, client.address(cut.old)))
     except CommandRefused:
         if last_try:
             raise
@@ -162,10 +130,6 @@ async def _cancel(client: ComponentClient, cuts: list[Cut]) -> None:
             await client.undo(side, CancelCutCommand(cut=cut.id))
 
 
-def _topic(configuration: Configuration, connector: str) -> str:
-    return configuration.context.connectors[connector].topic
-
-
 async def _attach_gated(
     client: ComponentClient, lingering: LingeringReaders, configuration: Configuration, swap: Swap
 ) -> str | None:
@@ -173,7 +137,7 @@ async def _attach_gated(
 
     It should also match as many readers as the old publisher does; returns a warning if it does not.
     """
-    topic = _topic(configuration, swap.connector)
+    topic = topic_of(configuration, swap.connector)
     grid = await client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
     readers = (grid.readers or 0) - await lingering(topic)
     attach = AttachCommand(
@@ -218,7 +182,7 @@ async def _await_probation(client: ComponentClient, configuration: Configuration
     guarantee = configuration.guarantee(swap.new)
     rate = guarantee.rate if isinstance(guarantee, Predicate) else None
     timeout = PROBATION + (10 / rate if rate else 0.0)
-    topic = _topic(configuration, swap.connector)
+    topic = topic_of(configuration, swap.connector)
     seen = await client.read(swap.new.instance, AwaitWriteCommand(port=swap.new.port, topic=topic, timeout=timeout))
     if seen.wrong_type:
         raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
@@ -226,73 +190,12 @@ async def _await_probation(client: ComponentClient, configuration: Configuration
         raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
 
 
-async def _agree(
-    client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap], lead: float
-) -> list[Cut]:
-    """One cut for the outputs of each old functionality, all at the first slot after one common moment."""
-    groups: dict[tuple[str, str, str], Cut] = {}
-    moment: int | None = None
-    for swap in swaps:
-        owner = configuration.component(swap.old.instance).owner(swap.old.port).name
-        cut = groups.setdefault(
-            (swap.old.instance, swap.new.instance, owner), Cut(swap.old.instance, swap.new.instance, [])
-        )
-        cut.swaps.append(swap)
-        if len(cut.swaps) > 1:
-            continue
-        grid = await client.read(swap.old.instance, GridCommand(port=swap.old.port))
-        cut.trigger, cut.epoch, cut.period = grid.trigger, grid.epoch, grid.period
-        moment = max(moment or 0, grid.now)
-    assert moment is not None
-    moment += int(lead * 1e9)
-    for cut in groups.values():
-        cut.at = moment
-        if cut.trigger == "rate" and cut.epoch is not None and cut.period:
-            step = cut.period * 1e9
-            cut.at = cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
-    return list(groups.values())
-
-
-def _declared_period(configuration: Configuration, cut: Cut) -> float | None:
-    """The longest of the periods that the cut's topics require; None where one states no rate."""
-    rates = [configuration.context.connectors[swap.connector].guarantee.rate for swap in cut.swaps]
-    rates = [
-        rate or (g.rate if isinstance(g := configuration.guarantee(swap.old), Predicate) else None)
-        for rate, swap in zip(rates, cut.swaps, strict=True)
-    ]
-    return None if any(rate is None for rate in rates) else max(1 / rate for rate in rates if rate)
-
-
-def _cut_out(configuration: Configuration, cut: Cut) -> CutOutCommand:
-    return CutOutCommand(
-        cut=cut.id,
-        swaps=[CutSwap(port=swap.old.port, topic=_topic(configuration, swap.connector)) for swap in cut.swaps],
-        at=cut.at,
-        resume_after=cut.resume_after(_declared_period(configuration, cut)),
-    )
-
-
-def _cut_in(configuration: Configuration, cut: Cut, address: str) -> CutInCommand:
-    # An output without a rate or a driving message is written once, so its last message is written again at the cut.
-    latch = cut.trigger == "none"
-    return CutInCommand(
-        cut=cut.id,
-        swaps=[
-            CutSwap(port=swap.new.port, topic=_topic(configuration, swap.connector), latch=latch) for swap in cut.swaps
-        ],
-        at=cut.at,
-        epoch=cut.at if cut.trigger == "rate" else None,
-        peer=cut.old,
-        address=address,
-    )
-
-
 async def _await_cuts(
     client: ComponentClient, configuration: Configuration, cuts: list[Cut]
 ) -> dict[PortRef, int | None]:
     last: dict[PortRef, int | None] = {}
     for cut in cuts:
-        timeout = LEADS[-1] + cut.resume_after(_declared_period(configuration, cut)) + 2.0
+        timeout = LEADS[-1] + cut.resume_after(configuration) + 2.0
         await_cut = AwaitCutCommand(cut=cut.id, timeout=timeout)
         incoming, outgoing = await asyncio.gather(client.read(cut.new, await_cut), client.read(cut.old, await_cut))
         if incoming.outcome != "done":
@@ -300,7 +203,7 @@ async def _await_cuts(
         if outgoing.outcome != "done":
             raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published")
         for swap in cut.swaps:
-            write = outgoing.last.get(f"{swap.old.port} {_topic(configuration, swap.connector)}")
+            write = outgoing.last.get(f"{swap.old.port} {topic_of(configuration, swap.connector)}")
             last[swap.old] = None if write is None else write.number
     return last
 
@@ -309,14 +212,14 @@ async def _undo(client: ComponentClient, configuration: Configuration, cuts: lis
     """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
     await _cancel(client, cuts)
     for swap in begun:
-        topic = _topic(configuration, swap.connector)
+        topic = topic_of(configuration, swap.connector)
         detach = DetachCommand(port=swap.new.port, topic=topic, timeout=DETACH_TIMEOUT)
         await client.undo(swap.new.instance, detach)
 
 
 async def _detach_old(client: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
     """Detach the old publisher. The swap is done, so a failure is only a warning, which is returned."""
-    topic = _topic(configuration, swap.connector)
+    topic = topic_of(configuration, swap.connector)
     try:
         await client.change(swap.old.instance, DetachCommand(port=swap.old.port, topic=topic, timeout=DETACH_TIMEOUT))
     except MidstrideError as error:
