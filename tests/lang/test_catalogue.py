@@ -13,13 +13,13 @@ from pathlib import Path
 import pytest
 
 from midstride.lang import load, render
-from midstride.lang.catalogue import CATALOGUE, CatalogueExample, explain
-from midstride.model.diagnostics import CATALOGUE as MODEL_KINDS
+from midstride.lang.catalogue import CATALOGUE, explain
+from midstride.lang.catalogue_entry import CatalogueExample
 
 from .known import Known
 
 GOLDEN = Path(__file__).parent.parent / "golden" / "diagnostics"
-LANG = Path(__file__).parents[2] / "src" / "midstride" / "lang"
+SOURCE = Path(__file__).parents[2] / "src" / "midstride"
 
 
 def written(example: CatalogueExample, folder: Path) -> Path:
@@ -56,8 +56,8 @@ def test_every_golden_rendering_has_an_entry() -> None:
 
 
 def test_every_code_in_the_source_has_an_entry() -> None:
-    used = set(MODEL_KINDS)
-    for path in LANG.glob("*.py"):
+    used = set()
+    for path in (path for package in ("model", "codec", "lang") for path in (SOURCE / package).glob("*.py")):
         if path.name.startswith("catalogue"):
             continue
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -1,194 +1,152 @@
-"""The catalogue of errors in the meaning of a text: contracts, names and parameter files (E130 to E199, W100 to W199).
-
-Each entry consists of the title, the explanation and the arguments of each
-:class:`midstride.lang.catalogue.CatalogueExample`.
-"""
+"""The catalogue of errors in the meaning of a text: contracts, names and parameter files (E130 to E198, W100 on)."""
 
 from __future__ import annotations
 
 from typing import Final
 
-from midstride.lang.catalogue_syntax import CHATTER, NODE, TALKER, TALKING, ExampleParts
+from midstride.lang.catalogue_entry import CHATTER, NODE, TALKER, TALKING, CatalogueExample, entry
 
-SEMANTICS: Final[dict[str, tuple[str, str, tuple[ExampleParts, ...]]]] = {
+SEMANTICS: Final = (
     # -- contracts -------------------------------------------------------------------------------------
-    "E130": (
-        "unknown message type",
+    entry(
+        "E130: unknown message type",
         """The package of the type is installed, but has no such message type. Types of packages that are not
         installed are not checked.""",
-        (("system s\ncontract Scan = sensor_msgs/msg/LaserScam @ 10 Hz\n",),),
+        "system s\ncontract Scan = sensor_msgs/msg/LaserScam @ 10 Hz\n",
     ),
-    "E131": (
-        "unknown QoS policy or value",
+    entry(
+        "E131: unknown QoS policy or value",
         """QoS policies have the names used by ROS 2: reliability (reliable, best_effort), durability (volatile,
         transient_local), history (keep_last, keep_all), depth, deadline, lifespan, liveliness (automatic,
         manual_by_topic) and lease.""",
-        (
-            ("system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(reliabilty = best_effort)\n",),
-            ("system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(reliability = best_efort)\n",),
-            ("system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(depth = many)\n",),
-            ("system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(deadline = soon)\n",),
-        ),
+        "system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(reliabilty = best_effort)\n",
+        "system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(reliability = best_efort)\n",
+        "system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(depth = many)\n",
+        "system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(deadline = soon)\n",
     ),
-    "E132": (
-        "invalid comparison",
+    entry(
+        "E132: invalid comparison",
         """Field constraints use `=`, `<`, `<=`, `>`, `>=` and `in`; all except `=` and `in {…}` compare numbers.""",
-        (
-            ("system s\ncontract Wide = sensor_msgs/msg/Image where width == 640\n",),
-            ("system s\ncontract Wide = sensor_msgs/msg/Image where encoding != rgb8\n",),
-            ("system s\ncontract Wide = sensor_msgs/msg/Image where encoding > rgb8\n",),
-        ),
+        "system s\ncontract Wide = sensor_msgs/msg/Image where width == 640\n",
+        "system s\ncontract Wide = sensor_msgs/msg/Image where encoding != rgb8\n",
+        "system s\ncontract Wide = sensor_msgs/msg/Image where encoding > rgb8\n",
     ),
-    "E133": (
-        "not a message type",
+    entry(
+        "E133: not a message type",
         """A message type is written `pkg/msg/Type` as in ROS 2 or `pkg/Type` as in ROS 1.""",
-        (
-            ("system s\ncontract Scan = sensor_msgs/srv/msg/LaserScan\n",),
-            ("system s\ncontract Scan = sensor_msgs.msg.LaserScan\n",),
-            ("system s\ncontract Scan = sensor_msgs::msg::LaserScan\n",),
-        ),
+        "system s\ncontract Scan = sensor_msgs/srv/msg/LaserScan\n",
+        "system s\ncontract Scan = sensor_msgs.msg.LaserScan\n",
+        "system s\ncontract Scan = sensor_msgs::msg::LaserScan\n",
     ),
-    "E134": (
-        "list with mixed types",
+    entry(
+        "E134: list with mixed types",
         """List parameters in ROS contain only numbers, only strings or only booleans.""",
-        ((CHATTER.replace("  output", '  parameters { names = ["a", 1] }\n  output') + NODE,),),
+        CHATTER.replace("  output", '  parameters { names = ["a", 1] }\n  output') + NODE,
     ),
-    "E135": (
-        "`nothing` where a contract is required",
+    entry(
+        "E135: `nothing` where a contract is required",
         """`nothing` states that an output produces nothing in a mode. It satisfies no assumption, so it can be
         neither assumed nor the contract of a topic; and it has no rate, QoS or fields.""",
-        (
-            ("system s\ntopic /chatter : nothing\n",),
-            (CHATTER.replace("mode silent { }", "mode silent { guarantee out : nothing @ 1 Hz }") + NODE,),
-            ("system s\ncontract None = nothing\ncontract Less = None where data = 1\n",),
-        ),
+        "system s\ntopic /chatter : nothing\n",
+        CHATTER.replace("mode silent { }", "mode silent { guarantee out : nothing @ 1 Hz }") + NODE,
+        "system s\ncontract None = nothing\ncontract Less = None where data = 1\n",
     ),
-    "E136": (
-        "cycle of contracts",
+    entry(
+        "E136: cycle of contracts",
         """A contract can refine another one, but the chain must end at a message type.""",
-        (("system s\ncontract A = B @ 5 Hz\ncontract B = A @ 6 Hz\n",),),
+        "system s\ncontract A = B @ 5 Hz\ncontract B = A @ 6 Hz\n",
     ),
-    "E137": (
-        "unknown field",
+    entry(
+        "E137: unknown field",
         """The message type is installed, but has no such field.""",
-        (
-            ("system s\ncontract Wide = sensor_msgs/msg/Image where widht >= 640\n",),
-            ("system s\ncontract Wide = sensor_msgs/msg/Image where width.x >= 640\n",),
-        ),
+        "system s\ncontract Wide = sensor_msgs/msg/Image where widht >= 640\n",
+        "system s\ncontract Wide = sensor_msgs/msg/Image where width.x >= 640\n",
     ),
-    "E138": (
-        "comparison with the wrong type",
+    entry(
+        "E138: comparison with the wrong type",
         """The comparison does not match the type of the field (number, string or boolean), or the field is a list or
         a message, which cannot be compared.""",
-        (
-            ("system s\ncontract Wide = sensor_msgs/msg/Image where width = wide\n",),
-            ("system s\ncontract Wide = sensor_msgs/msg/Image where data = 1\n",),
-        ),
+        "system s\ncontract Wide = sensor_msgs/msg/Image where width = wide\n",
+        "system s\ncontract Wide = sensor_msgs/msg/Image where data = 1\n",
     ),
     # -- names -----------------------------------------------------------------------------------------
-    "E139": (
-        "private topic outside a node",
+    entry(
+        "E139: private topic outside a node",
         """`~/name` is private to a node. Declare the topic by its full name: `/node/name`.""",
-        (("system s\ntopic ~/chatter : std_msgs/msg/String\n",),),
+        "system s\ntopic ~/chatter : std_msgs/msg/String\n",
     ),
-    "E140": (
-        "cycle of components",
+    entry(
+        "E140: cycle of components",
         """A component can be like another one, but the chain must end, after at most 32 steps, at a component
         without `like`.""",
-        (
-            ("system s\ncomponent A like B\ncomponent B like A\n",),
-            ("system s\ncomponent C0 { }\n" + "".join(f"component C{n + 1} like C{n}\n" for n in range(40)),),
-        ),
+        "system s\ncomponent A like B\ncomponent B like A\n",
+        "system s\ncomponent C0 { }\n" + "".join(f"component C{n + 1} like C{n}\n" for n in range(40)),
     ),
-    "E141": (
-        "name of both a contract and an input",
+    entry(
+        "E141: name of both a contract and an input",
         """A contract and an input have the same name, so `assume NAME` is ambiguous: it could mean this input, or
         any input that satisfies the contract.""",
-        (
-            (
-                "system s\ncontract scan = sensor_msgs/msg/LaserScan\n"
-                "component C {\n  input scan : sensor_msgs/msg/LaserScan\n}\n",
-            ),
-        ),
+        "system s\ncontract scan = sensor_msgs/msg/LaserScan\n"
+        "component C {\n  input scan : sensor_msgs/msg/LaserScan\n}\n",
     ),
-    "E142": (
-        "refined assumption on an input",
+    entry(
+        "E142: refined assumption on an input",
         """`assume scan` relies on the input with the assumption from its declaration, which a mode cannot refine. An
         assumed contract can be refined.""",
-        (
-            (
-                "system s\ncomponent C {\n  input scan : sensor_msgs/msg/LaserScan\n"
-                "  functionality f {\n    uses scan\n"
-                "    mode normal { assume scan @ 5 Hz }\n    mode degraded { }\n  }\n}\n",
-            ),
-        ),
+        "system s\ncomponent C {\n  input scan : sensor_msgs/msg/LaserScan\n"
+        "  functionality f {\n    uses scan\n"
+        "    mode normal { assume scan @ 5 Hz }\n    mode degraded { }\n  }\n}\n",
     ),
-    "E143": (
-        "`changeable` in a node",
+    entry(
+        "E143: `changeable` in a node",
         """Whether a parameter can be changed in place depends on the program, so it is declared in the component. A
         node only sets values.""",
-        (
-            (
-                CHATTER.replace("  output", "  parameters { volume = 1 }\n  output")
-                + "node talker : Talker { out -> /chatter   parameters { changeable volume = 2 } }\n",
-            ),
-        ),
+        CHATTER.replace("  output", "  parameters { volume = 1 }\n  output")
+        + "node talker : Talker { out -> /chatter   parameters { changeable volume = 2 } }\n",
     ),
-    "E144": (
-        "arrow in the wrong direction",
+    entry(
+        "E144: arrow in the wrong direction",
         """The arrow points in the direction of the messages: `input <- /topic` and `output -> /topic`.""",
-        ((CHATTER + "node talker : Talker { out <- /chatter }\n",),),
+        CHATTER + "node talker : Talker { out <- /chatter }\n",
     ),
-    "E145": (
-        "too many entries",
+    entry(
+        "E145: too many entries",
         """A declaration has more entries of one kind than any hand-written file, such as a component with over a
         thousand ports. The rest are not checked.""",
-        (("system s\nenvironment {\n" + "".join(f"guarantee g{n} : a/B\n" for n in range(1001)) + "}\n",),),
+        "system s\nenvironment {\n" + "".join(f"guarantee g{n} : a/B\n" for n in range(1001)) + "}\n",
     ),
     # -- parameter files -------------------------------------------------------------------------------
-    "E150": (
-        "invalid ROS parameter file",
+    entry(
+        "E150: invalid ROS parameter file",
         """A parameter file is YAML: a section per node, named as in ROS (with its namespace, or with wildcards),
         each with `ros__parameters`, whose values are strings, numbers, booleans and lists of them.""",
-        (
-            (TALKING + 'parameters "p.yaml"\n', "example.stride", {"p.yaml": "talker:\n  volume: 3\n"}),
-            (
-                TALKING + 'parameters "p.yaml"\n',
-                "example.stride",
-                {"p.yaml": "talker:\n  ros__parameters:\n    volume: [a, 1]\n"},
-            ),
-            (TALKING + 'parameters "p.yaml"\n', "example.stride", {"p.yaml": "talker: [\n"}),
-            (
-                TALKING + 'parameters "p.yaml"\n',
-                "example.stride",
-                {"p.yaml": "talker:\n  ros__parameters:\n    volume:\n"},
-            ),
-            (TALKING + 'parameters "p.yaml"\n', "example.stride", {"p.yaml": "[" * 50}),
+        CatalogueExample(TALKING + 'parameters "p.yaml"\n', files={"p.yaml": "talker:\n  volume: 3\n"}),
+        CatalogueExample(
+            TALKING + 'parameters "p.yaml"\n', files={"p.yaml": "talker:\n  ros__parameters:\n    volume: [a, 1]\n"}
         ),
+        CatalogueExample(TALKING + 'parameters "p.yaml"\n', files={"p.yaml": "talker: [\n"}),
+        CatalogueExample(
+            TALKING + 'parameters "p.yaml"\n', files={"p.yaml": "talker:\n  ros__parameters:\n    volume:\n"}
+        ),
+        CatalogueExample(TALKING + 'parameters "p.yaml"\n', files={"p.yaml": "[" * 50}),
     ),
-    "E151": (
-        "parameter set for only some nodes",
+    entry(
+        "E151: parameter set for only some nodes",
         """A parameter file sets a parameter for one node of a component but not for another, and the component
         declares no value for it: the value for the other node is undefined.""",
-        (
-            (
-                "system s\ntopic /chatter : std_msgs/msg/String\n"
-                + TALKER
-                + 'node a : Talker { out -> /chatter }\nnode b : Talker { out -> /chatter }\nparameters "p.yaml"\n',
-                "example.stride",
-                {"p.yaml": "a:\n  ros__parameters:\n    volume: 3\n"},
-            ),
+        CatalogueExample(
+            "system s\ntopic /chatter : std_msgs/msg/String\n"
+            + TALKER
+            + 'node a : Talker { out -> /chatter }\nnode b : Talker { out -> /chatter }\nparameters "p.yaml"\n',
+            files={"p.yaml": "a:\n  ros__parameters:\n    volume: 3\n"},
         ),
     ),
-    "W160": (
-        "parameter file without a section for the node",
+    entry(
+        "W160: parameter file without a section for the node",
         """The node names a parameter file, but no section of that file applies to the node.""",
-        (
-            (
-                CHATTER + 'node talker : Talker { out -> /chatter   parameters "p.yaml" }\n',
-                "example.stride",
-                {"p.yaml": "talkr:\n  ros__parameters:\n    volume: 3\n"},
-            ),
+        CatalogueExample(
+            CHATTER + 'node talker : Talker { out -> /chatter   parameters "p.yaml" }\n',
+            files={"p.yaml": "talkr:\n  ros__parameters:\n    volume: 3\n"},
         ),
     ),
-}
+)

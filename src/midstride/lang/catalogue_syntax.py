@@ -1,226 +1,186 @@
-"""The catalogue of syntax errors: files, characters and statements (E100 to E129, E199).
-
-Each entry consists of the title, the explanation and the arguments of each
-:class:`midstride.lang.catalogue.CatalogueExample`.
-"""
+"""The catalogue of syntax errors: files, characters and statements (E100 to E129, E199)."""
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+from typing import Final
 
-ExampleParts: TypeAlias = (
-    "tuple[str | bytes] | tuple[str | bytes, str] | tuple[str | bytes, str, dict[str, str | bytes]]"
-)
+from midstride.lang.catalogue_entry import CHATTER, NODE, TALKER, TALKING, CatalogueExample, entry
 
-TALKER: Final = """component Talker {
-  output out
-  functionality talk {
-    produces out
-    mode normal { guarantee out : std_msgs/msg/String @ 10 Hz }
-    mode silent { }
-  }
-}
-"""
-CHATTER: Final = "system s\ntopic /chatter : std_msgs/msg/String @ 10 Hz\n" + TALKER
-NODE: Final = "node talker : Talker { out -> /chatter }\n"
-TALKING: Final = CHATTER + NODE
 _MANY: Final = {f"part{n}.stride": f'include "part{n + 1}.stride"\n' for n in range(40)}
 
-SYNTAX: Final[dict[str, tuple[str, str, tuple[ExampleParts, ...]]]] = {
+SYNTAX: Final = (
     # -- files -----------------------------------------------------------------------------------------
-    "E100": (
-        "file cannot be read",
+    entry(
+        "E100: file cannot be read",
         """The file does not exist, cannot be read or is not a regular file. Paths of includes and parameter files
         are relative to the file that names them.""",
-        (
-            ('system s\ninclude "missing.stride"\n',),
-            ('system s\nparameters "missing.yaml"\n' + TALKING.removeprefix("system s\n"),),
-            ('system s\ninclude ""\n',),
-        ),
+        'system s\ninclude "missing.stride"\n',
+        'system s\nparameters "missing.yaml"\n' + TALKING.removeprefix("system s\n"),
+        'system s\ninclude ""\n',
     ),
-    "E101": (
-        "file is not UTF-8",
+    entry(
+        "E101: file is not UTF-8",
         """Files are encoded in UTF-8, with or without a byte order mark. The message gives the position of the first
         invalid byte.""",
-        (
-            (b"system caf\xe9\n",),
-            ("system s\n".encode("utf-16"),),
-            ('system s\ninclude "latin.stride"\n', "example.stride", {"latin.stride": b"# caf\xe9\n"}),
-        ),
+        b"system caf\xe9\n",
+        "system s\n".encode("utf-16"),
+        CatalogueExample('system s\ninclude "latin.stride"\n', files={"latin.stride": b"# caf\xe9\n"}),
     ),
-    "E102": (
-        "file too large",
+    entry(
+        "E102: file too large",
         """Files are limited to four megabytes, far more than a hand-written specification needs. This is probably
         the wrong file.""",
-        (("system s\n" + "# padding\n" * 420_000,),),
+        "system s\n" + "# padding\n" * 420_000,
     ),
-    "E103": (
-        "include cycle",
+    entry(
+        "E103: include cycle",
         """Files include each other in a cycle. The message lists the files of the cycle in order.""",
-        (
-            ('system s\ninclude "example.stride"\n',),
-            (
-                'system s\ninclude "a.stride"\n',
-                "example.stride",
-                {"a.stride": 'include "b.stride"\n', "b.stride": 'include "a.stride"\n'},
-            ),
+        'system s\ninclude "example.stride"\n',
+        CatalogueExample(
+            'system s\ninclude "a.stride"\n',
+            files={"a.stride": 'include "b.stride"\n', "b.stride": 'include "a.stride"\n'},
         ),
     ),
-    "E104": (
-        "include limit exceeded",
+    entry(
+        "E104: include limit exceeded",
         """The number of files, their total size and the depth of includes are limited, so that loading ends even if
         a file includes itself under many names.""",
-        (('system s\ninclude "part0.stride"\n', "example.stride", dict(_MANY)),),
+        CatalogueExample('system s\ninclude "part0.stride"\n', files=dict(_MANY)),
     ),
-    "E105": (
-        "included file is a system",
+    entry(
+        "E105: included file is a system",
         """An included file is a fragment: it has no `system` line, because the file that includes it names the
         system.""",
-        (('system s\ninclude "other.stride"\n', "example.stride", {"other.stride": "system other\n"}),),
+        CatalogueExample('system s\ninclude "other.stride"\n', files={"other.stride": "system other\n"}),
     ),
-    "E106": (
-        "no system name",
+    entry(
+        "E106: no system name",
         """The file to check, launch or plan for starts with `system NAME`. A fragment has no such line; check the
         file that includes it, because a fragment alone may lack declarations.""",
-        (("topic /chatter : std_msgs/msg/String\n",), ("",)),
+        "topic /chatter : std_msgs/msg/String\n",
+        "",
     ),
     # -- characters -----------------------------------------------------------------------------------------
-    "E110": (
-        "unexpected character",
+    entry(
+        "E110: unexpected character",
         """The character is not part of the language. Names consist of ASCII letters, digits and underscores, joined
         by slashes, as in ROS. Put a device path with other characters in double quotes.""",
-        (
-            ("system s\ntopic /chatter : std_msgs/msg/String;\n",),
-            ("system s\ntopic /scän : std_msgs/msg/String\n",),
-            ("system s\nresource /dev/ttyUSB-0\n",),
-            ("system s\n// a comment\n",),
-        ),
+        "system s\ntopic /chatter : std_msgs/msg/String;\n",
+        "system s\ntopic /scän : std_msgs/msg/String\n",
+        "system s\nresource /dev/ttyUSB-0\n",
+        "system s\n// a comment\n",
     ),
-    "E111": (
-        "invalid name",
+    entry(
+        "E111: invalid name",
         """A part of the name is empty or starts with a digit, or the name has more than 255 characters.""",
-        (
-            ("system s\ntopic /front//scan : std_msgs/msg/String\n",),
-            ("system s\ntopic /scan/ : std_msgs/msg/String\n",),
-        ),
+        "system s\ntopic /front//scan : std_msgs/msg/String\n",
+        "system s\ntopic /scan/ : std_msgs/msg/String\n",
     ),
-    "E112": (
-        "string in single quotes",
+    entry(
+        "E112: string in single quotes",
         """Strings use double quotes. They can contain single quotes, as in a command.""",
-        ((CHATTER.replace("  output out\n", "  run 'python3 -m talker'\n  output out\n") + NODE,),),
+        CHATTER.replace("  output out\n", "  run 'python3 -m talker'\n  output out\n") + NODE,
     ),
-    "E113": (
-        "unterminated or too long string",
+    entry(
+        "E113: unterminated or too long string",
         """A string ends on the line on which it starts, and has at most 8192 characters.""",
-        ((CHATTER.replace("  output out\n", '  run "python3 -m talker\n  output out\n') + NODE,),),
+        CHATTER.replace("  output out\n", '  run "python3 -m talker\n  output out\n') + NODE,
     ),
-    "E114": (
-        "unknown escape sequence",
+    entry(
+        "E114: unknown escape sequence",
         r"""In a string, `\"` is a double quote, `\\` a backslash, `\n` a new line and `\t` a tab. There are no other
         escape sequences.""",
-        ((CHATTER.replace("  output out\n", '  run "python3 -m talker \\d"\n  output out\n') + NODE,),),
+        CHATTER.replace("  output out\n", '  run "python3 -m talker \\d"\n  output out\n') + NODE,
     ),
-    "E115": (
-        "NUL byte",
+    entry(
+        "E115: NUL byte",
         """A text file contains no NUL bytes: this is probably a binary file, or one in UTF-16 or UTF-32.""",
-        (("system s\n\0\n",),),
+        "system s\n\0\n",
     ),
     # -- statements ------------------------------------------------------------------------------------
-    "E120": (
-        "syntax error",
+    entry(
+        "E120: syntax error",
         """The language requires something else at this place. The statement is skipped, and parsing continues with
         the next one.""",
-        (
-            ("system s\ntopic /chatter std_msgs/msg/String\n",),
-            ("system s\ncontract Scan = @ 10 Hz\n",),
-            ("system s\ntopic /chatter : std_msgs/msg/String 10 Hz\n",),
-            ('system s\ntopic /a : std_msgs/msg/String where data in {"a", "b"\ntopic /b : std_msgs/msg/String\n',),
-            (CHATTER + "node talker : Talker { out /chatter }\n",),
-            (CHATTER.replace("output out", "output out : std_msgs/msg/String") + NODE,),
-            (CHATTER.replace("output out", "allows action ~/dock\n  output out") + NODE,),
-            ("system s\ninclude sensors.stride\n",),
-            ("system s\nenvironment { guarantee camera on : std_msgs/msg/String }\n",),
-            (TALKING + "keep talker.talk normal\n",),
-            (TALKING + "timing { create = 1 s }\n",),
-            (TALKING + "wibble wobble\n",),
-        ),
+        "system s\ntopic /chatter std_msgs/msg/String\n",
+        "system s\ncontract Scan = @ 10 Hz\n",
+        "system s\ntopic /chatter : std_msgs/msg/String 10 Hz\n",
+        'system s\ntopic /a : std_msgs/msg/String where data in {"a", "b"\ntopic /b : std_msgs/msg/String\n',
+        CHATTER + "node talker : Talker { out /chatter }\n",
+        CHATTER.replace("output out", "output out : std_msgs/msg/String") + NODE,
+        CHATTER.replace("output out", "allows action ~/dock\n  output out") + NODE,
+        "system s\ninclude sensors.stride\n",
+        "system s\nenvironment { guarantee camera on : std_msgs/msg/String }\n",
+        TALKING + "keep talker.talk normal\n",
+        TALKING + "timing { create = 1 s }\n",
+        TALKING + "wibble wobble\n",
     ),
-    "E121": (
-        "unknown statement",
+    entry(
+        "E121: unknown statement",
         """No statement that is allowed here starts with this word. It resembles a keyword and was parsed as that.""",
-        (
-            ("system s\ntopik /chatter : std_msgs/msg/String @ 10 Hz\n" + TALKER + NODE,),
-            (CHATTER.replace("produces", "produce") + NODE,),
-        ),
+        "system s\ntopik /chatter : std_msgs/msg/String @ 10 Hz\n" + TALKER + NODE,
+        CHATTER.replace("produces", "produce") + NODE,
     ),
-    "E122": (
-        "statement in the wrong block",
+    entry(
+        "E122: statement in the wrong block",
         """This statement belongs in another block, which the message names.""",
-        ((CHATTER.replace("  output out\n", "  output out\n  assume out\n") + NODE,),),
+        CHATTER.replace("  output out\n", "  output out\n  assume out\n") + NODE,
     ),
-    "E123": (
-        "block not closed",
+    entry(
+        "E123: block not closed",
         """The closing brace of the block is missing: a statement of an outer block follows, or the file ends.""",
-        (
-            (CHATTER.replace("10 Hz }\n    mode silent", "10 Hz\n    mode silent") + NODE,),
-            ("system s\ncomponent Talker {\n  output out\n",),
-        ),
+        CHATTER.replace("10 Hz }\n    mode silent", "10 Hz\n    mode silent") + NODE,
+        "system s\ncomponent Talker {\n  output out\n",
     ),
-    "E124": (
-        "unmatched closing brace",
+    entry(
+        "E124: unmatched closing brace",
         """There are more closing braces than open blocks.""",
-        ((TALKING + "}\n",),),
+        TALKING + "}\n",
     ),
-    "E125": (
-        "keyword used as a name",
+    entry(
+        "E125: keyword used as a name",
         """The keywords that start statements cannot be names: lists need no comma, so the next statement would look
         like the next name.""",
-        ((CHATTER + "component Filter {\n  input input : std_msgs/msg/String\n}\n" + NODE,),),
+        CHATTER + "component Filter {\n  input input : std_msgs/msg/String\n}\n" + NODE,
     ),
-    "E126": (
-        "number out of range",
+    entry(
+        "E126: number out of range",
         """Rates must be greater than 0, and the number of publishers must be whole. Numbers are at most 1e18, and
         integer parameters have at most 64 bits.""",
-        (
-            ("system s\ntopic /chatter : std_msgs/msg/String @ 0 Hz\n" + TALKER + NODE,),
-            (TALKING + "resource memory = 1e999\n",),
-            ("system s\ntopic /chatter : std_msgs/msg/String { publishers <= 1.5 }\n" + TALKER + NODE,),
-            (CHATTER.replace("  output", "  parameters { seed = 9999999999999999999 }\n  output") + NODE,),
-        ),
+        "system s\ntopic /chatter : std_msgs/msg/String @ 0 Hz\n" + TALKER + NODE,
+        TALKING + "resource memory = 1e999\n",
+        "system s\ntopic /chatter : std_msgs/msg/String { publishers <= 1.5 }\n" + TALKER + NODE,
+        CHATTER.replace("  output", "  parameters { seed = 9999999999999999999 }\n  output") + NODE,
     ),
-    "E127": (
-        "missing or unknown unit",
+    entry(
+        "E127: missing or unknown unit",
         """Rates need the unit `Hz` or `kHz`; times need `s`, `ms`, `us` or `min`.""",
-        (
-            ("system s\ntopic /chatter : std_msgs/msg/String @ 10\n" + TALKER + NODE,),
-            ("system s\ntopic /chatter : std_msgs/msg/String @ 10 hz\n" + TALKER + NODE,),
-            (TALKING + "limit talker.talk below baseline 2\n",),
-            ("system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 1)\n",),
-            ("system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 1 parsec)\n",),
-        ),
+        "system s\ntopic /chatter : std_msgs/msg/String @ 10\n" + TALKER + NODE,
+        "system s\ntopic /chatter : std_msgs/msg/String @ 10 hz\n" + TALKER + NODE,
+        TALKING + "limit talker.talk below baseline 2\n",
+        "system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 1)\n",
+        "system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 1 parsec)\n",
     ),
-    "E128": (
-        "stated more than once",
+    entry(
+        "E128: stated more than once",
         """Something that can be stated only once is stated again.""",
-        (
-            ("system s\nsystem t\n",),
-            ("system s\ncontract Scan = sensor_msgs/msg/LaserScan @ 10 Hz @ 20 Hz\n",),
-            ("system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(depth = 1) qos(depth = 2)\n",),
-            ("system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(depth = 1, depth = 2)\n",),
-            (CHATTER.replace("  output", '  run "a"\n  run "b"\n  output') + NODE,),
-            ("system s\ntopic /chatter : std_msgs/msg/String { publishers <= 1   publishers <= 2 }\n" + TALKER + NODE,),
-        ),
+        "system s\nsystem t\n",
+        "system s\ncontract Scan = sensor_msgs/msg/LaserScan @ 10 Hz @ 20 Hz\n",
+        "system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(depth = 1) qos(depth = 2)\n",
+        "system s\ncontract Scan = sensor_msgs/msg/LaserScan qos(depth = 1, depth = 2)\n",
+        CHATTER.replace("  output", '  run "a"\n  run "b"\n  output') + NODE,
+        "system s\ntopic /chatter : std_msgs/msg/String { publishers <= 1   publishers <= 2 }\n" + TALKER + NODE,
     ),
-    "E129": (
-        "namespaces nested too deep",
+    entry(
+        "E129: namespaces nested too deep",
         """Namespaces are nested deeper than any hand-written file needs. A namespace can combine several names:
         `namespace a/b`.""",
-        (("system s\n" + "namespace n { " * 20 + "} " * 20 + "\n",),),
+        "system s\n" + "namespace n { " * 20 + "} " * 20 + "\n",
     ),
-    "E199": (
-        "too many errors",
+    entry(
+        "E199: too many errors",
         """There are too many errors to show all of them. One of the first errors may be the cause of the rest, or
         the file may be in another language.""",
-        (("system s\n" + "wibble\n;\n" * 120,),),
+        "system s\n" + "wibble\n;\n" * 120,
     ),
-}
+)

@@ -5,7 +5,7 @@ for another), `component` (what a component type declares), `configuration` (wha
 is valid) and `action` (the steps that change it safely).
 
 Beyond them: `specification` (a whole system as its author declares it) and its design-time check
-`specification_checks` (with `name_checks`, `component_rules` and the catalogue `diagnostics`); `best` (the best modes
+`specification_checks` (with `name_checks` and `component_rules`), which finds `diagnostics`; `best` (the best modes
 that a structure allows), `diagnosis` (why a mode is out of reach), `wording` (actions in words).
 The JSON forms are in :mod:`midstride.codec`.
 """
