@@ -11,10 +11,11 @@ from collections.abc import Callable, Mapping
 
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.lexer import Tokens
-from midstride.lang.token_stream import KEYWORD_PLACES, RESERVED, Panic, TokenStream
+from midstride.lang.token_stream import KEYWORD_PLACES, Panic, TokenStream
 from midstride.model.near_miss import nearest
 
-Handlers = Mapping[str, Callable[[], None]]
+# What reads the rest of a statement, by its keyword; the argument is the index of the keyword.
+Handlers = Mapping[str, Callable[[int], object]]
 
 
 class BlockParser(TokenStream):
@@ -65,21 +66,21 @@ class BlockParser(TokenStream):
                 return frozenset(skipped)
             if kind == "}":
                 self.i += 1
+                message = "unmatched `}`"
                 if opened is not None:
-                    if self._closes_too_early(start, handlers):
-                        message = f"this `}}` closes {what} before `{self.texts[self.i]}`, which belongs inside it"
-                        self.reporter.report("E124", self.span(start), message, help="remove it")
-                        continue
-                    return frozenset(skipped)
-                self.reporter.report("E124", self.span(start), "unmatched `}`", help="remove it")
+                    if not self._closes_too_early(start, handlers):
+                        return frozenset(skipped)
+                    message = f"this `}}` closes {what} before `{self.texts[self.i]}`, which belongs inside it"
+                self.reporter.report("E124", self.span(start), message, help="remove it")
                 continue
             self.layout.statements[start] = separator
             try:
                 if kind == "name" and text in handlers:
-                    handlers[text]()
+                    self.i += 1
+                    handlers[text](start)
                 elif other is not None and other():
                     pass
-                elif kind == "name" and text in RESERVED:
+                elif self.is_keyword(start):
                     if opened is not None and self._ends_block(start):
                         self._report_unclosed(what, opened, f"`{text}`")
                         del self.layout.statements[start]
@@ -102,8 +103,8 @@ class BlockParser(TokenStream):
             allowed = ", ".join(f"`{word}`" for word in handlers)
             raise self.fail(f"a statement in {what}", f"allowed here: {allowed}" if allowed else None)
         message = f"unknown statement `{text}` in {what}"
-        self.reporter.report("E121", self.span(), message, help=f"did you mean `{meant}`?")
-        handlers[meant]()
+        self.reporter.report("E121", self.take().span, message, help=f"did you mean `{meant}`?")
+        handlers[meant](self.i - 1)
 
     def _ends_block(self, at: int) -> bool:
         """Whether the keyword at ``at``, unknown in this block, continues an outer one: if it is indented no deeper."""
@@ -154,7 +155,7 @@ class BlockParser(TokenStream):
                     return
             elif kind == "{":
                 depth += 1
-            elif depth == 0 and kind == "name" and self.texts[self.i] in RESERVED and self.i > start:
+            elif depth == 0 and self.is_keyword(self.i) and self.i > start:
                 return
             self._remember_name(self.i)
             self.i += 1

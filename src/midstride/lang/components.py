@@ -11,19 +11,10 @@ from typing import Final, TypeVar
 
 from immutables import Map
 
+from midstride.lang import syntax
 from midstride.lang.contracts import ContractResolver, cycle_text
 from midstride.lang.declarations import MAX_PARTS, limited
 from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.syntax import (
-    AllowedEndpoint,
-    AssumptionExpression,
-    ComponentDeclaration,
-    ContractExpression,
-    FunctionalityDeclaration,
-    ModeDeclaration,
-    Name,
-    NamedAssumption,
-)
 from midstride.lang.token_stream import RESERVED
 from midstride.model.component import (
     Assumption,
@@ -73,7 +64,7 @@ class ComponentBuilder:
 
     def __init__(
         self,
-        declared: Mapping[str, ComponentDeclaration],
+        declared: Mapping[str, syntax.ComponentDeclaration],
         contracts: ContractResolver,
         skipped: frozenset[str],
         reporter: Reporter,
@@ -82,7 +73,7 @@ class ComponentBuilder:
         self.contracts = contracts
         self.skipped = skipped
         self.reporter = reporter
-        self.merged: dict[str, ComponentDeclaration] = {}
+        self.merged: dict[str, syntax.ComponentDeclaration] = {}
         self.unresolved: dict[str, UnresolvedParts] = {}
         self._depths: dict[str, int] = {}
 
@@ -133,7 +124,7 @@ class ComponentBuilder:
                     unresolved.base = True
             self.merged[name] = merged
 
-    def _without_duplicates(self, own: ComponentDeclaration) -> ComponentDeclaration:
+    def _without_duplicates(self, own: syntax.ComponentDeclaration) -> syntax.ComponentDeclaration:
         for run in own.runs[1:]:
             note = Note("first one here", own.runs[0].span)
             message = f"`{own.name.text}` has more than one `run` command"
@@ -161,7 +152,7 @@ class ComponentBuilder:
             holds=(held,) if own.holds else (),
         )
 
-    def _unique_modes(self, functionality: FunctionalityDeclaration) -> FunctionalityDeclaration:
+    def _unique_modes(self, functionality: syntax.FunctionalityDeclaration) -> syntax.FunctionalityDeclaration:
         modes = self._unique(functionality.modes, lambda mode: mode.name, "mode")
         for mode in modes:
             self._unique(mode.guarantees, lambda guarantee: guarantee.output, "guarantee for")
@@ -173,7 +164,7 @@ class ComponentBuilder:
         fewer = len(modes) < len(functionality.modes)
         return functionality._replace(modes=modes, incomplete=functionality.incomplete or fewer)
 
-    def _unique(self, entries: Iterable[T], name_of: Callable[[T], Name], what: str) -> tuple[T, ...]:
+    def _unique(self, entries: Iterable[T], name_of: Callable[[T], syntax.Name], what: str) -> tuple[T, ...]:
         first: dict[str, T] = {}
         for entry in limited(tuple(entries), what, lambda entry: name_of(entry).span, self.reporter):
             name = name_of(entry)
@@ -187,7 +178,7 @@ class ComponentBuilder:
 
     # -- building ------------------------------------------------------------------------------------------
 
-    def _component(self, declaration: ComponentDeclaration) -> ComponentSpec:
+    def _component(self, declaration: syntax.ComponentDeclaration) -> ComponentSpec:
         unresolved = self.unresolved[declaration.name.text]
         inputs: dict[str, Predicate] = {}
         for declared in declaration.inputs:
@@ -224,8 +215,8 @@ class ComponentBuilder:
 
     def _functionality(
         self,
-        declared: FunctionalityDeclaration,
-        owner: ComponentDeclaration,
+        declared: syntax.FunctionalityDeclaration,
+        owner: syntax.ComponentDeclaration,
         inputs: Mapping[str, Predicate],
         unresolved: UnresolvedParts,
     ) -> FunctionalitySpec:
@@ -245,9 +236,9 @@ class ComponentBuilder:
 
     def _mode(
         self,
-        mode: ModeDeclaration,
+        mode: syntax.ModeDeclaration,
         functionality: str,
-        owner: ComponentDeclaration,
+        owner: syntax.ComponentDeclaration,
         inputs: Mapping[str, Predicate],
         unresolved: UnresolvedParts,
     ) -> Mode:
@@ -270,9 +261,9 @@ class ComponentBuilder:
         return Mode(mode.name.text, tuple(assumptions), Map(guarantees))
 
     def _assumption(
-        self, assumed: AssumptionExpression, owner: ComponentDeclaration, inputs: Mapping[str, Predicate]
+        self, assumed: syntax.AssumptionExpression, owner: syntax.ComponentDeclaration, inputs: Mapping[str, Predicate]
     ) -> Assumption | None:
-        if isinstance(assumed, NamedAssumption):
+        if isinstance(assumed, syntax.NamedAssumption):
             return InputAlternatives(tuple(name.text for name in assumed.inputs))
         if (
             assumed.base is not None
@@ -285,7 +276,11 @@ class ComponentBuilder:
         return self.contracts.predicate(assumed, "an assumption")
 
     def _named_input(
-        self, assumed: ContractExpression, base: Name, owner: ComponentDeclaration, inputs: Mapping[str, Predicate]
+        self,
+        assumed: syntax.ContractExpression,
+        base: syntax.Name,
+        owner: syntax.ComponentDeclaration,
+        inputs: Mapping[str, Predicate],
     ) -> Assumption | None:
         if base.text in inputs:
             if assumed.is_bare_name:
@@ -304,14 +299,14 @@ class ComponentBuilder:
         return None
 
 
-def _endpoint(allowed: AllowedEndpoint) -> NodeEndpoint:
+def _endpoint(allowed: syntax.AllowedEndpoint) -> NodeEndpoint:
     return NodeEndpoint(ENDPOINT_KINDS[allowed.kind], allowed.name.text)
 
 
-def _inherited(base: ComponentDeclaration, own: ComponentDeclaration) -> ComponentDeclaration:
+def _inherited(base: syntax.ComponentDeclaration, own: syntax.ComponentDeclaration) -> syntax.ComponentDeclaration:
     """``own``, completed from ``base`` part by part; a functionality is one part."""
 
-    def merged(name_of: Callable[[T], Name], theirs: tuple[T, ...], ours: tuple[T, ...]) -> tuple[T, ...]:
+    def merged(name_of: Callable[[T], syntax.Name], theirs: tuple[T, ...], ours: tuple[T, ...]) -> tuple[T, ...]:
         entries = {name_of(entry).text: entry for entry in theirs}
         entries.update({name_of(entry).text: entry for entry in ours})
         return tuple(entries.values())

@@ -10,27 +10,10 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TypeVar
 
+from midstride.lang import syntax
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.files import NamespacedFile, resolve_name
 from midstride.lang.source import Span
-from midstride.lang.syntax import (
-    ComponentDeclaration,
-    ConstraintStatement,
-    ContractDeclaration,
-    EnvironmentBlock,
-    EnvironmentOffer,
-    IncludeStatement,
-    Item,
-    Name,
-    NamespaceBlock,
-    NodeDeclaration,
-    OrderStatement,
-    ParameterFile,
-    ResourceDeclaration,
-    StepDuration,
-    TimingBlock,
-    TopicDeclaration,
-)
 
 T = TypeVar("T")
 
@@ -53,38 +36,38 @@ def limited(
 class NodeEntry(NamedTuple):
     role: str
     namespace: str
-    declaration: NodeDeclaration
+    declaration: syntax.NodeDeclaration
 
 
 class OfferEntry(NamedTuple):
     namespace: str
-    declaration: EnvironmentOffer
+    declaration: syntax.EnvironmentOffer
 
 
 class ConstraintEntry(NamedTuple):
     namespace: str
-    statement: ConstraintStatement
+    statement: syntax.ConstraintStatement
 
 
 class ParameterFileEntry(NamedTuple):
     namespace: str
-    path: Name
+    path: syntax.Name
 
 
 @dataclass(slots=True)
 class Declarations:
     """All declarations by full name, in source order."""
 
-    system: Name | None = None
-    contracts: dict[str, ContractDeclaration] = field(default_factory=dict)
-    components: dict[str, ComponentDeclaration] = field(default_factory=dict)
-    resources: dict[str, ResourceDeclaration] = field(default_factory=dict)
-    topics: dict[str, TopicDeclaration] = field(default_factory=dict)
+    system: syntax.Name | None = None
+    contracts: dict[str, syntax.ContractDeclaration] = field(default_factory=dict)
+    components: dict[str, syntax.ComponentDeclaration] = field(default_factory=dict)
+    resources: dict[str, syntax.ResourceDeclaration] = field(default_factory=dict)
+    topics: dict[str, syntax.TopicDeclaration] = field(default_factory=dict)
     offers: dict[str, OfferEntry] = field(default_factory=dict)
     nodes: dict[str, NodeEntry] = field(default_factory=dict)
     constraints: list[ConstraintEntry] = field(default_factory=list)
     parameter_files: list[ParameterFileEntry] = field(default_factory=list)
-    timing: dict[str, StepDuration] = field(default_factory=dict)
+    timing: dict[str, syntax.StepDuration] = field(default_factory=dict)
 
 
 def resolve_topic(namespace: str, name: str, node: str | None = None) -> str:
@@ -111,10 +94,10 @@ class _Collector:
         self.reporter = reporter
         self.orders = 0
 
-    def items(self, items: Iterable[Item], namespace: str) -> None:
+    def items(self, items: Iterable[syntax.Item], namespace: str) -> None:
         found = self.found
         for item in items:
-            if isinstance(item, NodeDeclaration):
+            if isinstance(item, syntax.NodeDeclaration):
                 role = resolve_name(namespace, item.name.text)
                 self._add(
                     found.nodes,
@@ -124,15 +107,15 @@ class _Collector:
                     "node",
                     lambda n: n.declaration.name.span,
                 )
-            elif isinstance(item, TopicDeclaration):
+            elif isinstance(item, syntax.TopicDeclaration):
                 self._topic(item, namespace)
-            elif isinstance(item, ContractDeclaration):
+            elif isinstance(item, syntax.ContractDeclaration):
                 self._add(found.contracts, item.name.text, item, item.name, "contract", lambda c: c.name.span)
-            elif isinstance(item, ComponentDeclaration):
+            elif isinstance(item, syntax.ComponentDeclaration):
                 self._add(found.components, item.name.text, item, item.name, "component", lambda c: c.name.span)
-            elif isinstance(item, ResourceDeclaration):
+            elif isinstance(item, syntax.ResourceDeclaration):
                 self._add(found.resources, item.name.text, item, item.name, "resource", lambda r: r.name.span)
-            elif isinstance(item, EnvironmentBlock):
+            elif isinstance(item, syntax.EnvironmentBlock):
                 limit = MAX_PARTS - len(found.offers)
                 for offer in limited(item.offers, "guarantee", lambda offer: offer.name.span, self.reporter, limit):
                     name = resolve_name(namespace, offer.name.text).replace("/", "_")
@@ -145,24 +128,24 @@ class _Collector:
                         "environment guarantee",
                         lambda o: o.declaration.name.span,
                     )
-            elif isinstance(item, TimingBlock):
+            elif isinstance(item, syntax.TimingBlock):
                 for duration in item.durations:
                     self._add(
                         found.timing, duration.kind.text, duration, duration.kind, "time for", lambda d: d.kind.span
                     )
-            elif isinstance(item, NamespaceBlock):
+            elif isinstance(item, syntax.NamespaceBlock):
                 self.items(item.items, resolve_name(namespace, item.name.text))
-            elif isinstance(item, ParameterFile):
+            elif isinstance(item, syntax.ParameterFile):
                 found.parameter_files.append(ParameterFileEntry(namespace, item.path))
-            elif isinstance(item, OrderStatement):
+            elif isinstance(item, syntax.OrderStatement):
                 self.orders += 1
                 limit = 1 if self.orders <= MAX_PARTS else 0
                 for order in limited((item,), "order", lambda order: order.span, self.reporter, limit):
                     found.constraints.append(ConstraintEntry(namespace, order))
-            elif not isinstance(item, IncludeStatement):
+            elif not isinstance(item, syntax.IncludeStatement):
                 found.constraints.append(ConstraintEntry(namespace, item))
 
-    def _topic(self, item: TopicDeclaration, namespace: str) -> None:
+    def _topic(self, item: syntax.TopicDeclaration, namespace: str) -> None:
         name = item.name.text
         if name.startswith("~"):
             message = f"`{name}` is private to a node, but this is not inside one"
@@ -171,7 +154,7 @@ class _Collector:
         full = resolve_topic(namespace, name)
         self._add(self.found.topics, full, item, item.name, "topic", lambda t: t.name.span)
 
-    def _add(self, table: dict[str, T], full: str, item: T, name: Name, what: str, span_of: object) -> None:
+    def _add(self, table: dict[str, T], full: str, item: T, name: syntax.Name, what: str, span_of: object) -> None:
         if full not in table:
             table[full] = item
             return

@@ -9,20 +9,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
+from midstride.lang import syntax
 from midstride.lang.check import Resolved
 from midstride.lang.declarations import NodeEntry, resolve_topic
 from midstride.lang.files import resolve_name
 from midstride.lang.source import Source, Span
-from midstride.lang.syntax import (
-    AssumptionExpression,
-    ComponentDeclaration,
-    ContractExpression,
-    FunctionalityDeclaration,
-    KeepStatement,
-    LimitStatement,
-    Name,
-    NamedAssumption,
-)
 
 
 class Symbol(NamedTuple):
@@ -104,13 +95,13 @@ class _SymbolWalker:
         for entry in found.nodes.values():
             yield from self._node(entry)
         for namespace, statement in found.constraints:
-            if isinstance(statement, (KeepStatement, LimitStatement)):
+            if isinstance(statement, (syntax.KeepStatement, syntax.LimitStatement)):
                 yield from self._functionality_name(namespace, statement)
             else:
                 yield Occurrence(Symbol("node", resolve_name(namespace, statement.first.text)), statement.first.span)
                 yield Occurrence(Symbol("node", resolve_name(namespace, statement.then.text)), statement.then.span)
 
-    def _contract(self, expression: ContractExpression | None) -> Iterator[Occurrence]:
+    def _contract(self, expression: syntax.ContractExpression | None) -> Iterator[Occurrence]:
         if (
             expression is not None
             and expression.base is not None
@@ -118,7 +109,7 @@ class _SymbolWalker:
         ):
             yield Occurrence(Symbol("contract", expression.base.text), expression.base.span)
 
-    def _topic(self, namespace: str, name: Name, node: str | None) -> Occurrence:
+    def _topic(self, namespace: str, name: syntax.Name, node: str | None) -> Occurrence:
         return Occurrence(Symbol("topic", resolve_topic(namespace, name.text, node)), name.span, namespace=namespace)
 
     # -- components --------------------------------------------------------------------------------------
@@ -140,11 +131,11 @@ class _SymbolWalker:
             current = None if declared.like is None else declared.like.text
         return component
 
-    def _part(self, component: str, kind: str, name: Name, declares: bool = False) -> Occurrence:
+    def _part(self, component: str, kind: str, name: syntax.Name, declares: bool = False) -> Occurrence:
         owner = component if declares else self._owner(component, kind, name.text)
         return Occurrence(Symbol(kind, name.text, owner), name.span, declares)
 
-    def _component(self, declared: ComponentDeclaration) -> Iterator[Occurrence]:
+    def _component(self, declared: syntax.ComponentDeclaration) -> Iterator[Occurrence]:
         own = declared.name.text
         yield Occurrence(Symbol("component", own), declared.name.span, True)
         if declared.like is not None:
@@ -162,7 +153,7 @@ class _SymbolWalker:
         for functionality in declared.functionalities:
             yield from self._functionality(own, functionality)
 
-    def _functionality(self, own: str, declared: FunctionalityDeclaration) -> Iterator[Occurrence]:
+    def _functionality(self, own: str, declared: syntax.FunctionalityDeclaration) -> Iterator[Occurrence]:
         yield self._part(own, "functionality", declared.name, True)
         for port in (*declared.uses, *declared.produces):
             yield self._part(own, "port", port)
@@ -174,8 +165,8 @@ class _SymbolWalker:
                 yield self._part(own, "port", guarantee.output)
                 yield from self._contract(guarantee.contract)
 
-    def _assumption(self, own: str, assumed: AssumptionExpression) -> Iterator[Occurrence]:
-        if isinstance(assumed, NamedAssumption):
+    def _assumption(self, own: str, assumed: syntax.AssumptionExpression) -> Iterator[Occurrence]:
+        if isinstance(assumed, syntax.NamedAssumption):
             for name in assumed.inputs:
                 yield self._part(own, "port", name)
         elif assumed.base is not None and assumed.base.text in self.declarations.contracts:
@@ -198,7 +189,9 @@ class _SymbolWalker:
         for parameter in declared.parameters:
             yield self._part(declared.component.text, "parameter", parameter.name)
 
-    def _functionality_name(self, namespace: str, statement: KeepStatement | LimitStatement) -> Iterator[Occurrence]:
+    def _functionality_name(
+        self, namespace: str, statement: syntax.KeepStatement | syntax.LimitStatement
+    ) -> Iterator[Occurrence]:
         role, name = statement.functionality
         yield Occurrence(Symbol("node", resolve_name(namespace, role.text)), role.span)
         entry = self.declarations.nodes.get(resolve_name(namespace, role.text))
@@ -206,6 +199,6 @@ class _SymbolWalker:
             return
         found = self._part(entry.declaration.component.text, "functionality", name)
         yield found
-        if isinstance(statement, KeepStatement):
+        if isinstance(statement, syntax.KeepStatement):
             owner = f"{found.symbol.owner}.{name.text}"
             yield Occurrence(Symbol("mode", statement.mode.text, owner), statement.mode.span)

@@ -112,16 +112,16 @@ def _invalid_word(span: Span, reporter: Reporter) -> None:
     odd = next((at for at, character in enumerate(text) if character == "-" or not character.isascii()), None)
     if len(text) > _MAX_NAME:
         help = f"names have at most {_MAX_NAME} characters"
-        reporter.report("E111", span, f"`{_truncated(text)}` is too long for a name", help=help)
+        reporter.report("E111", span, f"`{truncated(text)}` is too long for a name", help=help)
     elif odd is not None:
         place = Span(span.source, span.start + odd, span.start + odd + 1)
         shown = f"`{text[odd]}`" if text[odd].isprintable() else f"the character U+{ord(text[odd]):04X}"
         help = "names consist of ASCII letters, digits and `_`, as in ROS"
         if text.startswith("/") and text[odd] == "-":
-            help += f'; put the path of a device in double quotes: "{_truncated(text)}"'
+            help += f'; put the path of a device in double quotes: "{truncated(text)}"'
         reporter.report("E110", place, f"{shown} is not allowed in a name", help=help)
     else:
-        message = f"`{_truncated(text)}` is not a valid ROS name"
+        message = f"`{truncated(text)}` is not a valid ROS name"
         help = "no part of a name can be empty or start with a digit; for example `/front/scan`"
         reporter.report("E111", span, message, help=help)
 
@@ -133,7 +133,7 @@ def _check_string(span: Span, reporter: Reporter) -> None:
         return
     if text[0] == "'":
         reporter.report(
-            "E112", span, "strings use double quotes", help=f'write "{_truncated(text[1:].rstrip(chr(39)))}"'
+            "E112", span, "strings use double quotes", help=f'write "{truncated(text[1:].rstrip(chr(39)))}"'
         )
         return
     closed = re.fullmatch(r'"(?:[^"\\]|\\.)*"', text)
@@ -167,5 +167,6 @@ def _invalid_characters(span: Span, reporter: Reporter) -> None:
     reporter.report("E110", span, f"unexpected character {shown}", help=hints.get(text[0]))
 
 
-def _truncated(text: str) -> str:
+def truncated(text: str) -> str:
+    """``text`` for a message, shortened if it is long."""
     return text if len(text) <= 40 else text[:39] + "…"

@@ -2,24 +2,9 @@
 
 from __future__ import annotations
 
+from midstride.lang import syntax
+from midstride.lang.blocks import Handlers
 from midstride.lang.parse_contract import ContractParser
-from midstride.lang.syntax import (
-    AllowedEndpoint,
-    AssumptionExpression,
-    ComponentDeclaration,
-    ContractExpression,
-    FunctionalityDeclaration,
-    GuaranteeStatement,
-    InputDeclaration,
-    ModeDeclaration,
-    Name,
-    NamedAssumption,
-    Number,
-    ParameterEntry,
-    ResourceUse,
-    Run,
-)
-from midstride.lang.token_stream import RESERVED
 
 ENDPOINT_KINDS = ("topic", "service", "ROS action")
 
@@ -27,46 +12,31 @@ ENDPOINT_KINDS = ("topic", "service", "ROS action")
 class ComponentParser(ContractParser):
     """The part of the parser for components."""
 
-    def component(self) -> ComponentDeclaration:
-        first = self.i
-        self.i += 1
+    def component(self, first: int) -> syntax.ComponentDeclaration:
         name = self.name("a component name", ("{",))
-        like = None
-        if self.accept_word("like"):
-            like = self.name("a component name after `like`")
-        runs: list[Run] = []
-        holds: list[tuple[ResourceUse, ...]] = []
-        parameters: list[ParameterEntry] = []
-        files: list[Name] = []
-        inputs: list[InputDeclaration] = []
-        outputs: list[Name] = []
-        allows: list[AllowedEndpoint] = []
-        functionalities: list[FunctionalityDeclaration] = []
-        lost_parameters: frozenset[str] = frozenset()
-
-        def read_parameters() -> None:
-            nonlocal lost_parameters
-            lost_parameters |= self.parameters(parameters, files)
-
+        like = self.name("a component name after `like`") if self.accept_word("like") else None
+        runs: list[syntax.Run] = []
+        holds: list[tuple[syntax.ResourceUse, ...]] = []
+        parameters: list[syntax.ParameterEntry] = []
+        files: list[syntax.Name] = []
+        inputs: list[syntax.InputDeclaration] = []
+        outputs: list[syntax.Name] = []
+        allows: list[syntax.AllowedEndpoint] = []
+        functionalities: list[syntax.FunctionalityDeclaration] = []
+        lost_parameters: set[str] = set()
+        handlers: Handlers = {
+            "run": lambda start: runs.append(self._run(start)),
+            "holds": lambda _: holds.append(self._holds()),
+            "parameters": lambda start: lost_parameters.update(self.parameters(start, parameters, files)),
+            "input": lambda _: inputs.append(self._input()),
+            "output": lambda _: outputs.append(self._output()),
+            "allows": lambda _: allows.append(self._allows()),
+            "functionality": lambda start: functionalities.append(self._functionality(start)),
+        }
         skipped: frozenset[str] = frozenset()
         if like is None or self.kinds[self.i] == "{":
-            skipped = self.block(
-                f"component `{name.text}`",
-                first,
-                {
-                    "run": lambda: runs.append(self._run()),
-                    "holds": lambda: holds.append(self._holds()),
-                    "parameters": read_parameters,
-                    "input": lambda: inputs.append(self._input()),
-                    "output": lambda: outputs.append(self._output()),
-                    "allows": lambda: allows.append(self._allows()),
-                    "functionality": lambda: functionalities.append(self._functionality()),
-                },
-            )
-        if lost_parameters:
-            skipped |= {"parameters"}
-        return ComponentDeclaration(
-            self.since(first),
+            skipped = self.block(f"component `{name.text}`", first, handlers)
+        return syntax.ComponentDeclaration(
             name,
             like,
             tuple(runs),
@@ -77,53 +47,39 @@ class ComponentParser(ContractParser):
             tuple(outputs),
             tuple(allows),
             tuple(functionalities),
-            skipped,
+            skipped | {"parameters"} if lost_parameters else skipped,
         )
 
-    def _run(self) -> Run:
-        start = self.i
-        self.i += 1
+    def _run(self, start: int) -> syntax.Run:
         if self.kinds[self.i] in {"name", "path"}:
             words = self.rest_of_line()
             raise self.fail("a command in double quotes after `run`", f'write `run "{words}"`')
         command = self.text("a command in double quotes after `run`")
         startup = self.seconds("a startup time") if self.accept_word("takes") else None
-        return Run(command, startup, self.since(start))
+        return syntax.Run(command, startup, self.since(start))
 
-    def _holds(self) -> tuple[ResourceUse, ...]:
-        self.i += 1
-        found: list[ResourceUse] = []
-        if self.at_word("nothing"):
-            self.i += 1
+    def _holds(self) -> tuple[syntax.ResourceUse, ...]:
+        if self.accept_word("nothing"):
             return ()
-        while True:
-            resource = self.resource("a resource")
-            amount: Number | None = None
-            if self.kinds[self.i] == "number":
-                amount = self.number("an amount")
-            found.append(ResourceUse(resource, amount))
-            at = self.i + (self.kinds[self.i] == ",")
-            if self.kinds[at] not in {"name", "path", "string"} or (
-                self.kinds[at] == "name" and self.texts[at] in RESERVED
-            ):
-                return tuple(found)
-            self.i = at
-            self.layout.items.add(at)
 
-    def resource(self, what: str) -> Name:
+        def use() -> syntax.ResourceUse:
+            resource = self.resource("a resource")
+            return syntax.ResourceUse(resource, self.number("an amount") if self.kinds[self.i] == "number" else None)
+
+        return self.sequence(use, lambda at: self.kinds[at] in {"name", "path", "string"} and not self.is_keyword(at))
+
+    def resource(self, what: str) -> syntax.Name:
         """A resource name or a device path, in double quotes or without."""
         return self.text(what) if self.kinds[self.i] == "string" else self.topic(what)
 
-    def _input(self) -> InputDeclaration:
-        self.i += 1
+    def _input(self) -> syntax.InputDeclaration:
         self.layout.marks[self.i] = "port"
         name = self.name("an input name", (":",))
         self.layout.marks[self.i] = "input :"
         self.expect(":", f"after input `{name.text}`", ("name", "path"))
-        return InputDeclaration(name, self.contract(f"for input `{name.text}`"))
+        return syntax.InputDeclaration(name, self.contract(f"for input `{name.text}`"))
 
-    def _output(self) -> Name:
-        self.i += 1
+    def _output(self) -> syntax.Name:
         self.layout.marks[self.i] = "port"
         name = self.name("an output name", ("output", ":"))
         if self.kinds[self.i] == ":":
@@ -134,88 +90,64 @@ class ComponentParser(ContractParser):
             self.contract(f"for output `{name.text}`")
         return name
 
-    def _allows(self) -> AllowedEndpoint:
-        start = self.i
-        self.i += 1
+    def _allows(self) -> syntax.AllowedEndpoint:
         if self.kinds[self.i] == "string":
             kind = self.text("a kind of endpoint")
         elif self.at_word("ROS") and self.texts[self.i + 1] == "action":
             self.i += 2
-            kind = Name("ROS action", self.span(self.i - 1))
+            kind = syntax.Name("ROS action", self.span(self.i - 1))
         elif self.kinds[self.i] == "name":
-            self.i += 1
-            kind = Name(self.texts[self.i - 1], self.span(self.i - 1))
+            kind = self.take()
         else:
             raise self.fail("`topic`, `service` or `ROS action` after `allows`")
         if kind.text not in ENDPOINT_KINDS:
             help = 'write `"ROS action"`' if kind.text == "action" else 'use `topic`, `service` or `"ROS action"`'
             self.reporter.report("E120", kind.span, f"`{kind.text}` is not a kind of endpoint", help=help)
-            kind = Name("service", kind.span)
+            kind = syntax.Name("service", kind.span)
         name = self.topic("an endpoint name")
-        return AllowedEndpoint(kind.text, name, self.since(start))
+        return syntax.AllowedEndpoint(kind.text, name)
 
     # -- functionalities ---------------------------------------------------------------------------------
 
-    def _functionality(self) -> FunctionalityDeclaration:
-        first = self.i
-        self.i += 1
+    def _functionality(self, first: int) -> syntax.FunctionalityDeclaration:
         name = self.name("a functionality name", ("{",))
-        weight: Number | None = None
-        if self.accept_word("weight"):
-            weight = self.number("a weight")
-        uses: list[Name] = []
-        produces: list[Name] = []
-        modes: list[ModeDeclaration] = []
+        weight = self.number("a weight") if self.accept_word("weight") else None
+        uses: list[syntax.Name] = []
+        produces: list[syntax.Name] = []
+        modes: list[syntax.ModeDeclaration] = []
 
-        def listed(found: list[Name], what: str) -> None:
-            self.i += 1
-            found.extend(self.names(what))
-
-        skipped = self.block(
-            f"functionality `{name.text}`",
-            first,
-            {
-                "uses": lambda: listed(uses, "an input name"),
-                "produces": lambda: listed(produces, "an output name"),
-                "mode": lambda: modes.append(self._mode()),
-            },
-        )
+        handlers: Handlers = {
+            "uses": lambda _: uses.extend(self.names("an input name")),
+            "produces": lambda _: produces.extend(self.names("an output name")),
+            "mode": lambda start: modes.append(self._mode(start)),
+        }
+        skipped = self.block(f"functionality `{name.text}`", first, handlers)
         incomplete = bool(skipped) or any(mode.incomplete for mode in modes)
-        return FunctionalityDeclaration(
-            self.since(first), name, weight, tuple(uses), tuple(produces), tuple(modes), incomplete
-        )
+        return syntax.FunctionalityDeclaration(name, weight, tuple(uses), tuple(produces), tuple(modes), incomplete)
 
-    def _mode(self) -> ModeDeclaration:
-        first = self.i
-        self.i += 1
+    def _mode(self, first: int) -> syntax.ModeDeclaration:
         name = self.name("a mode name", ("{",))
         self.layout.marks[self.i] = "mode {"
-        assumptions: list[AssumptionExpression] = []
-        guarantees: list[GuaranteeStatement] = []
-        skipped = self.block(
-            f"mode `{name.text}`",
-            first,
-            {
-                "assume": lambda: assumptions.append(self._assumption()),
-                "guarantee": lambda: guarantees.append(self._guarantee()),
-            },
-        )
-        return ModeDeclaration(self.since(first), name, tuple(assumptions), tuple(guarantees), bool(skipped))
+        assumptions: list[syntax.AssumptionExpression] = []
+        guarantees: list[syntax.GuaranteeStatement] = []
+        handlers: Handlers = {
+            "assume": lambda _: assumptions.append(self._assumption()),
+            "guarantee": lambda _: guarantees.append(self._guarantee()),
+        }
+        skipped = self.block(f"mode `{name.text}`", first, handlers)
+        return syntax.ModeDeclaration(name, tuple(assumptions), tuple(guarantees), bool(skipped))
 
-    def _assumption(self) -> AssumptionExpression:
-        self.i += 1
+    def _assumption(self) -> syntax.AssumptionExpression:
         start = self.i
         if self.kinds[start] != "name" or self.texts[start + 1] != "or" or self.kinds[start + 1] != "name":
             return self.contract("or an input name after `assume`")
         inputs = [self.name("an input name")]
         while self.accept_word("or"):
             inputs.append(self.name("an input name after `or`"))
-        return NamedAssumption(tuple(inputs), self.since(start))
+        return syntax.NamedAssumption(tuple(inputs), self.since(start))
 
-    def _guarantee(self) -> GuaranteeStatement:
-        start = self.i
-        self.i += 1
+    def _guarantee(self) -> syntax.GuaranteeStatement:
         output = self.name("an output name", (":",))
         self.expect(":", f"after `{output.text}`", ("path",))
-        contract: ContractExpression | None = self.contract(f"for output `{output.text}`")
-        return GuaranteeStatement(output, contract, self.since(start))
+        contract = self.contract(f"for output `{output.text}`")
+        return syntax.GuaranteeStatement(output, contract)

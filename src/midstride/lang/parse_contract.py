@@ -5,19 +5,9 @@ from __future__ import annotations
 import re
 from typing import Final
 
+from midstride.lang import syntax
 from midstride.lang.blocks import BlockParser
-from midstride.lang.lexer import string_value
-from midstride.lang.syntax import (
-    ContractExpression,
-    FieldConstraint,
-    Name,
-    Number,
-    ParameterEntry,
-    QoSPolicy,
-    ScalarValue,
-    Value,
-)
-from midstride.lang.token_stream import RESERVED, Panic
+from midstride.lang.token_stream import Panic
 from midstride.model.component import ParameterValue
 from midstride.model.contract import Scalar
 from midstride.model.near_miss import nearest
@@ -34,23 +24,21 @@ _INT64: Final = 2**63
 class ContractParser(BlockParser):
     """The part of the parser for contracts and values."""
 
-    def contract(self, what: str) -> ContractExpression:
+    def contract(self, what: str) -> syntax.ContractExpression:
         """``TYPE or NAME [@ r Hz] [qos(…)] [where …]``, or ``nothing``."""
         start = self.i
         base = self._base(what)
-        rate: Number | None = None
-        qos: tuple[QoSPolicy, ...] = ()
-        where: tuple[FieldConstraint, ...] = ()
+        rate: syntax.Number | None = None
+        qos: tuple[syntax.QoSPolicy, ...] = ()
+        where: tuple[syntax.FieldConstraint, ...] = ()
         stated: set[str] = set()
         while True:
             kind = self.kinds[self.i]
             word = "rate" if kind == "@" else self.texts[self.i] if kind == "name" else ""
             if word == "where" or word == "rate" or (word == "qos" and self.kinds[self.i + 1] == "("):
                 if word in stated:
-                    shown = "rate" if word == "rate" else f"`{word}`"
-                    self.reporter.report(
-                        "E128", self.span(), f"this contract already has a {shown}", help="keep one of them"
-                    )
+                    message = f"this contract already has a {'rate' if word == 'rate' else f'`{word}`'}"
+                    self.reporter.report("E128", self.span(), message, help="keep one of them")
                 stated.add(word)
                 self.i += 1
                 if word == "rate":
@@ -58,28 +46,24 @@ class ContractParser(BlockParser):
                 elif word == "qos":
                     qos = self._qos()
                 else:
-                    where = self._where()
+                    where = self.sequence(self._constraint, self._constraint_at)
             elif kind == "number" and "rate" not in stated and self.texts[self.i + 1] in HERTZ:
-                message = "expected `@` before the rate"
-                self.reporter.report(
-                    "E120", self.span(), message, help=f"write `@ {self.texts[self.i]} {self.texts[self.i + 1]}`"
-                )
+                help = f"write `@ {self.texts[self.i]} {self.texts[self.i + 1]}`"
+                self.reporter.report("E120", self.span(), "expected `@` before the rate", help=help)
                 stated.add("rate")
                 rate = self.rate()
             else:
-                return ContractExpression(self.since(start), base, rate, qos, where)
+                return syntax.ContractExpression(self.since(start), base, rate, qos, where)
 
-    def _base(self, what: str) -> Name | None:
+    def _base(self, what: str) -> syntax.Name | None:
         if self.kinds[self.i] == "path":
-            text, span = self.texts[self.i], self.span()
-            if not _TYPE.fullmatch(text):
+            name = self.take()
+            if not _TYPE.fullmatch(name.text):
                 help = "message types are written `pkg/msg/Type` or `pkg/Type`"
-                self.reporter.report("E133", span, f"`{text}` is not a message type", help=help)
-                self.i += 1
+                self.reporter.report("E133", name.span, f"`{name.text}` is not a message type", help=help)
                 raise Panic
-            self.i += 1
-            return Name(text, span)
-        if self.kinds[self.i] == "name" and self.texts[self.i] not in RESERVED:
+            return name
+        if self.kinds[self.i] == "name" and not self.is_keyword(self.i):
             start = self.i
             self.i += 1
             parts = [self.texts[start]]
@@ -90,58 +74,35 @@ class ContractParser(BlockParser):
                 parts.append(self.texts[self.i])
                 self.i += 1
             if len(parts) == 1:
-                return None if parts[0] == "nothing" else Name(parts[0], self.span(start))
+                return None if parts[0] == "nothing" else syntax.Name(parts[0], self.span(start))
             help = f"write `{'/'.join(parts)}`" if len(parts) <= 3 else "message types are written `pkg/msg/Type`"
             message = f"`{self.since(start).text}` is not a message type"
             self.reporter.report("E133", self.since(start), message, help=help)
             raise Panic
         raise self.fail(f"a message type or contract name {what}")
 
-    def rate(self) -> Number:
+    def rate(self) -> syntax.Number:
         number = self.quantity("a rate", HERTZ)
         if number.value <= 0:
-            self.reporter.report(
-                "E126", number.span, "a rate must be greater than 0 Hz", help="omit the rate if none is required"
-            )
-            return Number(1.0, number.span)
+            help = "omit the rate if none is required"
+            self.reporter.report("E126", number.span, "a rate must be greater than 0 Hz", help=help)
+            return syntax.Number(1.0, number.span)
         return number
 
-    def seconds(self, what: str) -> Number:
+    def seconds(self, what: str) -> syntax.Number:
         return self.quantity(what, SECONDS)
 
-    def _qos(self) -> tuple[QoSPolicy, ...]:
+    def _qos(self) -> tuple[syntax.QoSPolicy, ...]:
         self.expect("(", "after `qos`")
-        policies: list[QoSPolicy] = []
-        while not self.accept(")"):
-            if policies:
-                self.accept(",")
-                if self.accept(")"):
-                    break
-                self.layout.items.add(self.i)
+        policies: list[syntax.QoSPolicy] = []
+        for _ in self.items(")"):
             name = self.name("a QoS policy" if not policies else "`,` or `)` in the QoS profile", ("=",))
             self.expect("=", f"after `{name.text}`", ("name", "number"))
             value = self.scalar(f"a value for `{name.text}`")
-            unit = None
-            if (
-                (self.kinds[self.i] == "name" and self.kinds[self.i + 1] not in {"=", "name", "number", "string"})
-                or self.at_word("s")
-                or self.at_word("ms")
-            ):
-                unit = Name(self.texts[self.i], self.span())
-                self.i += 1
-            policies.append(QoSPolicy(name, value, unit))
+            is_next = self.kinds[self.i] != "name" or self.kinds[self.i + 1] in {"=", "name", "number", "string"}
+            unit = None if is_next and not (self.at_word("s") or self.at_word("ms")) else self.take()
+            policies.append(syntax.QoSPolicy(name, value, unit))
         return tuple(policies)
-
-    def _where(self) -> tuple[FieldConstraint, ...]:
-        found: list[FieldConstraint] = []
-        while True:
-            if found:
-                at = self.i + (self.kinds[self.i] == ",")
-                if not self._constraint_at(at):
-                    return tuple(found)
-                self.i = at
-                self.layout.items.add(at)
-            found.append(self._constraint())
 
     def _constraint_at(self, at: int) -> bool:
         """Whether a field constraint begins at the token ``at``: dotted names, then a comparison."""
@@ -153,20 +114,19 @@ class ContractParser(BlockParser):
             return True
         return self.texts[at + 1] == "in" and self.kinds[at + 2] in {"{", "["}
 
-    def _constraint(self) -> FieldConstraint:
+    def _constraint(self) -> syntax.FieldConstraint:
         start = self.i
         path = self.dotted("a field")
-        operator, sign = self.texts[self.i], self.span()
-        if operator == "in":
+        if self.texts[self.i] == "in":
             self.i += 1
-            if self.kinds[self.i] not in {"{", "["}:
-                raise self.fail("`{` or `[` after `in`", "write `in {rgb8, bgr8}` or `in [0, 10]`")
-            values = self._set() if self.kinds[self.i] == "{" else self._interval()
-            operator = "in []" if len(values) == 2 and self.kinds[self.i - 1] == "]" else "in {}"
-            return FieldConstraint(path, operator, values, self.since(start))
+            if self.accept("{"):
+                return syntax.FieldConstraint(path, "in {}", self._set(), self.since(start))
+            if self.accept("["):
+                return syntax.FieldConstraint(path, "in []", self._interval(), self.since(start))
+            raise self.fail("`{` or `[` after `in`", "write `in {rgb8, bgr8}` or `in [0, 10]`")
         if self.kinds[self.i] not in _COMPARISONS:
             raise self.fail(f"a comparison after `{path.text}`", "one of `=`, `<`, `<=`, `>`, `>=` and `in`")
-        self.i += 1
+        operator, sign = self.take()
         if operator == "==":
             self.reporter.report("E132", sign, "`==` is not a comparison operator here", help="write `=`")
             operator = "="
@@ -177,37 +137,30 @@ class ContractParser(BlockParser):
             message = f"`{operator}` compares numbers, but `{value.span.text}` is not a number"
             self.reporter.report("E132", value.span, message, help="write `=` or `in {…}`")
             operator = "="
-        return FieldConstraint(path, operator, (value,), self.since(start))
+        return syntax.FieldConstraint(path, operator, (value,), self.since(start))
 
-    def _set(self) -> tuple[ScalarValue, ...]:
-        self.i += 1
-        values: list[ScalarValue] = []
-        while not self.accept("}"):
-            if values:
-                self.accept(",")
-                if self.accept("}"):
-                    break
-                if self.kinds[self.i] not in {"name", "string", "number"} or self.texts[self.i] in RESERVED:
-                    panic = self.fail("`}` to close the set of values")
-                    if self.kinds[self.i] == "name":
-                        break  # the next statement starts here: the brace is missing
-                    raise panic
-                self.layout.items.add(self.i)
+    def _set(self) -> tuple[syntax.ScalarValue, ...]:
+        values: list[syntax.ScalarValue] = []
+        for _ in self.items("}"):
+            if values and (self.kinds[self.i] not in {"name", "string", "number"} or self.is_keyword(self.i)):
+                panic = self.fail("`}` to close the set of values")
+                if self.kinds[self.i] == "name":
+                    break  # the next statement starts here: the brace is missing
+                raise panic
             values.append(self.scalar("a value"))
         return tuple(values)
 
-    def _interval(self) -> tuple[ScalarValue, ...]:
-        self.i += 1
+    def _interval(self) -> tuple[syntax.ScalarValue, ...]:
         low = self.number("the lower end")
         self.accept(",")
         self.layout.items.add(self.i)
         high = self.number("the upper end")
         self.expect("]", "to close the interval", ("name", "}", "{"))
-        return (ScalarValue(low.value, low.span), ScalarValue(high.value, high.span))
+        return (syntax.ScalarValue(low.value, low.span), syntax.ScalarValue(high.value, high.span))
 
     # -- values -------------------------------------------------------------------------------------------
 
-    def dotted(self, what: str) -> Name:
+    def dotted(self, what: str) -> syntax.Name:
         """``header.frame_id``."""
         start = self.i
         if self.kinds[self.i] != "name":
@@ -215,11 +168,9 @@ class ContractParser(BlockParser):
         self.i += 1
         while self.kinds[self.i] == "." and self.kinds[self.i + 1] == "name":
             self.i += 2
-        if self.i == start + 1:
-            return Name(self.texts[start], self.span(start))
-        return Name("".join(self.texts[start : self.i]), self.since(start))
+        return syntax.Name("".join(self.texts[start : self.i]), self.since(start))
 
-    def scalar(self, what: str) -> ScalarValue:
+    def scalar(self, what: str) -> syntax.ScalarValue:
         """A number, a string, ``true`` or ``false``, or a bare word, which is a string."""
         kind, text = self.kinds[self.i], self.texts[self.i]
         if kind == "number":
@@ -230,31 +181,20 @@ class ContractParser(BlockParser):
                 value = int(text)
                 if not -_INT64 <= value < _INT64:
                     self.reporter.report("E126", number.span, "integers have at most 64 bits")
-            return ScalarValue(value, number.span)
+            return syntax.ScalarValue(value, number.span)
         if kind == "string":
-            self.i += 1
-            return ScalarValue(string_value(text), self.span(self.i - 1))
-        if kind in {"name", "path"} and (text not in RESERVED or kind == "path"):
-            self.i += 1
-            return ScalarValue(text == "true" if text in {"true", "false"} else text, self.span(self.i - 1))
-        raise self.fail(what)
+            return syntax.ScalarValue(*self.text(what))
+        if kind not in {"name", "path"} or self.is_keyword(self.i):
+            raise self.fail(what)
+        return syntax.ScalarValue(text == "true" if text in {"true", "false"} else text, self.take().span)
 
-    def parameter_value(self) -> Value:
+    def parameter_value(self) -> syntax.Value:
         """A scalar, or a list of scalars of one type."""
-        if self.kinds[self.i] != "[":
-            scalar = self.scalar("a value")
-            return Value(scalar.value, scalar.span)
         start = self.i
-        self.i += 1
-        listed: list[ScalarValue] = []
-        while not self.accept("]"):
-            if listed:
-                self.accept(",")
-                if self.accept("]"):
-                    break
-                self.layout.items.add(self.i)
-            listed.append(self.scalar("a value, or `]` to close the list"))
-        values: list[Scalar] = [value.value for value in listed]
+        if not self.accept("["):
+            return syntax.Value(*self.scalar("a value"))
+        listed = [self.scalar("a value, or `]` to close the list") for _ in self.items("]")]
+        values = [value.value for value in listed]
         kinds = {type(value) for value in values}
         if kinds == {int, float}:
             values = [float(value) for value in values]
@@ -263,12 +203,10 @@ class ContractParser(BlockParser):
             odd = next(value for value in listed if type(value.value) is not type(listed[0].value))
             self.reporter.report("E134", odd.span, message)
         result: ParameterValue = values  # type: ignore[assignment]  # of one type: checked above
-        return Value(result, self.since(start))
+        return syntax.Value(result, self.since(start))
 
-    def parameters(self, entries: list[ParameterEntry], files: list[Name]) -> frozenset[str]:
+    def parameters(self, first: int, entries: list[syntax.ParameterEntry], files: list[syntax.Name]) -> frozenset[str]:
         """``parameters { name = value … }`` or ``parameters "file.yaml"``."""
-        first = self.i
-        self.i += 1
         if self.kinds[self.i] == "string":
             files.append(self.text("a ROS parameter file name"))
             return frozenset()
@@ -276,7 +214,7 @@ class ContractParser(BlockParser):
         def entry() -> bool:
             if self.kinds[self.i] != "name":
                 return False
-            if self.texts[self.i] in RESERVED and self.kinds[self.i + 1] not in {"=", "."}:
+            if self.is_keyword(self.i) and self.kinds[self.i + 1] not in {"=", "."}:
                 return False
             changeable = self.kinds[self.i + 1] == "name" and self.accept_word("changeable")
             if self.kinds[self.i + 1] == "name" and nearest(self.texts[self.i], ["changeable"]):
@@ -286,7 +224,7 @@ class ContractParser(BlockParser):
             name = self.dotted("a parameter name")
             self.expect("=", f"after `{name.text}`", ("name", "number", "string", "["))
             value = self.parameter_value()
-            entries.append(ParameterEntry(name, value, changeable))
+            entries.append(syntax.ParameterEntry(name, value, changeable))
             if self.texts[self.i] in {*HERTZ, *SECONDS} and self.kinds[self.i + 1] not in {"=", ":", "."}:
                 help = f"write `{name.text} = {value.span.text}`; the node defines the unit"
                 self.reporter.report("E120", self.span(), "a parameter value cannot have a unit", help=help)

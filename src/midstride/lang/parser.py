@@ -9,40 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
+from midstride.lang import syntax
 from midstride.lang.blocks import Handlers
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.lexer import tokenize
 from midstride.lang.parse_component import ComponentParser
 from midstride.lang.source import Source
-from midstride.lang.syntax import (
-    Attachment,
-    ContractDeclaration,
-    EnvironmentBlock,
-    EnvironmentOffer,
-    File,
-    FunctionalityName,
-    IncludeStatement,
-    Item,
-    KeepStatement,
-    LimitStatement,
-    Name,
-    NamespaceBlock,
-    NodeDeclaration,
-    Number,
-    OrderStatement,
-    ParameterEntry,
-    ParameterFile,
-    ResourceDeclaration,
-    StepDuration,
-    TimingBlock,
-    TopicDeclaration,
-)
 from midstride.lang.token_stream import Panic
 
 MAX_NESTING: Final = 16
 
 
-def parse(source: Source, reporter: Reporter) -> File:
+def parse(source: Source, reporter: Reporter) -> syntax.File:
     """The syntax of ``source``, without the parts that cannot be parsed."""
     return Parser(tokenize(source, reporter), reporter).file()
 
@@ -50,18 +28,16 @@ def parse(source: Source, reporter: Reporter) -> File:
 class Parser(ComponentParser):
     """The parser for files; its base classes parse contracts and components."""
 
-    _system: Name | None = None
+    _system: syntax.Name | None = None
     _depth = 0
 
-    def file(self) -> File:
-        items: list[Item] = []
+    def file(self) -> syntax.File:
+        items: list[syntax.Item] = []
         self._open.append((0, {}))
-        handlers: dict[str, Callable[[], None]] = {"system": self._read_system, **self._handlers(items)}
-        self.statements("this file", None, handlers)
-        return File(self.tokens, self.layout, self._system, tuple(items), frozenset(self.skipped))
+        self.statements("this file", None, {"system": self._read_system, **self._handlers(items)})
+        return syntax.File(self.tokens, self.layout, self._system, tuple(items), frozenset(self.skipped))
 
-    def _read_system(self) -> None:
-        self.i += 1
+    def _read_system(self, _: int) -> None:
         name = self.name("a system name")
         if self._system is not None:
             note = Note("first named here", self._system.span)
@@ -69,8 +45,8 @@ class Parser(ComponentParser):
             return
         self._system = name
 
-    def _handlers(self, items: list[Item]) -> Handlers:
-        readers: Mapping[str, Callable[[], Item]] = {
+    def _handlers(self, items: list[syntax.Item]) -> Handlers:
+        readers: Mapping[str, Callable[[int], syntax.Item]] = {
             "include": self._include,
             "contract": self._contract,
             "topic": self._topic,
@@ -85,20 +61,19 @@ class Parser(ComponentParser):
             "order": self._order,
             "timing": self._timing,
         }
-        return {word: lambda read=read: items.append(read()) for word, read in readers.items()}  # type: ignore[misc]
 
-    def _include(self) -> IncludeStatement:
-        start = self.i
-        self.i += 1
+        def reader(read: Callable[[int], syntax.Item]) -> Callable[[int], None]:
+            return lambda start: items.append(read(start))
+
+        return {word: reader(read) for word, read in readers.items()}
+
+    def _include(self, _: int) -> syntax.IncludeStatement:
         if self.kinds[self.i] != "string":
             help = f'write `include "{self.texts[self.i]}.stride"`' if self.kinds[self.i] in {"name", "path"} else None
             raise self.fail("a file name in double quotes after `include`", help)
-        path = self.text("a file name")
-        return IncludeStatement(self.since(start), path)
+        return syntax.IncludeStatement(self.text("a file name"))
 
-    def _contract(self) -> ContractDeclaration:
-        start = self.i
-        self.i += 1
+    def _contract(self, start: int) -> syntax.ContractDeclaration:
         name = self.name("a contract name", ("=",))
         self.layout.marks[self.i] = "contract ="
         try:
@@ -108,16 +83,14 @@ class Parser(ComponentParser):
                 self.i += 1
             else:
                 self.expect("=", f"after contract `{name.text}`", ("path",))
-            return ContractDeclaration(self.since(start), name, self.contract(f"for `{name.text}`"))
+            return syntax.ContractDeclaration(name, self.contract(f"for `{name.text}`"))
         except Panic:
             self._skip_statement(start)
-            return ContractDeclaration(self.since(start), name, None)
+            return syntax.ContractDeclaration(name, None)
 
-    def _topic(self) -> TopicDeclaration:
-        start = self.i
-        self.i += 1
+    def _topic(self, start: int) -> syntax.TopicDeclaration:
         name = self.topic("a topic name")
-        limits: list[Number] = []
+        limits: list[syntax.Number] = []
         self.layout.marks[self.i] = "topic :"
         try:
             self.expect(":", f"after topic `{name.text}`", ("path", "name"))
@@ -126,10 +99,10 @@ class Parser(ComponentParser):
                 self.block(f"topic `{name.text}`", start, {}, lambda: self._publishers(limits))
         except Panic:
             self._skip_statement(start)
-            return TopicDeclaration(self.since(start), name, None, None)
-        return TopicDeclaration(self.since(start), name, contract, limits[0] if limits else None)
+            return syntax.TopicDeclaration(name, None, None)
+        return syntax.TopicDeclaration(name, contract, limits[0] if limits else None)
 
-    def _publishers(self, limits: list[Number]) -> bool:
+    def _publishers(self, limits: list[syntax.Number]) -> bool:
         if not self.at_word("publishers"):
             raise self.fail("`publishers <= N`")
         if limits:
@@ -139,100 +112,73 @@ class Parser(ComponentParser):
         number = self.number("a number of publishers")
         if number.value != int(number.value):
             self.reporter.report("E126", number.span, "the number of publishers must be a whole number")
-            number = Number(float(int(number.value)), number.span)
+            number = syntax.Number(float(int(number.value)), number.span)
         limits.append(number)
         return True
 
-    def _resource(self) -> ResourceDeclaration:
-        start = self.i
-        self.i += 1
+    def _resource(self, _: int) -> syntax.ResourceDeclaration:
         name = self.resource("a resource name or device path")
-        capacity: Number | None = None
         self.layout.marks[self.i] = "resource ="
-        if self.accept("="):
-            capacity = self.number("a capacity")
-        return ResourceDeclaration(self.since(start), name, capacity)
+        capacity = self.number("a capacity") if self.accept("=") else None
+        return syntax.ResourceDeclaration(name, capacity)
 
-    def _environment(self) -> EnvironmentBlock:
-        first = self.i
-        self.i += 1
-        offers: list[EnvironmentOffer] = []
+    def _environment(self, first: int) -> syntax.EnvironmentBlock:
+        offers: list[syntax.EnvironmentOffer] = []
 
-        def offer() -> None:
-            start = self.i
-            self.i += 1
+        def offer(_: int) -> None:
             name = self.name("the name of a guarantee", (":",))
             topic = self.topic("a topic name after `on`") if self.accept_word("on") else None
             self.expect(":", f"after `{name.text}`", ("path",))
-            offers.append(EnvironmentOffer(self.since(start), name, topic, self.contract(f"for `{name.text}`")))
+            offers.append(syntax.EnvironmentOffer(name, topic, self.contract(f"for `{name.text}`")))
 
         self.block("the environment", first, {"guarantee": offer})
-        return EnvironmentBlock(self.since(first), tuple(offers))
+        return syntax.EnvironmentBlock(tuple(offers))
 
     # -- nodes -----------------------------------------------------------------------------------------
 
-    def _node(self) -> NodeDeclaration:
-        first = self.i
-        self.i += 1
+    def _node(self, first: int) -> syntax.NodeDeclaration:
         name = self.name("a node name", (":",))
-        component: Name | None = None
-        attachments: list[Attachment] = []
-        parameters: list[ParameterEntry] = []
-        files: list[Name] = []
-        skipped: frozenset[str] = frozenset()
-
-        def read_parameters() -> None:
-            nonlocal skipped
-            skipped |= self.parameters(parameters, files)
-
+        component: syntax.Name | None = None
+        attachments: list[syntax.Attachment] = []
+        parameters: list[syntax.ParameterEntry] = []
+        files: list[syntax.Name] = []
+        handlers: Handlers = {"parameters": lambda start: self.parameters(start, parameters, files)}
+        incomplete = False
         self.layout.marks[self.i] = "node :"
         try:
             self.expect(":", f"after node `{name.text}`", ("name",))
             component = self.name("a component name", ("{",))
             if self.kinds[self.i] == "{":
                 self.layout.marks[self.i] = "node {"
-                skipped |= self.block(
-                    f"node `{name.text}`", first, {"parameters": read_parameters}, lambda: self._attachment(attachments)
-                )
+                what = f"node `{name.text}`"
+                incomplete = bool(self.block(what, first, handlers, lambda: self._attachment(attachments)))
         except Panic:
             self._skip_statement(first)
-            skipped |= {"node"}
-        incomplete = bool(skipped)
-        return NodeDeclaration(
-            self.since(first), name, component, tuple(attachments), tuple(parameters), tuple(files), incomplete
-        )
+            incomplete = True
+        return syntax.NodeDeclaration(name, component, tuple(attachments), tuple(parameters), tuple(files), incomplete)
 
-    def _attachment(self, attachments: list[Attachment]) -> bool:
+    def _attachment(self, attachments: list[syntax.Attachment]) -> bool:
         if self.kinds[self.i] != "name" or self.kinds[self.i + 1] not in {"<-", "->", "=", ":", "path", "<"}:
             return False
-        port = Name(self.texts[self.i], self.span())
-        self.i += 1
-        arrow = self.kinds[self.i]
-        if arrow not in {"<-", "->"}:
+        port = self.take()
+        if self.kinds[self.i] not in {"<-", "->"}:
             raise self.fail(f"`<-` (an input) or `->` (an output) after `{port.text}`")
-        self.i += 1
-        topics = [self.topic(f"a topic after `{arrow}`")]
-        while (
-            self.kinds[self.i] == ","
-            and self.kinds[self.i + 1] in {"name", "path"}
-            and self.kinds[self.i + 2] not in {"<-", "->"}
-        ):
-            if self.at_parameters(self.i + 1):
-                break
-            self.i += 1
-            self.layout.items.add(self.i)
-            topics.append(self.topic(f"a topic after `{arrow}`"))
-        attachments.append(Attachment(port, arrow == "->", tuple(topics)))
+        arrow = self.take().text
+        topics = self.sequence(lambda: self.topic(f"a topic after `{arrow}`"), self._topic_at)
+        attachments.append(syntax.Attachment(port, arrow == "->", topics))
         return True
 
-    def at_parameters(self, index: int) -> bool:
-        return self.texts[index] == "parameters" and self.kinds[index + 1] in {"{", "string"}
+    def _topic_at(self, at: int) -> bool:
+        """Whether another topic of an attachment is at the token ``at``: after a comma, and not the next statement."""
+        if self.kinds[at - 1] != "," or self.kinds[at] not in {"name", "path"}:
+            return False
+        if self.texts[at] == "parameters" and self.kinds[at + 1] in {"{", "string"}:
+            return False
+        return self.kinds[at + 1] not in {"<-", "->"}
 
-    def _namespace(self) -> NamespaceBlock:
-        first = self.i
-        self.i += 1
+    def _namespace(self, first: int) -> syntax.NamespaceBlock:
         name = self.topic("a namespace name")
-        items: list[Item] = []
+        items: list[syntax.Item] = []
         if self._depth >= MAX_NESTING:
             message = f"namespaces are nested more than {MAX_NESTING} deep"
             self.reporter.report("E129", name.span, message, help="combine the inner names: `namespace a/b`")
@@ -242,62 +188,49 @@ class Parser(ComponentParser):
             self.block(f"namespace `{name.text}`", first, self._handlers(items))
         finally:
             self._depth -= 1
-        return NamespaceBlock(self.since(first), name, tuple(items))
+        return syntax.NamespaceBlock(name, tuple(items))
 
-    def _parameter_file(self) -> ParameterFile:
-        start = self.i
-        self.i += 1
-        path = self.text(
-            "a ROS parameter file name in double quotes (parameter values belong in a component or a node)"
-        )
-        return ParameterFile(self.since(start), path)
+    def _parameter_file(self, _: int) -> syntax.ParameterFile:
+        what = "a ROS parameter file name in double quotes (parameter values belong in a component or a node)"
+        return syntax.ParameterFile(self.text(what))
 
     # -- constraints and timing ------------------------------------------------------------------------
 
-    def _functionality_name(self) -> FunctionalityName:
+    def _functionality_name(self) -> syntax.FunctionalityName:
         role = self.topic("a node and its functionality, `node.functionality`")
         self.expect(".", f"after `{role.text}`, as in `node.functionality`", ())
-        return FunctionalityName(role, self.name("a functionality name"))
+        return syntax.FunctionalityName(role, self.name("a functionality name"))
 
-    def _keep(self) -> KeepStatement:
-        start = self.i
-        self.i += 1
+    def _keep(self, start: int) -> syntax.KeepStatement:
         self.layout.marks[self.i] = "constraint"
         functionality = self._functionality_name()
         self.expect_word("at", "and a mode after the functionality")
-        return KeepStatement(self.since(start), functionality, self.name("a mode name"))
+        return syntax.KeepStatement(self.since(start), functionality, self.name("a mode name"))
 
-    def _limit(self) -> LimitStatement:
-        start = self.i
-        self.i += 1
+    def _limit(self, start: int) -> syntax.LimitStatement:
         self.layout.marks[self.i] = "constraint"
         functionality = self._functionality_name()
         self.expect_word("below", "`baseline` and a time after the functionality")
         self.expect_word("baseline", "after `below`")
-        return LimitStatement(self.since(start), functionality, self.seconds("a time"))
+        return syntax.LimitStatement(self.since(start), functionality, self.seconds("a time"))
 
-    def _order(self) -> OrderStatement:
-        start = self.i
-        self.i += 1
+    def _order(self, start: int) -> syntax.OrderStatement:
         self.layout.marks[self.i] = "constraint"
         before = self.topic("a node name after `order`")
         self.expect_word("before", "and another node")
-        return OrderStatement(self.since(start), before, self.topic("a node name after `before`"))
+        return syntax.OrderStatement(self.since(start), before, self.topic("a node name after `before`"))
 
-    def _timing(self) -> TimingBlock:
-        first = self.i
-        self.i += 1
-        durations: list[StepDuration] = []
+    def _timing(self, first: int) -> syntax.TimingBlock:
+        durations: list[syntax.StepDuration] = []
 
         def duration() -> bool:
             if self.kinds[self.i] != "name" or self.kinds[self.i + 1] not in {"number", "=", ":"}:
                 return False
-            kind = Name(self.texts[self.i], self.span())
-            self.i += 1
+            kind = self.take()
             if self.kinds[self.i] != "number":
                 raise self.fail(f"a time after `{kind.text}`", f"write `{kind.text} 0.5 s`")
-            durations.append(StepDuration(kind, self.seconds("a time")))
+            durations.append(syntax.StepDuration(kind, self.seconds("a time")))
             return True
 
         self.block("the timing", first, {}, duration)
-        return TimingBlock(self.since(first), tuple(durations))
+        return syntax.TimingBlock(tuple(durations))

@@ -8,19 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from midstride.lang import syntax
 from midstride.lang.declarations import Declarations
 from midstride.lang.source import Span
-from midstride.lang.syntax import (
-    ComponentDeclaration,
-    ContractExpression,
-    FunctionalityDeclaration,
-    KeepStatement,
-    LimitStatement,
-    ModeDeclaration,
-    Name,
-    NamedAssumption,
-    OrderStatement,
-)
 from midstride.model.diagnostics import Problem
 
 Subject = Sequence[str]
@@ -32,7 +22,7 @@ class SourceMap:
     def __init__(
         self,
         declarations: Declarations,
-        merged: Mapping[str, ComponentDeclaration],
+        merged: Mapping[str, syntax.ComponentDeclaration],
         parameters: Mapping[tuple[str, str], Span],
     ) -> None:
         self.declarations = declarations
@@ -66,7 +56,7 @@ class SourceMap:
             return found.timing[name].kind.span
         return None if found.system is None else found.system.span
 
-    def _component(self, declaration: ComponentDeclaration, rest: Subject) -> Span:
+    def _component(self, declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
         kind, name, inner = (*rest, "", "")[0], (*rest, "", "")[1], rest[2:]
         if kind == "run" and declaration.runs:
             return declaration.runs[0].command.span
@@ -111,19 +101,19 @@ class SourceMap:
     def _constraint(self, index: int, rest: Subject, problem: Problem) -> Span:
         statement = self.declarations.constraints[index].statement
         key = (*rest, "")[0]
-        if isinstance(statement, OrderStatement):
+        if isinstance(statement, syntax.OrderStatement):
             return {"order": statement.first.span, "before": statement.then.span}.get(key, statement.span)
         if key in {"keep", "limit"}:
             of_node = problem.declared[:1] == ("nodes",)
             return statement.functionality.role.span if of_node else statement.functionality.functionality.span
-        if isinstance(statement, KeepStatement) and key == "at":
+        if isinstance(statement, syntax.KeepStatement) and key == "at":
             return statement.mode.span
-        if isinstance(statement, LimitStatement) and key == "below_baseline_seconds":
+        if isinstance(statement, syntax.LimitStatement) and key == "below_baseline_seconds":
             return statement.seconds.span
         return statement.span
 
 
-def _functionality(declaration: FunctionalityDeclaration, rest: Subject) -> Span:
+def _functionality(declaration: syntax.FunctionalityDeclaration, rest: Subject) -> Span:
     kind, name, inner = (*rest, "", "")[0], (*rest, "", "")[1], rest[2:]
     if kind == "weight" and declaration.weight is not None:
         return declaration.weight.span
@@ -138,11 +128,11 @@ def _functionality(declaration: FunctionalityDeclaration, rest: Subject) -> Span
     return declaration.name.span
 
 
-def _mode(mode: ModeDeclaration, rest: Subject) -> Span:
+def _mode(mode: syntax.ModeDeclaration, rest: Subject) -> Span:
     kind, name, inner = (*rest, "", "")[0], (*rest, "", "")[1], rest[2:]
     if kind == "assumes" and name.isdecimal() and int(name) < len(mode.assumptions):
         assumption = mode.assumptions[int(name)]
-        if isinstance(assumption, NamedAssumption):
+        if isinstance(assumption, syntax.NamedAssumption):
             return _nth(assumption.inputs, (*inner, "", "")[1], assumption.span)
         return _contract(assumption, inner)
     if kind == "guarantees":
@@ -156,11 +146,11 @@ def _mode(mode: ModeDeclaration, rest: Subject) -> Span:
     return mode.name.span
 
 
-def _nth(names: Sequence[Name], index: str, otherwise: Span) -> Span:
+def _nth(names: Sequence[syntax.Name], index: str, otherwise: Span) -> Span:
     return names[int(index)].span if index.isdecimal() and int(index) < len(names) else otherwise
 
 
-def _contract(contract: ContractExpression, rest: Subject) -> Span:
+def _contract(contract: syntax.ContractExpression, rest: Subject) -> Span:
     kind, name = (*rest, "", "")[:2]
     if kind == "rate" and contract.rate is not None:
         return contract.rate.span

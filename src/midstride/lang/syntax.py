@@ -104,7 +104,6 @@ class InputDeclaration(NamedTuple):
 class AllowedEndpoint(NamedTuple):
     kind: str
     name: Name
-    span: Span
 
 
 class NamedAssumption(NamedTuple):
@@ -117,14 +116,12 @@ class NamedAssumption(NamedTuple):
 class GuaranteeStatement(NamedTuple):
     output: Name
     contract: ContractExpression | None
-    span: Span
 
 
 AssumptionExpression: TypeAlias = "NamedAssumption | ContractExpression"
 
 
 class ModeDeclaration(NamedTuple):
-    span: Span
     name: Name
     assumptions: tuple[AssumptionExpression, ...]
     guarantees: tuple[GuaranteeStatement, ...]
@@ -132,7 +129,6 @@ class ModeDeclaration(NamedTuple):
 
 
 class FunctionalityDeclaration(NamedTuple):
-    span: Span
     name: Name
     weight: Number | None
     uses: tuple[Name, ...]
@@ -142,7 +138,6 @@ class FunctionalityDeclaration(NamedTuple):
 
 
 class ComponentDeclaration(NamedTuple):
-    span: Span
     name: Name
     like: Name | None
     runs: tuple[Run, ...]
@@ -160,38 +155,32 @@ class ComponentDeclaration(NamedTuple):
 
 
 class IncludeStatement(NamedTuple):
-    span: Span
     path: Name
 
 
 class ContractDeclaration(NamedTuple):
-    span: Span
     name: Name
     contract: ContractExpression | None
 
 
 class TopicDeclaration(NamedTuple):
-    span: Span
     name: Name
     contract: ContractExpression | None
     max_publishers: Number | None
 
 
 class ResourceDeclaration(NamedTuple):
-    span: Span
     name: Name
     capacity: Number | None
 
 
 class EnvironmentOffer(NamedTuple):
-    span: Span
     name: Name
     topic: Name | None
     contract: ContractExpression | None
 
 
 class EnvironmentBlock(NamedTuple):
-    span: Span
     offers: tuple[EnvironmentOffer, ...]
 
 
@@ -204,7 +193,6 @@ class Attachment(NamedTuple):
 
 
 class NodeDeclaration(NamedTuple):
-    span: Span
     name: Name
     component: Name | None
     attachments: tuple[Attachment, ...]
@@ -214,7 +202,6 @@ class NodeDeclaration(NamedTuple):
 
 
 class NamespaceBlock(NamedTuple):
-    span: Span
     name: Name
     items: tuple[Item, ...]
 
@@ -222,7 +209,6 @@ class NamespaceBlock(NamedTuple):
 class ParameterFile(NamedTuple):
     """``parameters "nav2.yaml"`` outside any component or node: applies to every role the file has a section for."""
 
-    span: Span
     path: Name
 
 
@@ -261,7 +247,6 @@ class StepDuration(NamedTuple):
 
 
 class TimingBlock(NamedTuple):
-    span: Span
     durations: tuple[StepDuration, ...]
 
 

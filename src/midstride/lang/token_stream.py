@@ -5,14 +5,16 @@ An error is reported where it is found, and the statement is abandoned (:class:`
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Callable, Iterator, Mapping
+from typing import Final, TypeVar
 
 from midstride.lang.diagnostics import Reporter
-from midstride.lang.lexer import Tokens, string_value
+from midstride.lang.lexer import Tokens, string_value, truncated
 from midstride.lang.source import Span
 from midstride.lang.syntax import Name, Number, SourceLayout
 from midstride.model.near_miss import nearest
+
+T = TypeVar("T")
 
 # The keywords that start statements, with the blocks they belong to. They cannot be declared names: lists need no
 # comma, so the next statement must be distinguishable from the next name.
@@ -64,6 +66,9 @@ class TokenStream:
     def at_word(self, word: str) -> bool:
         return self.texts[self.i] == word and self.kinds[self.i] == "name"
 
+    def is_keyword(self, index: int) -> bool:
+        return self.kinds[index] == "name" and self.texts[index] in RESERVED
+
     def _line(self, index: int) -> int:
         return self.tokens.source.position(self.tokens.starts[index])[0]
 
@@ -78,11 +83,7 @@ class TokenStream:
         """The text from here to the end of the line, the next statement or the next brace."""
         start, line = self.i, self._line(self.i)
         end = start + 1
-        while (
-            self.kinds[end] not in {"end", "{", "}"}
-            and not (self.kinds[end] == "name" and self.texts[end] in RESERVED)
-            and self._line(end) == line
-        ):
+        while self.kinds[end] not in {"end", "{", "}"} and not self.is_keyword(end) and self._line(end) == line:
             end += 1
         return self.span(start).to(self.span(end - 1)).text
 
@@ -93,8 +94,7 @@ class TokenStream:
             return "end of file"
         if kind == "string":
             return "a string"
-        shown = text if len(text) <= 40 else text[:39] + "…"
-        return f"keyword `{shown}`" if kind == "name" and text in RESERVED else f"`{shown}`"
+        return f"keyword `{text}`" if self.is_keyword(self.i) else f"`{truncated(text)}`"
 
     # -- reading ---------------------------------------------------------------------------------------
 
@@ -124,12 +124,17 @@ class TokenStream:
         if {sign, self.kinds[self.i]} == _MISTAKEN_SIGNS:
             self.i += 1
             return
-        if self.kinds[self.i] not in follow or (self.kinds[self.i] == "name" and self.texts[self.i] in RESERVED):
+        if self.kinds[self.i] not in follow or self.is_keyword(self.i):
             raise panic
 
     def expect_word(self, word: str, after: str) -> None:
         if not self.accept_word(word):
             raise self.fail(f"`{word}` {after}")
+
+    def take(self) -> Name:
+        """The current token, as it is written."""
+        self.i += 1
+        return Name(self.texts[self.i - 1], self.span(self.i - 1))
 
     def name(self, what: str, then: tuple[str, ...] = ()) -> Name:
         """A declared name, or a use of one. A keyword is an error, and is taken for a name only before ``then``."""
@@ -146,68 +151,76 @@ class TokenStream:
                 raise self.fail(what)
             message = f"`{text}` is a keyword and cannot be used as {what}"
             self.reporter.report("E125", self.span(), message, help=f"choose another name, such as `{text}_1`")
-        self.i += 1
-        return Name(text, self.span(self.i - 1))
+        return self.take()
 
     def topic(self, what: str) -> Name:
         """A name or path."""
-        if self.kinds[self.i] == "path":
-            self.i += 1
-            return Name(self.texts[self.i - 1], self.span(self.i - 1))
-        return self.name(what, (":", "{", ".", "->", "<-"))
+        return self.take() if self.kinds[self.i] == "path" else self.name(what, (":", "{", ".", "->", "<-"))
 
     def text(self, what: str) -> Name:
         """The value of a string."""
         if self.kinds[self.i] != "string":
             raise self.fail(what)
-        self.i += 1
-        return Name(string_value(self.texts[self.i - 1]), self.span(self.i - 1))
+        text, span = self.take()
+        return Name(string_value(text), span)
 
     def number(self, what: str) -> Number:
         if self.kinds[self.i] != "number":
             raise self.fail(what)
-        self.i += 1
-        text, span = self.texts[self.i - 1], self.span(self.i - 1)
+        text, span = self.take()
         value = float(text) if len(text) <= _MAX_DIGITS else float("inf")
         if abs(value) > _MAX_NUMBER:
-            self.reporter.report(
-                "E126", span, "this number is too large, or written with too many digits", help="the maximum is 1e18"
-            )
+            message = "this number is too large, or written with too many digits"
+            self.reporter.report("E126", span, message, help="the maximum is 1e18")
             value = 1.0
         return Number(value, span)
 
     def quantity(self, what: str, units: Mapping[str, float]) -> Number:
         """A number with a unit, converted to the base unit, which is the first of ``units``."""
         number = self.number(what)
-        base = next(iter(units))
         unit = self.texts[self.i]
-        example = f"write `{number.span.text} {base}`"
-        if self.kinds[self.i] != "name" or (unit not in units and unit in RESERVED):
+        if self.kinds[self.i] == "name" and unit in units:
+            return Number(number.value * units[unit], number.span.to(self.take().span))
+        close = next((known for known in units if known.lower() == unit.lower()), None)
+        example = f"write `{number.span.text} {close or next(iter(units))}`"
+        if self.kinds[self.i] != "name" or unit in RESERVED or (close is None and self._starts_item(self.i)):
             self.reporter.report("E127", number.span, f"{what} needs a unit", help=example)
-            return number
-        if unit not in units:
-            close = next((known for known in units if known.lower() == unit.lower()), None)
-            if close is None and self.kinds[self.i + 1] in {"number", ":", "=", "<-", "->", ".", ","}:
-                self.reporter.report("E127", number.span, f"{what} needs a unit", help=example)
-                return number
-            help = f"write `{number.span.text} {close}`" if close else f"{example}; known units: {', '.join(units)}"
-            self.reporter.report("E127", self.span(), f"`{unit}` is not a valid unit for {what}", help=help)
-            self.i += 1
-            return number
-        self.i += 1
-        return Number(number.value * units[unit], number.span.to(self.span(self.i - 1)))
+        else:
+            help = example if close else f"{example}; known units: {', '.join(units)}"
+            self.reporter.report("E127", self.take().span, f"`{unit}` is not a valid unit for {what}", help=help)
+        return number
 
-    def names(self, what: str) -> tuple[Name, ...]:
-        """One or more names, with or without commas between them."""
-        found = [self.name(what)]
-        while True:
-            comma = self.kinds[self.i] == ","
-            at = self.i + comma
-            if self.kinds[at] != "name" or self.texts[at] in RESERVED or self._is_misspelt_statement(at):
-                return tuple(found)
+    def _starts_item(self, at: int) -> bool:
+        """Whether the name at ``at`` is not a unit: what follows it makes it the name of something else."""
+        return self.kinds[at + 1] in {"number", ":", "=", "<-", "->", ".", ","}
+
+    def items(self, close: str) -> Iterator[None]:
+        """Once for each item of a list, up to the sign that closes it; commas between the items are optional."""
+        first = True
+        while not self.accept(close):
+            if not first:
+                self.accept(",")
+                if self.accept(close):
+                    return
+                self.layout.items.add(self.i)
+            first = False
+            yield
+
+    def sequence(self, read: Callable[[], T], continues: Callable[[int], bool]) -> tuple[T, ...]:
+        """What ``read`` reads, until no further item starts at a token; commas between the items are optional."""
+        found = [read()]
+        while continues(at := self.i + (self.kinds[self.i] == ",")):
             self.i = at
             self.layout.items.add(at)
-            found.append(self.name(what))
+            found.append(read())
+        return tuple(found)
+
+    def names(self, what: str) -> tuple[Name, ...]:
+        """One or more names."""
+        return self.sequence(
+            lambda: self.name(what),
+            lambda at: self.kinds[at] == "name" and not self.is_keyword(at) and not self._is_misspelt_statement(at),
+        )
 
     def _is_misspelt_statement(self, at: int) -> bool:
         """Whether the name at ``at`` probably starts a statement: `mod normal {`."""
