@@ -24,7 +24,7 @@ from midstride.lang.message_types import MessageTypes
 from midstride.lang.nodes import NodeBuilder
 from midstride.lang.source import Source, Span
 from midstride.lang.source_map import SourceMap
-from midstride.lang.syntax import KeepStatement, LimitStatement
+from midstride.lang.syntax import KeepStatement, LimitStatement, OrderStatement
 from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.diagnostics import Problem
 from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification
@@ -135,17 +135,15 @@ class _SpecificationBuilder:
     def _constraints(self, nodes: dict[str, Node]) -> list[Constraint]:
         found: list[Constraint] = []
         for namespace, statement in self.declarations.constraints:
-            if isinstance(statement, (KeepStatement, LimitStatement)):
-                role = resolve_name(namespace, statement.functionality.role.text)
-                ref = FunctionalityRef(role, statement.functionality.functionality.text)
-                if isinstance(statement, KeepStatement):
-                    found.append(Keep(ref, statement.mode.text))
-                else:
-                    found.append(Limit(ref, statement.seconds.value))
-            else:
-                found.append(
-                    Order(resolve_name(namespace, statement.first.text), resolve_name(namespace, statement.then.text))
-                )
+            match statement:
+                case OrderStatement(_, first, then):
+                    found.append(Order(resolve_name(namespace, first.text), resolve_name(namespace, then.text)))
+                case KeepStatement(_, (role, name), mode):
+                    ref = FunctionalityRef(resolve_name(namespace, role.text), name.text)
+                    found.append(Keep(ref, mode.text))
+                case LimitStatement(_, (role, name), seconds):
+                    ref = FunctionalityRef(resolve_name(namespace, role.text), name.text)
+                    found.append(Limit(ref, seconds.value))
         return found
 
     # -- problems --------------------------------------------------------------------------------------------
@@ -181,13 +179,10 @@ class _SpecificationBuilder:
         declaration = self.components.merged[node.component]
         topic = self.declarations.topics[node.attachments[port][int(index)]]
         notes = [Note("contract of the topic", topic.contract.span)] if topic.contract is not None else []
-        stated = next((i.contract for i in declaration.inputs if i.name.text == port), None)
-        owner = next((f for f in declaration.functionalities if any(o.text == port for o in f.produces)), None)
-        if owner is not None:
-            stated = next((g.contract for g in owner.modes[0].guarantees if g.output.text == port), None)
-        if stated is not None:
-            notes.append(Note("contract of the port", stated.span))
-        return notes
+        stated = [i.contract for i in declaration.inputs if i.name.text == port]
+        owners = [f for f in declaration.functionalities if any(o.text == port for o in f.produces)]
+        stated += [g.contract for f in owners[:1] for g in f.modes[0].guarantees if g.output.text == port]
+        return notes + [Note("contract of the port", contract.span) for contract in stated[:1]]
 
     def _may_follow(
         self, problem: Problem, specification: Specification, files_missing: bool, place: Span | None

@@ -44,19 +44,9 @@ class OfferEntry(NamedTuple):
     declaration: syntax.EnvironmentOffer
 
 
-class ConstraintEntry(NamedTuple):
-    namespace: str
-    statement: syntax.ConstraintStatement
-
-
-class ParameterFileEntry(NamedTuple):
-    namespace: str
-    path: syntax.Name
-
-
 @dataclass(slots=True)
 class Declarations:
-    """All declarations by full name, in source order."""
+    """All declarations by full name, in source order; constraints and parameter files with their namespaces."""
 
     system: syntax.Name | None = None
     contracts: dict[str, syntax.ContractDeclaration] = field(default_factory=dict)
@@ -65,8 +55,8 @@ class Declarations:
     topics: dict[str, syntax.TopicDeclaration] = field(default_factory=dict)
     offers: dict[str, OfferEntry] = field(default_factory=dict)
     nodes: dict[str, NodeEntry] = field(default_factory=dict)
-    constraints: list[ConstraintEntry] = field(default_factory=list)
-    parameter_files: list[ParameterFileEntry] = field(default_factory=list)
+    constraints: list[tuple[str, syntax.ConstraintStatement]] = field(default_factory=list)
+    parameter_files: list[tuple[str, syntax.Name]] = field(default_factory=list)
     timing: dict[str, syntax.StepDuration] = field(default_factory=dict)
 
 
@@ -93,57 +83,43 @@ class _Collector:
         self.found = found
         self.reporter = reporter
         self.orders = 0
+        self._first: dict[tuple[str, str], Span] = {}  # where each name of each kind is declared first
 
     def items(self, items: Iterable[syntax.Item], namespace: str) -> None:
         found = self.found
         for item in items:
-            if isinstance(item, syntax.NodeDeclaration):
-                role = resolve_name(namespace, item.name.text)
-                self._add(
-                    found.nodes,
-                    role,
-                    NodeEntry(role, namespace, item),
-                    item.name,
-                    "node",
-                    lambda n: n.declaration.name.span,
-                )
-            elif isinstance(item, syntax.TopicDeclaration):
-                self._topic(item, namespace)
-            elif isinstance(item, syntax.ContractDeclaration):
-                self._add(found.contracts, item.name.text, item, item.name, "contract", lambda c: c.name.span)
-            elif isinstance(item, syntax.ComponentDeclaration):
-                self._add(found.components, item.name.text, item, item.name, "component", lambda c: c.name.span)
-            elif isinstance(item, syntax.ResourceDeclaration):
-                self._add(found.resources, item.name.text, item, item.name, "resource", lambda r: r.name.span)
-            elif isinstance(item, syntax.EnvironmentBlock):
-                limit = MAX_PARTS - len(found.offers)
-                for offer in limited(item.offers, "guarantee", lambda offer: offer.name.span, self.reporter, limit):
-                    name = resolve_name(namespace, offer.name.text).replace("/", "_")
-                    entry = OfferEntry(namespace, offer)
-                    self._add(
-                        found.offers,
-                        name,
-                        entry,
-                        offer.name,
-                        "environment guarantee",
-                        lambda o: o.declaration.name.span,
-                    )
-            elif isinstance(item, syntax.TimingBlock):
-                for duration in item.durations:
-                    self._add(
-                        found.timing, duration.kind.text, duration, duration.kind, "time for", lambda d: d.kind.span
-                    )
-            elif isinstance(item, syntax.NamespaceBlock):
-                self.items(item.items, resolve_name(namespace, item.name.text))
-            elif isinstance(item, syntax.ParameterFile):
-                found.parameter_files.append(ParameterFileEntry(namespace, item.path))
-            elif isinstance(item, syntax.OrderStatement):
-                self.orders += 1
-                limit = 1 if self.orders <= MAX_PARTS else 0
-                for order in limited((item,), "order", lambda order: order.span, self.reporter, limit):
-                    found.constraints.append(ConstraintEntry(namespace, order))
-            elif not isinstance(item, syntax.IncludeStatement):
-                found.constraints.append(ConstraintEntry(namespace, item))
+            match item:
+                case syntax.NodeDeclaration(name=name):
+                    role = resolve_name(namespace, name.text)
+                    self._add(found.nodes, role, NodeEntry(role, namespace, item), name, "node")
+                case syntax.TopicDeclaration():
+                    self._topic(item, namespace)
+                case syntax.ContractDeclaration(name=name):
+                    self._add(found.contracts, name.text, item, name, "contract")
+                case syntax.ComponentDeclaration(name=name):
+                    self._add(found.components, name.text, item, name, "component")
+                case syntax.ResourceDeclaration(name=name):
+                    self._add(found.resources, name.text, item, name, "resource")
+                case syntax.EnvironmentBlock(offers=offers):
+                    limit = MAX_PARTS - len(found.offers)
+                    for offer in limited(offers, "guarantee", lambda offer: offer.name.span, self.reporter, limit):
+                        full = resolve_name(namespace, offer.name.text).replace("/", "_")
+                        entry = OfferEntry(namespace, offer)
+                        self._add(found.offers, full, entry, offer.name, "environment guarantee")
+                case syntax.TimingBlock(durations=durations):
+                    for duration in durations:
+                        self._add(found.timing, duration.kind.text, duration, duration.kind, "time for")
+                case syntax.NamespaceBlock(name=name):
+                    self.items(item.items, resolve_name(namespace, name.text))
+                case syntax.ParameterFile(path=path):
+                    found.parameter_files.append((namespace, path))
+                case syntax.OrderStatement():
+                    self.orders += 1
+                    limit = 1 if self.orders <= MAX_PARTS else 0
+                    for order in limited((item,), "order", lambda order: order.span, self.reporter, limit):
+                        found.constraints.append((namespace, order))
+                case syntax.KeepStatement() | syntax.LimitStatement():
+                    found.constraints.append((namespace, item))
 
     def _topic(self, item: syntax.TopicDeclaration, namespace: str) -> None:
         name = item.name.text
@@ -151,16 +127,13 @@ class _Collector:
             message = f"`{name}` is private to a node, but this is not inside one"
             self.reporter.report("E139", item.name.span, message, help="write the full name: `/node/topic`")
             return
-        full = resolve_topic(namespace, name)
-        self._add(self.found.topics, full, item, item.name, "topic", lambda t: t.name.span)
+        self._add(self.found.topics, resolve_topic(namespace, name), item, item.name, "topic")
 
-    def _add(self, table: dict[str, T], full: str, item: T, name: syntax.Name, what: str, span_of: object) -> None:
+    def _add(self, table: dict[str, T], full: str, item: T, name: syntax.Name, what: str) -> None:
         if full not in table:
             table[full] = item
-            return
-        first: Span = span_of(table[full])  # type: ignore[operator]  # a function of the table's entries
-        if first == name.span:
-            return  # one declaration, included in several namespaces
-        note = Note("first declared here", first)
-        message = f"{what} `{full}` is already declared"
-        self.reporter.report("E007", name.span, message, help="use another name", notes=[note])
+            self._first[what, full] = name.span
+        elif (first := self._first[what, full]) != name.span:  # else one declaration, included in several namespaces
+            note = Note("first declared here", first)
+            message = f"{what} `{full}` is already declared"
+            self.reporter.report("E007", name.span, message, help="use another name", notes=[note])

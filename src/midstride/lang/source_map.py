@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from midstride.lang import syntax
 from midstride.lang.declarations import Declarations
 from midstride.lang.source import Span
+from midstride.lang.syntax import find
 from midstride.model.diagnostics import Problem
 
 Subject = Sequence[str]
@@ -31,134 +32,131 @@ class SourceMap:
 
     def span_of(self, problem: Problem) -> Span | None:
         """The place of a problem's subject; None if the text has none."""
-        subject, found = problem.subject, self.declarations
-        kind, name, rest = (*subject, "", "")[0], (*subject, "", "")[1], subject[2:]
-        if kind == "components" and name in self.merged:
-            return self._component(self.merged[name], rest)
-        if kind == "nodes" and name in found.nodes:
-            return self._node(name, rest)
-        if kind == "topics" and name in found.topics:
-            topic = found.topics[name]
-            if rest[:1] == ("max_publishers",) and topic.max_publishers is not None:
-                return topic.max_publishers.span
-            return topic.name.span if not rest or topic.contract is None else _contract(topic.contract, rest)
-        if kind == "environment" and name in found.offers:
-            offer = found.offers[name].declaration
-            if rest[:1] == ("topic",) and offer.topic is not None:
-                return offer.topic.span
-            return offer.name.span if not rest or offer.contract is None else _contract(offer.contract, rest[1:])
-        if kind == "resources" and name in found.resources:
-            resource = found.resources[name]
-            return resource.name.span if resource.capacity is None or not rest else resource.capacity.span
-        if kind == "constraints" and name.isdecimal() and int(name) < len(found.constraints):
-            return self._constraint(int(name), rest, problem)
-        if kind == "timing_seconds" and name in found.timing:
-            return found.timing[name].kind.span
+        found = self.declarations
+        match problem.subject:
+            case ("components", name, *rest) if name in self.merged:
+                return _component(self.merged[name], rest)
+            case ("nodes", role, *rest) if role in found.nodes:
+                return self._node(role, rest)
+            case ("topics", name, *rest) if name in found.topics:
+                topic = found.topics[name]
+                if rest[:1] == ["max_publishers"] and topic.max_publishers is not None:
+                    return topic.max_publishers.span
+                return _contract(topic.contract, rest, topic.name.span)
+            case ("environment", name, *rest) if name in found.offers:
+                offer = found.offers[name].declaration
+                if rest[:1] == ["topic"] and offer.topic is not None:
+                    return offer.topic.span
+                return _contract(offer.contract, rest[1:], offer.contract.span if rest else offer.name.span)
+            case ("resources", name, *rest) if name in found.resources:
+                resource = found.resources[name]
+                return resource.name.span if resource.capacity is None or not rest else resource.capacity.span
+            case ("constraints", index, *rest) if _within(found.constraints, index):
+                return _constraint(found.constraints[int(index)][1], rest, problem.declared[:1] == ("nodes",))
+            case ("timing_seconds", kind, *_) if kind in found.timing:
+                return found.timing[kind].kind.span
         return None if found.system is None else found.system.span
-
-    def _component(self, declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
-        kind, name, inner = (*rest, "", "")[0], (*rest, "", "")[1], rest[2:]
-        if kind == "run" and declaration.runs:
-            return declaration.runs[0].command.span
-        if kind == "takes_seconds" and declaration.runs and declaration.runs[0].startup is not None:
-            return declaration.runs[0].startup.span
-        if kind == "holds":
-            held = next((h for statement in declaration.holds for h in statement if h.resource.text == name), None)
-            if held is not None:
-                return held.resource.span
-        if kind == "parameters":
-            entry = next((entry for entry in declaration.parameters if entry.name.text == name), None)
-            if entry is not None:
-                return entry.name.span
-        if kind == "inputs":
-            port = next((port for port in declaration.inputs if port.name.text == name), None)
-            if port is not None:
-                return port.name.span if not inner or port.contract is None else _contract(port.contract, inner)
-        if kind == "outputs" and name.isdecimal() and int(name) < len(declaration.outputs):
-            return declaration.outputs[int(name)].span
-        if kind == "functionalities":
-            functionality = next((f for f in declaration.functionalities if f.name.text == name), None)
-            if functionality is not None:
-                return _functionality(functionality, inner)
-        return declaration.name.span
 
     def _node(self, role: str, rest: Subject) -> Span:
         declaration = self.declarations.nodes[role].declaration
-        kind, name, inner = (*rest, "", "")[0], (*rest, "", "")[1], rest[2:]
-        if kind == "component" and declaration.component is not None:
-            return declaration.component.span
-        if kind == "parameters":
-            return self.parameters.get((role, name), declaration.name.span)
-        if kind == "attachments":
-            attachments = [attachment for attachment in declaration.attachments if attachment.port.text == name]
-            topics = [topic for attachment in attachments for topic in attachment.topics]
-            if inner and inner[0].isdecimal() and int(inner[0]) < len(topics):
-                return topics[int(inner[0])].span
-            if attachments:
-                return attachments[0].port.span
+        match rest:
+            case ["component", *_] if declaration.component is not None:
+                return declaration.component.span
+            case ["parameters", name, *_]:
+                return self.parameters.get((role, name), declaration.name.span)
+            case ["attachments", name, *inner]:
+                attachments = [attachment for attachment in declaration.attachments if attachment.port.text == name]
+                topics = [topic for attachment in attachments for topic in attachment.topics]
+                if attachments:
+                    return _nth(topics, inner, attachments[0].port.span)
         return declaration.name.span
 
-    def _constraint(self, index: int, rest: Subject, problem: Problem) -> Span:
-        statement = self.declarations.constraints[index].statement
-        key = (*rest, "")[0]
-        if isinstance(statement, syntax.OrderStatement):
-            return {"order": statement.first.span, "before": statement.then.span}.get(key, statement.span)
-        if key in {"keep", "limit"}:
-            of_node = problem.declared[:1] == ("nodes",)
+
+def _constraint(statement: syntax.ConstraintStatement, rest: Subject, of_node: bool) -> Span:
+    """``of_node``: the problem is with the node, not with its functionality."""
+    match statement, rest:
+        case syntax.OrderStatement(), ["order", *_]:
+            return statement.first.span
+        case syntax.OrderStatement(), ["before", *_]:
+            return statement.then.span
+        case syntax.KeepStatement() | syntax.LimitStatement(), ["keep" | "limit", *_]:
             return statement.functionality.role.span if of_node else statement.functionality.functionality.span
-        if isinstance(statement, syntax.KeepStatement) and key == "at":
+        case syntax.KeepStatement(), ["at", *_]:
             return statement.mode.span
-        if isinstance(statement, syntax.LimitStatement) and key == "below_baseline_seconds":
+        case syntax.LimitStatement(), ["below_baseline_seconds", *_]:
             return statement.seconds.span
-        return statement.span
+    return statement.span
+
+
+def _component(declaration: syntax.ComponentDeclaration, rest: Subject) -> Span:
+    run = declaration.runs[0] if declaration.runs else None
+    match rest:
+        case ["run"] if run is not None:
+            return run.command.span
+        case ["takes_seconds"] if run is not None and run.startup is not None:
+            return run.startup.span
+        case ["holds", name, *_]:
+            held = (held.resource for statement in declaration.holds for held in statement)
+            return next((resource.span for resource in held if resource.text == name), declaration.name.span)
+        case ["parameters", name, *_] if (entry := find(declaration.parameters, name)) is not None:
+            return entry.name.span
+        case ["inputs", name, *inner] if (port := find(declaration.inputs, name)) is not None:
+            return _contract(port.contract, inner, port.name.span)
+        case ["outputs", *inner]:
+            return _nth(declaration.outputs, inner, declaration.name.span)
+        case ["functionalities", name, *inner] if (part := find(declaration.functionalities, name)) is not None:
+            return _functionality(part, inner)
+    return declaration.name.span
 
 
 def _functionality(declaration: syntax.FunctionalityDeclaration, rest: Subject) -> Span:
-    kind, name, inner = (*rest, "", "")[0], (*rest, "", "")[1], rest[2:]
-    if kind == "weight" and declaration.weight is not None:
-        return declaration.weight.span
-    if kind == "uses":
-        return _nth(declaration.uses, name, declaration.name.span)
-    if kind == "produces":
-        return _nth(declaration.produces, name, declaration.name.span)
-    if kind == "modes":
-        mode = next((mode for mode in declaration.modes if mode.name.text == name), None)
-        if mode is not None:
+    match rest:
+        case ["weight"] if declaration.weight is not None:
+            return declaration.weight.span
+        case ["uses", *inner]:
+            return _nth(declaration.uses, inner, declaration.name.span)
+        case ["produces", *inner]:
+            return _nth(declaration.produces, inner, declaration.name.span)
+        case ["modes", name, *inner] if (mode := find(declaration.modes, name)) is not None:
             return _mode(mode, inner)
     return declaration.name.span
 
 
 def _mode(mode: syntax.ModeDeclaration, rest: Subject) -> Span:
-    kind, name, inner = (*rest, "", "")[0], (*rest, "", "")[1], rest[2:]
-    if kind == "assumes" and name.isdecimal() and int(name) < len(mode.assumptions):
-        assumption = mode.assumptions[int(name)]
-        if isinstance(assumption, syntax.NamedAssumption):
-            return _nth(assumption.inputs, (*inner, "", "")[1], assumption.span)
-        return _contract(assumption, inner)
-    if kind == "guarantees":
-        guarantee = next((guarantee for guarantee in mode.guarantees if guarantee.output.text == name), None)
-        if guarantee is not None:
-            return (
-                guarantee.output.span
-                if not inner or guarantee.contract is None
-                else _contract(guarantee.contract, inner)
-            )
+    match rest:
+        case ["assumes", index, *inner] if _within(mode.assumptions, index):
+            assumption = mode.assumptions[int(index)]
+            if isinstance(assumption, syntax.NamedAssumption):
+                return _nth(assumption.inputs, inner[1:], assumption.span)
+            return _contract(assumption, inner, assumption.span)
+        case ["guarantees", name, *inner]:
+            stated = next((guarantee for guarantee in mode.guarantees if guarantee.output.text == name), None)
+            if stated is not None:
+                return _contract(stated.contract, inner, stated.output.span)
     return mode.name.span
 
 
-def _nth(names: Sequence[syntax.Name], index: str, otherwise: Span) -> Span:
-    return names[int(index)].span if index.isdecimal() and int(index) < len(names) else otherwise
+def _within(entries: Sequence[object], index: str) -> bool:
+    return index.isdecimal() and int(index) < len(entries)
 
 
-def _contract(contract: syntax.ContractExpression, rest: Subject) -> Span:
-    kind, name = (*rest, "", "")[:2]
-    if kind == "rate" and contract.rate is not None:
-        return contract.rate.span
-    if kind == "qos" and contract.qos:
-        policy = next((p for p in contract.qos if name.startswith(p.name.text)), contract.qos[0])
-        return policy.value.span
-    if kind == "where":
-        constraint = next((c for c in contract.where if c.path.text == name), None)
-        if constraint is not None:
-            return constraint.span
+def _nth(names: Sequence[syntax.Name], rest: Subject, otherwise: Span) -> Span:
+    """The place of the name whose index ``rest`` begins with."""
+    return names[int(rest[0])].span if rest and _within(names, rest[0]) else otherwise
+
+
+def _contract(contract: syntax.ContractExpression | None, rest: Subject, whole: Span) -> Span:
+    """The place of a part of a contract; ``whole`` is what it is the contract of."""
+    if contract is None:
+        return whole
+    match rest:
+        case []:
+            return whole
+        case ["rate", *_] if contract.rate is not None:
+            return contract.rate.span
+        case ["qos", *inner] if contract.qos:
+            name = inner[0] if inner else ""
+            return next((p for p in contract.qos if name.startswith(p.name.text)), contract.qos[0]).value.span
+        case ["where", path, *_]:
+            return next((c.span for c in contract.where if c.path.text == path), contract.span)
     return contract.span

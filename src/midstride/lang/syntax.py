@@ -6,8 +6,9 @@ belongs to records that (``incomplete``, ``skipped``), so that no error is deriv
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias, TypeVar
 
 from midstride.lang.lexer import Tokens
 from midstride.lang.source import Span
@@ -20,6 +21,21 @@ class Name(NamedTuple):
 
     text: str
     span: Span
+
+
+class Named(Protocol):
+    """A declaration with a name."""
+
+    @property
+    def name(self) -> Name: ...
+
+
+N = TypeVar("N", bound=Named)
+
+
+def find(entries: Iterable[N], name: str) -> N | None:
+    """The declaration with that name, if there is one."""
+    return next((entry for entry in entries if entry.name.text == name), None)
 
 
 class Number(NamedTuple):
@@ -98,7 +114,7 @@ class ParameterEntry(NamedTuple):
 
 class InputDeclaration(NamedTuple):
     name: Name
-    contract: ContractExpression | None
+    contract: ContractExpression
 
 
 class AllowedEndpoint(NamedTuple):
@@ -115,7 +131,7 @@ class NamedAssumption(NamedTuple):
 
 class GuaranteeStatement(NamedTuple):
     output: Name
-    contract: ContractExpression | None
+    contract: ContractExpression
 
 
 AssumptionExpression: TypeAlias = "NamedAssumption | ContractExpression"
@@ -177,7 +193,7 @@ class ResourceDeclaration(NamedTuple):
 class EnvironmentOffer(NamedTuple):
     name: Name
     topic: Name | None
-    contract: ContractExpression | None
+    contract: ContractExpression
 
 
 class EnvironmentBlock(NamedTuple):
