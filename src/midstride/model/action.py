@@ -22,7 +22,7 @@ from midstride.model import wording
 from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef, value_fits, value_kind
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import explain, satisfies
-from midstride.model.rules import Evaluator, cap_violation, capacity_violation, normal_guarantee
+from midstride.model.rules import Evaluator, attachment_shortfall, cap_violation, capacity_violation
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,14 +197,7 @@ class Attach(Action):
 
 def contract_reasons(configuration: Configuration, port: PortRef, connector: Connector) -> tuple[Reason, ...]:
     """Why the contracts of a live port and a connector do not fit, clause by clause; empty iff they do."""
-    component = configuration.component(port.instance)
-    if port.port in component.outputs:
-        mode = component.owner(port.port).modes[0]
-        clauses = explain(normal_guarantee(component, port.port), connector.guarantee)
-        shortfall = f"{port} in mode {mode.name} does not satisfy {connector.name}"
-    else:
-        clauses = explain(connector.guarantee, component.inputs[port.port])
-        shortfall = f"{connector.name} does not satisfy what {port} assumes"
+    shortfall, clauses = attachment_shortfall(configuration.component(port.instance), port, connector)
     if not clauses:
         return ()
     return (Reason("contract", (str(port), connector.name), f"{shortfall} ({', '.join(clauses)})"),)
@@ -265,8 +258,7 @@ def _mode_reasons(
     if not modes:
         yield Reason("named", (), "no functionality is given")
     for ref, index in sorted(modes.items()):
-        instance = configuration.instances.get(ref.instance)
-        functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
+        functionality = configuration.find_functionality(ref)
         if functionality is None:
             yield Reason("live", (str(ref),), f"{ref} is not a functionality of a live component")
         elif not 0 <= index <= functionality.last_mode:
@@ -281,8 +273,7 @@ def _mode_names(
 ) -> Iterator[tuple[str, str | None, str]]:
     """Each functionality with the mode it leaves, where that is known, and the mode it enters."""
     for ref, index in sorted(modes.items()):
-        instance = None if configuration is None else configuration.instances.get(ref.instance)
-        functionality = None if instance is None else instance.component.functionalities.get(ref.functionality)
+        functionality = None if configuration is None else configuration.find_functionality(ref)
         if configuration is None or functionality is None or not 0 <= index <= functionality.last_mode:
             yield str(ref), None, f"mode {index}"
         else:
@@ -290,15 +281,27 @@ def _mode_names(
 
 
 @dataclass(frozen=True, slots=True)
-class Degrade(Action):
-    """``degrade F``: to strictly worse modes. F in its new modes, and every other functionality, stays satisfied."""
+class _ModeAction(Action):
+    """What degrading and upgrading have in common: the functionalities, each with the mode that it enters."""
 
-    kind: ClassVar[str] = "degrade"
     is_structural: ClassVar[bool] = False
     modes: Map[FunctionalityRef, int]
 
     def instances(self) -> tuple[str, ...]:
         return tuple(dict.fromkeys(ref.instance for ref in sorted(self.modes)))
+
+    def effect(self, configuration: Configuration) -> Configuration:
+        return configuration.with_modes(self.modes)
+
+    def describe(self, configuration: Configuration | None = None) -> str:
+        return wording.mode_changes(self.kind, _mode_names(self.modes, configuration))
+
+
+@dataclass(frozen=True, slots=True)
+class Degrade(_ModeAction):
+    """``degrade F``: to strictly worse modes. F in its new modes, and every other functionality, stays satisfied."""
+
+    kind: ClassVar[str] = "degrade"
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := tuple(_mode_reasons(configuration, self.modes, "worse")):
@@ -308,46 +311,27 @@ class Degrade(Action):
         affected: dict[FunctionalityRef, None] = dict.fromkeys(self.modes)
         for ref in self.modes:
             for output in configuration.functionality(ref).outputs:
-                port = PortRef(ref.instance, output)
-                for name in configuration.connectors_of.get(port, ()):
+                for name in configuration.connectors_of.get(PortRef(ref.instance, output), ()):
                     if was.connector_satisfied(name) and not now.connector_satisfied(name):
                         affected.update(dict.fromkeys(configuration.consumers(name)))
         return _unsatisfied(after, affected)
 
-    def effect(self, configuration: Configuration) -> Configuration:
-        return configuration.with_modes(self.modes)
-
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Upgrade(Map({ref: before.modes[ref] for ref in self.modes})),)
 
-    def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.mode_changes("degrade", _mode_names(self.modes, configuration))
-
 
 @dataclass(frozen=True, slots=True)
-class Upgrade(Action):
+class Upgrade(_ModeAction):
     """``upgrade F``: to strictly better modes, in which each of F is satisfied afterwards."""
 
     kind: ClassVar[str] = "upgrade"
-    is_structural: ClassVar[bool] = False
-    modes: Map[FunctionalityRef, int]
-
-    def instances(self) -> tuple[str, ...]:
-        return tuple(dict.fromkeys(ref.instance for ref in sorted(self.modes)))
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
-        if reasons := tuple(_mode_reasons(configuration, self.modes, "better")):
-            return reasons
-        return _unsatisfied(self.effect(configuration), self.modes)
-
-    def effect(self, configuration: Configuration) -> Configuration:
-        return configuration.with_modes(self.modes)
+        reasons = tuple(_mode_reasons(configuration, self.modes, "better"))
+        return reasons or _unsatisfied(self.effect(configuration), self.modes)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Degrade(Map({ref: before.modes[ref] for ref in self.modes})),)
-
-    def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.mode_changes("upgrade", _mode_names(self.modes, configuration))
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,12 +349,10 @@ class Handover(Action):
             return (Reason("named", (), "no swap is given"),)
         reasons = [reason for swap in self.swaps for reason in _swap_reasons(configuration, swap)]
         seen: set[tuple[PortRef, str]] = set()
-        for swap in self.swaps:
-            for port in (swap.old, swap.new):
-                if (port, swap.connector) in seen:
-                    subjects = (str(port), swap.connector)
-                    reasons.append(Reason("once", subjects, f"{port} occurs twice on {swap.connector}"))
-                seen.add((port, swap.connector))
+        for end in ((port, swap.connector) for swap in self.swaps for port in (swap.old, swap.new)):
+            if end in seen:
+                reasons.append(Reason("once", (str(end[0]), end[1]), f"{end[0]} occurs twice on {end[1]}"))
+            seen.add(end)
         if not reasons:
             after = self.effect(configuration)
             for name in sorted({swap.connector for swap in self.swaps}):
@@ -436,20 +418,19 @@ class SetParameters(Action):
         instance = configuration.instances.get(self.instance)
         if instance is None:
             return (Reason("live", (self.instance,), f"{self.instance} is not live"),)
-        reasons = []
-        for name in sorted(self.parameters):
-            declared = instance.component.parameters.get(name)
+        return tuple(self._reasons(instance))
+
+    def _reasons(self, instance: Instance) -> Iterator[Reason]:
+        for name, value in sorted(self.parameters.items()):
+            declared, subjects = instance.component.parameters.get(name), (f"{self.instance}.{name}",)
             if declared is None:
-                because = f"{self.instance} has no parameter {name}"
-                reasons.append(Reason("parameter", (f"{self.instance}.{name}",), because))
+                yield Reason("parameter", subjects, f"{self.instance} has no parameter {name}")
             elif not declared.changeable:
                 because = f"parameter {name} of {self.instance} is not changeable; replace the node instead"
-                reasons.append(Reason("changeable", (f"{self.instance}.{name}",), because))
-            elif not value_fits(self.parameters[name], declared.value):
-                kind, given = value_kind(declared.value), value_kind(self.parameters[name])
-                because = f"parameter {name} of {self.instance} takes {kind}, not {given}"
-                reasons.append(Reason("type", (f"{self.instance}.{name}",), because))
-        return tuple(reasons)
+                yield Reason("changeable", subjects, because)
+            elif not value_fits(value, declared.value):
+                kind, given = value_kind(declared.value), value_kind(value)
+                yield Reason("type", subjects, f"parameter {name} of {self.instance} takes {kind}, not {given}")
 
     def effect(self, configuration: Configuration) -> Configuration:
         return configuration.with_parameters(self.instance, self.parameters)

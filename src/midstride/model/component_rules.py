@@ -109,29 +109,23 @@ def _functionality_rules(functionality: FunctionalitySpec, path: Path) -> Iterat
 
 def _one_endpoint(functionality: FunctionalitySpec, output: str, path: Path) -> Generator[Problem, None, bool]:
     """M3, reported for the first mode that disagrees. Returns whether there is one."""
-    first: tuple[Mode, Predicate] | None = None
-    for mode in functionality.modes:
-        guarantee = mode.guarantee(output)
-        if not isinstance(guarantee, Predicate):
+    stated = [(mode, mode.guarantees[output]) for mode in functionality.modes if output in mode.guarantees]
+    for mode, guarantee in stated[1:]:
+        first_mode, first = stated[0]
+        if guarantee.type != first.type:
+            differ = f"type {first.type}", guarantee.type
+            help = f"write {first.type} in both, or use two outputs"
+        elif not guarantee.qos.same_endpoint(first.qos):
+            differ = _in_words(first.qos), _in_words(guarantee.qos)
+            help = "state one QoS in both, or use two outputs"
+        else:
             continue
-        if first is None:
-            first = mode, guarantee
-            continue
-        where = (*path, "modes", mode.name, "guarantees", output)
-        if guarantee.type != first[1].type:
-            message = (
-                f"M3: output {output} is one endpoint, but has type {first[1].type} in mode {first[0].name}"
-                f" and {guarantee.type} in mode {mode.name}"
-            )
-            yield Problem("E012", where, message, f"write {first[1].type} in both, or use two outputs")
-            return True
-        if not guarantee.qos.same_endpoint(first[1].qos):
-            message = (
-                f"M3: output {output} is one endpoint, but has {_in_words(first[1].qos)} in mode {first[0].name}"
-                f" and {_in_words(guarantee.qos)} in mode {mode.name}"
-            )
-            yield Problem("E012", where, message, "state one QoS in both, or use two outputs")
-            return True
+        message = (
+            f"M3: output {output} is one endpoint, but has {differ[0]} in mode {first_mode.name}"
+            f" and {differ[1]} in mode {mode.name}"
+        )
+        yield Problem("E012", (*path, "modes", mode.name, "guarantees", output), message, help)
+        return True
     return False
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from functools import lru_cache
+from typing import TypeVar
 
 from immutables import Map
 
@@ -27,6 +28,8 @@ from midstride.model.component import (
 )
 from midstride.model.contract import Contract
 
+K = TypeVar("K")
+V = TypeVar("V")
 PortSet = Map[PortRef, None]
 NameSet = Map[str, None]
 _NO_PORTS: PortSet = Map()
@@ -121,6 +124,11 @@ class Configuration:
     def functionality(self, ref: FunctionalityRef) -> FunctionalitySpec:
         return self.component(ref.instance).functionalities[ref.functionality]
 
+    def find_functionality(self, ref: FunctionalityRef) -> FunctionalitySpec | None:
+        """The same, or None where no such functionality is live."""
+        instance = self.instances.get(ref.instance)
+        return None if instance is None else instance.component.functionalities.get(ref.functionality)
+
     def mode(self, ref: FunctionalityRef) -> Mode:
         """The current mode of a live functionality."""
         return self.functionality(ref).modes[self.modes[ref]]
@@ -185,14 +193,14 @@ class Configuration:
         held, holders = self.held, self.holders
         for resource, amount in instance.component.resource_usage.items():
             held = held.set(resource, held.get(resource, _NONE_HELD) + to_fraction(amount))
-            holders = holders.set(resource, holders.get(resource, _NO_NAMES).set(instance.name, None))
-        modes = self.modes.update({FunctionalityRef(instance.name, f.name): f.last_mode for f in instance.component})
-        instances_by_role = self.instances_by_role.set(
-            instance.role, self.instances_by_role.get(instance.role, _NO_NAMES).set(instance.name, None)
-        )
-        instances = self.instances.set(instance.name, instance)
+            holders = _added(holders, resource, instance.name)
         return replace(
-            self, instances=instances, modes=modes, held=held, holders=holders, instances_by_role=instances_by_role
+            self,
+            instances=self.instances.set(instance.name, instance),
+            modes=self.modes.update({FunctionalityRef(instance.name, f.name): f.last_mode for f in instance.component}),
+            held=held,
+            holders=holders,
+            instances_by_role=_added(self.instances_by_role, instance.role, instance.name),
         )
 
     def without_instance(self, name: str) -> Configuration:
@@ -203,44 +211,32 @@ class Configuration:
             isolated = isolated.without_attachment(port, connector)
         held, holders = isolated.held, isolated.holders
         for resource, amount in instance.component.resource_usage.items():
-            rest = holders[resource].delete(name)
-            if rest:
-                held = held.set(resource, held[resource] - to_fraction(amount))
-                holders = holders.set(resource, rest)
-            else:
-                held, holders = held.delete(resource), holders.delete(resource)
+            holders = _dropped(holders, resource, name)
+            rest = held[resource] - to_fraction(amount)
+            held = held.set(resource, rest) if resource in holders else held.delete(resource)
         modes = isolated.modes
         for ref in instance.functionality_refs():
             modes = modes.delete(ref)
-        others = isolated.instances_by_role[instance.role].delete(name)
-        instances_by_role = (
-            isolated.instances_by_role.set(instance.role, others)
-            if others
-            else isolated.instances_by_role.delete(instance.role)
-        )
-        instances = isolated.instances.delete(name)
         return replace(
-            isolated, instances=instances, modes=modes, held=held, holders=holders, instances_by_role=instances_by_role
+            isolated,
+            instances=isolated.instances.delete(name),
+            modes=modes,
+            held=held,
+            holders=holders,
+            instances_by_role=_dropped(isolated.instances_by_role, instance.role, name),
         )
 
     def with_attachment(self, port: PortRef, connector: str) -> Configuration:
-        index, ports = self._index(port, connector)
-        return replace(
-            self,
-            connectors_of=self.connectors_of.set(port, self.connectors_of.get(port, _NO_NAMES).set(connector, None)),
-            **{index: getattr(self, index).set(connector, ports.set(port, None))},
-        )
+        connectors_of = _added(self.connectors_of, port, connector)
+        if self.is_output(port):
+            return replace(self, connectors_of=connectors_of, publishers=_added(self.publishers, connector, port))
+        return replace(self, connectors_of=connectors_of, subscribers=_added(self.subscribers, connector, port))
 
     def without_attachment(self, port: PortRef, connector: str) -> Configuration:
-        index, ports = self._index(port, connector)
-        rest = ports.delete(port)
-        indexed = getattr(self, index)
-        names = self.connectors_of[port].delete(connector)
-        return replace(
-            self,
-            connectors_of=self.connectors_of.set(port, names) if names else self.connectors_of.delete(port),
-            **{index: indexed.set(connector, rest) if rest else indexed.delete(connector)},
-        )
+        connectors_of = _dropped(self.connectors_of, port, connector)
+        if self.is_output(port):
+            return replace(self, connectors_of=connectors_of, publishers=_dropped(self.publishers, connector, port))
+        return replace(self, connectors_of=connectors_of, subscribers=_dropped(self.subscribers, connector, port))
 
     def with_modes(self, modes: Mapping[FunctionalityRef, int]) -> Configuration:
         return replace(self, modes=self.modes.update(modes)) if modes else self
@@ -253,10 +249,17 @@ class Configuration:
     def with_context(self, context: SystemContext) -> Configuration:
         return replace(self, context=context)
 
-    def _index(self, port: PortRef, connector: str) -> tuple[str, PortSet]:
-        if self.is_output(port):
-            return "publishers", self.publishers_on(connector)
-        return "subscribers", self.subscribers_on(connector)
+
+def _added(index: Map[K, Map[V, None]], key: K, member: V) -> Map[K, Map[V, None]]:
+    """``index`` with ``member`` in the set under ``key``."""
+    members: Map[V, None] = index.get(key, Map())
+    return index.set(key, members.set(member, None))
+
+
+def _dropped(index: Map[K, Map[V, None]], key: K, member: V) -> Map[K, Map[V, None]]:
+    """``index`` without it; an empty set is dropped."""
+    rest = index[key].delete(member)
+    return index.set(key, rest) if rest else index.delete(key)
 
 
 def configure(
@@ -292,17 +295,16 @@ def configure(
     return Configuration(
         context=context,
         instances=Map(live),
-        connectors_of=Map({port: Map(names) for port, names in connectors_of.items()}),
+        connectors_of=_frozen(connectors_of),
         modes=Map(entered),
         publishers=_frozen(publishers),
         subscribers=_frozen(subscribers),
         held=Map(held),
-        holders=Map({name: Map(names) for name, names in holders.items()}),
-        instances_by_role=Map({role: Map(names) for role, names in instances_by_role.items()}),
+        holders=_frozen(holders),
+        instances_by_role=_frozen(instances_by_role),
     )
 
 
-def _frozen(index: Mapping[str, dict[PortRef, None]]) -> Map[str, PortSet]:
-    # A named variable of the key's type: mypy cannot choose the overload for a tuple-like key from the dict alone.
-    sets: dict[str, PortSet] = {name: Map((port, None) for port in ports) for name, ports in index.items()}
+def _frozen(index: Mapping[K, Iterable[V]]) -> Map[K, Map[V, None]]:
+    sets: dict[K, Map[V, None]] = {key: Map((member, None) for member in members) for key, members in index.items()}
     return Map(sets)

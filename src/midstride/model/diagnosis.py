@@ -5,6 +5,7 @@ Meant for configurations in their best modes; in any other, the answer says what
 
 from __future__ import annotations
 
+import sys
 from collections import deque
 from collections.abc import Iterator
 from typing import TypeAlias
@@ -17,32 +18,8 @@ from midstride.model.rules import Evaluator
 _Goal: TypeAlias = tuple[FunctionalityRef, int]
 
 
-def reasons_against(configuration: Configuration, ref: FunctionalityRef, mode: int = 0) -> tuple[str, ...]:
-    """Why ``ref`` cannot be in its mode number ``mode``, then why its suppliers cannot help; () if it can.
-
-    Each functionality occurs once, so a cycle ends.
-    """
-    evaluator = Evaluator(configuration)
-    reasons: list[str] = []
-    seen = {ref}
-    waiting = deque([(ref, mode)])
-    while waiting:
-        current, index = waiting.popleft()
-        functionality = configuration.functionality(current)
-        for assumption in functionality.modes[index].assumptions:
-            if evaluator.assumption_satisfied(current, functionality, assumption):
-                continue
-            because = evaluator.why_assumption_unsatisfied(current, assumption)
-            reasons.append(f"{current} cannot be in mode {functionality.modes[index].name}: it {because}")
-            for other in _suppliers(evaluator, current, functionality, assumption):
-                if other[0] not in seen:
-                    seen.add(other[0])
-                    waiting.append(other)
-    return tuple(reasons)
-
-
 class Diagnosis:
-    """The same for many functionalities of one configuration, each chain shortened to its first reasons and the last.
+    """The reasons against modes of one configuration, each chain shortened to its first reasons and the last.
 
     All chains together cost no more than a walk over the configuration: each step of a chain is worked out once.
     """
@@ -54,7 +31,10 @@ class Diagnosis:
         self._ends: dict[_Goal, str] = {}
 
     def chain(self, ref: FunctionalityRef, mode: int = 0, most: int = 4) -> tuple[str, ...]:
-        """As :func:`reasons_against`, but after ``most`` reasons only the root cause on the first path."""
+        """Why ``ref`` cannot be in its mode number ``mode``, then why its suppliers cannot help; () if it can.
+
+        Each functionality occurs once, so a cycle ends. After ``most`` reasons only the root cause on the first path.
+        """
         found: list[str] = []
         seen = {ref}
         waiting = deque([(ref, mode)])
@@ -100,6 +80,11 @@ class Diagnosis:
             end = self._ends[goal]
         self._ends.update(dict.fromkeys(path, end))
         return end
+
+
+def reasons_against(configuration: Configuration, ref: FunctionalityRef, mode: int = 0) -> tuple[str, ...]:
+    """Why ``ref`` cannot be in its mode number ``mode``, then why its suppliers cannot help; () if it can."""
+    return Diagnosis(configuration).chain(ref, mode, sys.maxsize)
 
 
 def _suppliers(

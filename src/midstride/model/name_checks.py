@@ -20,7 +20,6 @@ _TOKEN: Final = r"[A-Za-z_][A-Za-z0-9_]*"
 _NAME: Final = re.compile(_TOKEN)
 _ROLE: Final = re.compile(rf"/?{_TOKEN}(/{_TOKEN})*")
 _TOPIC: Final = re.compile(rf"(/{_TOKEN})+")
-_TYPE: Final = re.compile(rf"{_TOKEN}/(msg/)?{_TOKEN}")
 _LONGEST: Final = 255  # what ROS 2 allows for a node name
 
 Path = tuple[str, ...]
@@ -34,10 +33,6 @@ def is_name(text: str) -> bool:
 def is_topic(text: str) -> bool:
     """Whether ``text`` is the full name of a topic."""
     return _TOPIC.fullmatch(text) is not None
-
-
-def is_message_type(text: str) -> bool:
-    return _TYPE.fullmatch(text) is not None
 
 
 def _invalid_name(kind: str, name: str, path: Path, *, read: bool = False) -> Iterator[Problem]:

@@ -16,6 +16,7 @@ from typing import Literal
 from midstride.model.component import (
     Assumption,
     ComponentSpec,
+    Connector,
     FunctionalityRef,
     FunctionalitySpec,
     InputAlternatives,
@@ -241,3 +242,13 @@ def is_valid(configuration: Configuration) -> bool:
 def normal_guarantee(component: ComponentSpec, output: str) -> Contract:
     """What ``output`` guarantees in the normal mode of its owner."""
     return component.owner(output).modes[0].guarantee(output)
+
+
+def attachment_shortfall(component: ComponentSpec, port: PortRef, connector: Connector) -> tuple[str, list[str]]:
+    """Which side falls short where ``port`` is attached to ``connector``, in words, and in which clauses (none: they
+    fit). The normal mode of an output must satisfy the connector, the connector what an input assumes."""
+    if port.port in component.inputs:
+        clauses = explain(connector.guarantee, component.inputs[port.port])
+        return f"{connector.name} does not satisfy what {port} assumes", clauses
+    clauses = explain(normal_guarantee(component, port.port), connector.guarantee)
+    return f"{port} in mode {component.owner(port.port).modes[0].name} does not satisfy {connector.name}", clauses

@@ -116,16 +116,11 @@ class Specification:
 
     def instance(self, role: str, name: str | None = None) -> Instance:
         """The instance of ``role`` called ``name`` (the role's own name where None)."""
-        node = self.nodes[role]
-        return Instance(name or role, role, self.components[node.component], self.parameters_of(role))
+        return Instance(name or role, role, self.component_of(role), self.nodes[role].parameters)
 
     def parameters_of(self, role: str) -> Map[str, ParameterValue]:
         """The parameter values of the role: its own, and its component's for the rest."""
-        node = self.nodes[role]
-        declared = self.components[node.component].parameters
-        values: dict[str, Any] = {name: parameter.value for name, parameter in declared.items()}
-        values.update(node.parameters)
-        return Map(values)
+        return self.instance(role).parameters
 
     def attachments_of(self, role: str, instance: str | None = None) -> list[tuple[PortRef, str]]:
         """The attachments of the role, outputs first, in order of declaration."""

@@ -12,13 +12,14 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 
 from midstride.model.best import best
-from midstride.model.component import ComponentSpec, InputAlternatives, PortRef, value_fits, value_kind
+from midstride.model.component import ComponentSpec, Connector, InputAlternatives, PortRef, value_fits, value_kind
 from midstride.model.component_rules import component_rules, number_problems, predicate_problems
 from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import Contract, Predicate, explain, format_number, satisfies
 from midstride.model.diagnosis import Diagnosis
 from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import Path, component_names, node_names, specification_names
+from midstride.model.rules import attachment_shortfall, normal_guarantee
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, structure
 
 
@@ -135,7 +136,8 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
                 message = f"{node.role}.{port} is attached to {topic} twice"
                 yield Problem("E021", (*where, str(index)), message, "attach it once")
             elif topic in specification.connectors:
-                yield from _unfit(specification, PortRef(node.role, port), component, topic, (*where, str(index)))
+                connector = specification.connectors[topic]
+                yield from _unfit(component, PortRef(node.role, port), connector, (*where, str(index)))
     if all(port in component.ports() for port in node.attachments):  # else one of them may be misspelt
         for port in component.ports():
             output = component.has_output(port)
@@ -152,24 +154,18 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
             yield Problem("E025", (*path, "parameters", name), message)
 
 
-def _unfit(
-    specification: Specification, port: PortRef, component: ComponentSpec, topic: str, path: Path
-) -> Iterator[Problem]:
+def _unfit(component: ComponentSpec, port: PortRef, connector: Connector, path: Path) -> Iterator[Problem]:
     """As for the action ``attach``: the normal mode of an output, or the assumption of an input, must fit the topic."""
-    topic_guarantee = specification.connectors[topic].guarantee
+    owner = component.find_owner(port.port)
     if port.port in component.inputs:
-        offered: Contract = topic_guarantee
-        needed = component.inputs[port.port]
-        shortfall = f"{topic} does not satisfy what {port} assumes"
+        stated: Contract = component.inputs[port.port]
+    elif owner is not None and owner.modes:
+        stated = normal_guarantee(component, port.port)
     else:
-        owner = component.find_owner(port.port)
-        if owner is None or not owner.modes:
-            return
-        offered, needed = owner.modes[0].guarantee(port.port), topic_guarantee
-        shortfall = f"{port} in mode {owner.modes[0].name} does not satisfy {topic}"
-    if any(isinstance(contract, Predicate) and contract.is_empty for contract in (offered, needed)):
+        return
+    if any(isinstance(contract, Predicate) and contract.is_empty for contract in (stated, connector.guarantee)):
         return  # reported already
-    clauses = explain(offered, needed)
+    shortfall, clauses = attachment_shortfall(component, port, connector)
     if clauses:
         message = f"{shortfall}: {', '.join(clauses)}"
         yield Problem("E020", path, message, "strengthen what is offered, or weaken what is needed")
