@@ -11,24 +11,14 @@ from midstride.lang.contracts import POLICIES, policy_words
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.lexer import Tokens, tokenize
 from midstride.lang.source import Source
-from midstride.lang.syntax import ComponentDeclaration
+from midstride.lang.syntax import ComponentDeclaration, find
 from midstride.lang.token_stream import KEYWORD_PLACES
 from midstride.model.specification import DEFAULT_SECONDS
 
-_BLOCK_KEYWORDS: Final = (
-    "component",
-    "functionality",
-    "mode",
-    "node",
-    "namespace",
-    "environment",
-    "timing",
-    "topic",
-    "parameters",
-)
 # What comes before a keyword that is used as a name.
 _BEFORE_NAMES: Final = frozenset({".", "<-", "->", ":"})
 _TOP_LEVEL: Final = tuple(word for word, where in KEYWORD_PLACES.items() if where.startswith("at"))
+# The statements in each kind of block, by its keyword; "": at the top level.
 _STATEMENTS: Final = {
     "": (*_TOP_LEVEL, "parameters"),
     "namespace": (*_TOP_LEVEL, "parameters"),
@@ -83,7 +73,7 @@ class _CursorContext:
         open_: list[int] = []
         head = -1
         for index, (kind, text) in enumerate(zip(self.kinds, self.texts, strict=True)):
-            if kind == "name" and text in _BLOCK_KEYWORDS and (not index or self.kinds[index - 1] not in _BEFORE_NAMES):
+            if kind == "name" and text in _STATEMENTS and (not index or self.kinds[index - 1] not in _BEFORE_NAMES):
                 head = index
             elif kind == "{":
                 open_.append(head if self.texts[index - 1] != "in" else -1)
@@ -112,7 +102,7 @@ class _CursorContext:
             yield from _completions("topic", declarations.topics)
         elif last == "like" or (last == ":" and first == "node"):
             yield from _completions("component", declarations.components)
-        elif last in {"@"}:
+        elif last == "@":
             return
         elif "qos" in self.statement and self.statement.count("(") > self.statement.count(")"):
             name = self.statement[-2] if last == "=" else ""
@@ -137,8 +127,8 @@ class _CursorContext:
             yield from _completions("functionality", [f.name.text for f in found.functionalities] if found else ())
         elif first == "keep" and last == "at" and len(self.statement) > 3:
             found = self._node_component(self.statement[1])
-            chains = [f.modes for f in found.functionalities if f.name.text == self.statement[3]] if found else []
-            yield from _completions("mode", [mode.name.text for modes in chains for mode in modes])
+            functionality = find(found.functionalities, self.statement[3]) if found else None
+            yield from _completions("mode", [mode.name.text for mode in functionality.modes] if functionality else ())
         else:
             yield from _completions("keyword", _STATEMENTS.get(block, ()))
             if block == "node":
@@ -161,11 +151,8 @@ class _CursorContext:
 
     def _node_component(self, role: str) -> ComponentDeclaration | None:
         entry = self.resolved.declarations.nodes.get(role)
-        return (
-            None
-            if entry is None or entry.declaration.component is None
-            else self._declared(entry.declaration.component.text)
-        )
+        component = None if entry is None else entry.declaration.component
+        return None if component is None else self._declared(component.text)
 
 
 def _ports(component: ComponentDeclaration) -> list[str]:

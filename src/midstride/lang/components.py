@@ -59,23 +59,17 @@ class UnresolvedParts:
         return self.base or any(word not in RESERVED or word in words for word in self.skipped)
 
 
+@dataclass(slots=True)
 class ComponentBuilder:
     """Builds the components of a system. ``unresolved`` lists, per component, the parts that could not be resolved."""
 
-    def __init__(
-        self,
-        declared: Mapping[str, syntax.ComponentDeclaration],
-        contracts: ContractResolver,
-        skipped: frozenset[str],
-        reporter: Reporter,
-    ) -> None:
-        self.declared = declared
-        self.contracts = contracts
-        self.skipped = skipped
-        self.reporter = reporter
-        self.merged: dict[str, syntax.ComponentDeclaration] = {}
-        self.unresolved: dict[str, UnresolvedParts] = {}
-        self._depths: dict[str, int] = {}
+    declared: Mapping[str, syntax.ComponentDeclaration]
+    contracts: ContractResolver
+    skipped: frozenset[str]
+    reporter: Reporter
+    merged: dict[str, syntax.ComponentDeclaration] = field(default_factory=dict)
+    unresolved: dict[str, UnresolvedParts] = field(default_factory=dict)
+    _depths: dict[str, int] = field(default_factory=dict)
 
     def build(self) -> dict[str, ComponentSpec]:
         """Every declared component, with :data:`UNRESOLVED` for contracts that could not be resolved."""

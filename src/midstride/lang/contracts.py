@@ -6,7 +6,7 @@ A contract that cannot be resolved is None; its error has been reported, and no 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, get_args
 
 from midstride.lang.diagnostics import Reporter
@@ -42,23 +42,17 @@ POLICIES: Final = (*_WORDS, *_DURATIONS, "depth")
 _ALIASES: Final = {"liveliness_lease_duration": "lease", "lease_duration": "lease"}
 
 
+@dataclass(slots=True)
 class ContractResolver:
     """Resolves contract expressions, and holds the named contracts of a system."""
 
-    def __init__(
-        self,
-        declared: Mapping[str, ContractDeclaration],
-        skipped: frozenset[str],
-        messages: MessageTypes | None,
-        reporter: Reporter,
-    ) -> None:
-        self.declared = declared
-        self.skipped = skipped
-        self.messages = messages
-        self.reporter = reporter
-        self._resolved: dict[str, Contract | None] = {}
-        self._types: dict[str, MessageDefinition | bool | None] = {}
-        self._cache: dict[tuple[str, float | None], Predicate] = {}
+    declared: Mapping[str, ContractDeclaration]
+    skipped: frozenset[str]
+    messages: MessageTypes | None
+    reporter: Reporter
+    _resolved: dict[str, Contract | None] = field(default_factory=dict)
+    _types: dict[str, MessageDefinition | bool] = field(default_factory=dict)
+    _cache: dict[tuple[str, float | None], Predicate] = field(default_factory=dict)
 
     def resolve_all(self) -> None:
         """Resolve every named contract, used or not, so that its errors are reported."""
@@ -82,27 +76,18 @@ class ContractResolver:
         """What an expression states, or None if it cannot be resolved."""
         if expression is None:
             return None
-        if expression.base is None:
-            if expression.rate or expression.qos or expression.where:
-                self.reporter.report(
-                    "E135", expression.span, "`nothing` has no rate, QoS or fields", help="write `nothing` alone"
-                )
+        base, plain = expression.base, not expression.qos and not expression.where
+        if base is None:
+            if expression.rate or not plain:
+                message = "`nothing` has no rate, QoS or fields"
+                self.reporter.report("E135", expression.span, message, help="write `nothing` alone")
             return NOTHING
-        base = expression.base
-        plain = not expression.qos and not expression.where
         if "/" in base.text:
-            known = self._type(base)
-            if not known:
+            if not self._can_be_used(base):
                 self._fields(expression, None, {})
                 return None
             rate = expression.rate.value if expression.rate else None
-            key = (base.text, rate)
-            if plain and key in self._cache:
-                return self._cache[key]
-            predicate = Predicate(base.text, rate)
-            if plain:
-                self._cache[key] = predicate
-                return predicate
+            predicate = self._cache.setdefault((base.text, rate), Predicate(base.text, rate))
         else:
             named = self._named(base.text, base.span)
             if named is NOTHING and not (plain and expression.rate is None):
@@ -111,11 +96,8 @@ class ContractResolver:
                 self._fields(expression, None, {})
                 return named
             predicate = named if expression.rate is None else replace(named, rate=expression.rate.value)
-            if plain:
-                return predicate
-        return self._refined(predicate, expression)
-
-    def _refined(self, predicate: Predicate, expression: ContractExpression) -> Predicate | None:
+        if plain:
+            return predicate
         qos = self._qos(expression.qos, predicate.qos)
         fields = self._fields(expression, predicate.type, dict(predicate.fields))
         if fields is None:
@@ -161,29 +143,26 @@ class ContractResolver:
             help = f"declare it (`contract {name} = …`), or name a message type (`std_msgs/msg/String`)"
         self.reporter.report("E008", span, f"there is no contract `{name}`", help=help)
 
-    def _type(self, name: Name) -> bool:
+    def _can_be_used(self, name: Name) -> bool:
         """Whether a type can be used: it is known, or its package is unknown. Reports one that cannot."""
-        found = self._types.get(name.text)
-        if found is None:
-            found = self._known(canonical_type(name.text))
-            self._types[name.text] = found
-        if found is not False:
+        full_name = canonical_type(name.text)
+        if self._type(full_name) is not False:
             return True
-        package, _, rest = canonical_type(name.text).partition("/msg/")
+        package, _, rest = full_name.partition("/msg/")
         assert self.messages is not None
         types = tuple(self.messages.types(package))
         help = did_you_mean(rest, types) or f"its types: {', '.join(types[:8])}{', …' if len(types) > 8 else ''}"
         self.reporter.report("E130", name.span, f"package `{package}` has no message type `{rest}`", help=help)
         return False
 
-    def _known(self, name: str) -> MessageDefinition | bool:
+    def _type(self, name: str) -> MessageDefinition | bool:
         """The message type; True if its package is unknown; False if the package has no such type."""
         if self.messages is None:
             return True
-        found = self.messages.message(name)
-        if found is not None:
-            return found
-        return not any(True for _ in self.messages.types(name.partition("/")[0]))
+        if name not in self._types:
+            found = self.messages.message(name)
+            self._types[name] = found or not any(True for _ in self.messages.types(name.partition("/")[0]))
+        return self._types[name]
 
     # -- QoS ---------------------------------------------------------------------------------------------
 
@@ -195,15 +174,11 @@ class ContractResolver:
             name = _ALIASES.get(policy.name.text, policy.name.text)
             if name not in POLICIES:
                 help = did_you_mean(name, POLICIES) or f"known policies: {', '.join(POLICIES)}"
-                self.reporter.report(
-                    "E131", policy.name.span, f"there is no QoS policy `{policy.name.text}`", help=help
-                )
-                continue
-            if name in stated:
+                message = f"there is no QoS policy `{policy.name.text}`"
+                self.reporter.report("E131", policy.name.span, message, help=help)
+            elif name in stated:
                 self.reporter.report("E128", policy.name.span, f"duplicate policy `{name}`", help="keep one of them")
-                continue
-            value = self._policy(name, policy)
-            if value is not None:
+            elif (value := self._policy(name, policy)) is not None:
                 stated[name] = value
         return replace(base, **stated)
 
@@ -237,27 +212,23 @@ class ContractResolver:
         """``fields`` narrowed by the constraints of the expression, or None if one of them is invalid."""
         sound = True
         for constraint in expression.where:
-            values = _values(constraint)
-            before = fields.get(constraint.path.text)
-            declared_together = values if before is None else before.intersection(values)
-            if declared_together.is_empty:
-                path = constraint.path.text
+            path, values = constraint.path.text, _values(constraint)
+            before = fields.get(path)
+            together = values if before is None else before.intersection(values)
+            if together.is_empty:
                 stated = f"`{constraint.span.text}`"
                 if before is not None and not values.is_empty:
                     stated = f"both {stated} and {path} {before}"
                 message = f"no value of {path} satisfies {stated}"
                 self.reporter.report("E016", constraint.span, message, help="widen one of the constraints")
                 sound = False
-                continue
-            fields[constraint.path.text] = declared_together
-            sound &= type_ is None or self._field(type_, constraint, values)
+            else:
+                fields[path] = together
+                sound &= type_ is None or self._field(type_, constraint, values)
         return fields if sound else None
 
     def _field(self, type_: str, constraint: FieldConstraint, values: ValueSet) -> bool:
-        known = self._types.get(type_)
-        if known is None and self.messages is not None:
-            known = self._known(type_)
-            self._types[type_] = known
+        known = self._type(type_)
         if not isinstance(known, MessageDefinition) or self.messages is None:
             return True
         path = constraint.path
@@ -277,10 +248,8 @@ class ContractResolver:
             return False
         if stated - {kind}:
             compared = " and ".join(sorted(_KIND_NAMES[name] for name in stated))
-            message = (
-                f"{path.text} of {type_} is {_KIND_NAMES[kind]},"
-                f" but `{constraint.span.text}` compares it with {compared}"
-            )
+            compared = f"`{constraint.span.text}` compares it with {compared}"
+            message = f"{path.text} of {type_} is {_KIND_NAMES[kind]}, but {compared}"
             self.reporter.report("E138", constraint.span, message, help=_constant_hint(known, constraint))
             return False
         return True

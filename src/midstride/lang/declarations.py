@@ -78,12 +78,12 @@ def collect(files_in_order: Iterable[NamespacedFile], reporter: Reporter) -> Dec
     return found
 
 
+@dataclass(slots=True)
 class _Collector:
-    def __init__(self, found: Declarations, reporter: Reporter) -> None:
-        self.found = found
-        self.reporter = reporter
-        self.orders = 0
-        self._first: dict[tuple[str, str], Span] = {}  # where each name of each kind is declared first
+    found: Declarations
+    reporter: Reporter
+    orders: int = 0
+    first: dict[tuple[str, str], Span] = field(default_factory=dict)  # where each name of each kind is declared first
 
     def items(self, items: Iterable[syntax.Item], namespace: str) -> None:
         found = self.found
@@ -132,8 +132,8 @@ class _Collector:
     def _add(self, table: dict[str, T], full: str, item: T, name: syntax.Name, what: str) -> None:
         if full not in table:
             table[full] = item
-            self._first[what, full] = name.span
-        elif (first := self._first[what, full]) != name.span:  # else one declaration, included in several namespaces
+            self.first[what, full] = name.span
+        elif (first := self.first[what, full]) != name.span:  # else one declaration, included in several namespaces
             note = Note("first declared here", first)
             message = f"{what} `{full}` is already declared"
             self.reporter.report("E007", name.span, message, help="use another name", notes=[note])

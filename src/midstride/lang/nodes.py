@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from immutables import Map
@@ -20,25 +20,18 @@ from midstride.model.near_miss import did_you_mean
 from midstride.model.specification import Node
 
 
+@dataclass(slots=True)
 class NodeBuilder:
     """Builds the nodes of a system. ``parameter_spans`` maps (role, parameter) to where the value is given."""
 
-    def __init__(
-        self,
-        declarations: Declarations,
-        components: dict[str, ComponentSpec],
-        merged: Mapping[str, ComponentDeclaration],
-        read: FileReader,
-        reporter: Reporter,
-    ) -> None:
-        self.declarations = declarations
-        self.components = components
-        self.merged = merged
-        self.read = read
-        self.reporter = reporter
-        self.parameter_spans: dict[tuple[str, str], Span] = {}
-        self.sources: list[Source] = []
-        self._files: dict[str, list[ParameterSection] | None] = {}
+    declarations: Declarations
+    components: dict[str, ComponentSpec]
+    merged: Mapping[str, ComponentDeclaration]
+    read: FileReader
+    reporter: Reporter
+    parameter_spans: dict[tuple[str, str], Span] = field(default_factory=dict)
+    sources: list[Source] = field(default_factory=list)
+    _files: dict[str, list[ParameterSection] | None] = field(default_factory=dict)
 
     def build(self) -> dict[str, Node]:
         """Every declared node that names a component. Parameters given only in files are added to the components."""

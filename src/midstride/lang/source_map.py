@@ -7,6 +7,7 @@ part of the declaration that the path identifies.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from midstride.lang import syntax
 from midstride.lang.declarations import Declarations
@@ -17,18 +18,13 @@ from midstride.model.diagnostics import Problem
 Subject = Sequence[str]
 
 
+@dataclass(frozen=True, slots=True)
 class SourceMap:
     """Finds where the subject of a problem is declared."""
 
-    def __init__(
-        self,
-        declarations: Declarations,
-        merged: Mapping[str, syntax.ComponentDeclaration],
-        parameters: Mapping[tuple[str, str], Span],
-    ) -> None:
-        self.declarations = declarations
-        self.merged = merged
-        self.parameters = parameters
+    declarations: Declarations
+    merged: Mapping[str, syntax.ComponentDeclaration]
+    parameters: Mapping[tuple[str, str], Span]
 
     def span_of(self, problem: Problem) -> Span | None:
         """The place of a problem's subject; None if the text has none."""
