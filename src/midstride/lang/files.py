@@ -9,15 +9,15 @@ from __future__ import annotations
 import os
 import stat
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
 from typing import Final
 
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.parser import parse
-from midstride.lang.source import Source, Span
-from midstride.lang.syntax import File, IncludeStatement, Item, NamespaceBlock
+from midstride.lang.source import Source
+from midstride.lang.syntax import File, IncludeStatement, Item, Name, NamespaceBlock
 from midstride.model.near_miss import did_you_mean
 
 FileReader = Callable[[Path], str]
@@ -88,20 +88,33 @@ def read_source(path: Path, read: FileReader, name: str | None = None) -> Source
     return Source(name or str(path), text, path)
 
 
+def file_key(name: Name) -> str:
+    """The path of a file, which is relative to the file that names it. Raises Unreadable if it is not a file name."""
+    if not name.text or "\0" in name.text:
+        raise Unreadable("E100", "this is not a file name")
+    base = name.span.source.path
+    return os.path.normpath((Path() if base is None else base.parent) / name.text)
+
+
+def shown_path(name: Name) -> str:
+    """The same path, relative to where the file that names it is shown to be."""
+    return os.path.normpath(os.path.join(os.path.dirname(name.span.source.name), name.text))
+
+
+@dataclass(slots=True)
 class Loader:
     """Reads files and their includes. ``files_in_order`` holds each file once per namespace it is included in."""
 
-    def __init__(self, read: FileReader, reporter: Reporter) -> None:
-        self.read = read
-        self.reporter = reporter
-        self.files_in_order: list[NamespacedFile] = []
-        self.sources: list[Source] = []
-        self.skipped: set[str] = set()
-        self.files_missing = False  # whether a file could not be read: any name may be declared in it
-        self._files: dict[str, File | None] = {}
-        self._done: set[tuple[str, str]] = set()
-        self._stack: list[str] = []
-        self._total = 0
+    read: FileReader
+    reporter: Reporter
+    files_in_order: list[NamespacedFile] = field(default_factory=list)
+    sources: list[Source] = field(default_factory=list)
+    skipped: set[str] = field(default_factory=set)
+    files_missing: bool = False  # whether a file could not be read: any name may be declared in it
+    _files: dict[str, File | None] = field(default_factory=dict)
+    _done: set[tuple[str, str]] = field(default_factory=set)
+    _stack: list[str] = field(default_factory=list)
+    _total: int = 0
 
     def load(self, source: Source) -> None:
         """Parse ``source`` and everything it includes."""
@@ -121,23 +134,24 @@ class Loader:
         self._done.add((key, namespace))
         self._stack.append(key)
         self.files_in_order.append(NamespacedFile(file, namespace))
-        self._follow_includes(file.items, Path(key).parent, namespace)
+        self._follow_includes(file.items, namespace)
         self._stack.pop()
 
-    def _follow_includes(self, items: tuple[Item, ...], folder: Path, namespace: str) -> None:
+    def _follow_includes(self, items: tuple[Item, ...], namespace: str) -> None:
         for item in items:
             if isinstance(item, NamespaceBlock):
-                self._follow_includes(item.items, folder, resolve_name(namespace, item.name.text))
+                self._follow_includes(item.items, resolve_name(namespace, item.name.text))
             elif isinstance(item, IncludeStatement):
-                self._include(item, folder, namespace)
+                self._include(item.path, namespace)
 
-    def _include(self, statement: IncludeStatement, folder: Path, namespace: str) -> None:
-        span, text = statement.path.span, statement.path.text
-        if not text or "\0" in text:
+    def _include(self, name: Name, namespace: str) -> None:
+        text, span = name
+        try:
+            key = file_key(name)
+        except Unreadable as error:
             self.files_missing = True
-            self.reporter.report("E100", span, "this is not a file name")
+            self.reporter.report(error.code, span, str(error))
             return
-        key = os.path.normpath(folder / text)
         if key in self._stack:
             cycle = [*self._stack[self._stack.index(key) :], key]
             chain = " includes ".join(os.path.basename(name) for name in cycle)
@@ -145,14 +159,14 @@ class Loader:
             return
         if (key, namespace) in self._done:
             return
-        bound = self._exceeded_limit()
-        if bound:
+        if bound := self._exceeded_limit():
             self.files_missing = True
             help = "check whether a file includes itself indirectly"
             self.reporter.report("E104", span, f"include limit exceeded: {bound}", help=help)
             return
-        file = self._files[key] if key in self._files else self._read(key, text, span)
-        self._files[key] = file
+        if key not in self._files:
+            self._files[key] = self._read(key, name)
+        file = self._files[key]
         if file is None:
             self.files_missing = True
             return
@@ -173,16 +187,13 @@ class Loader:
             return f"more than {MAX_TOTAL // 2**20} MiB"
         return None
 
-    def _read(self, key: str, text: str, span: Span) -> File | None:
-        shown = key
-        parent = span.source.name
-        if not os.path.isabs(text):
-            shown = os.path.normpath(os.path.join(os.path.dirname(parent), text))
+    def _read(self, key: str, name: Name) -> File | None:
+        shown = shown_path(name)
         try:
             return self._parsed(read_source(Path(key), self.read, shown))
         except Unreadable as error:
             help = error.help or _hint_for_missing(key, shown)
-            self.reporter.report(error.code, span, f"`{text}` cannot be included: {error}", help=help)
+            self.reporter.report(error.code, name.span, f"`{name.text}` cannot be included: {error}", help=help)
             return None
 
 
@@ -196,8 +207,7 @@ def _hint_for_missing(path: str, shown: str) -> str | None:
             files = [entry.name for entry in islice(entries, _MAX_COMPARED) if entry.name.endswith(".stride")]
     except (OSError, ValueError):
         files = []
-    near = did_you_mean(name, files)
-    return near or f"the path is relative to this file: `{shown}`"
+    return did_you_mean(name, files) or f"the path is relative to this file: `{shown}`"
 
 
 def resolve_name(namespace: str, name: str) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,7 +10,7 @@ from immutables import Map
 
 from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, limited, resolve_topic
 from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.files import FileReader, Unreadable, read_source
+from midstride.lang.files import FileReader, Unreadable, file_key, read_source, shown_path
 from midstride.lang.parameter_files import ParameterSection, ParameterValueAt, read_sections
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import ComponentDeclaration, Name
@@ -112,27 +111,18 @@ class NodeBuilder:
         return bool(matching)
 
     def _sections(self, path: Name) -> list[ParameterSection] | None:
-        base = path.span.source.path
-        folder = Path() if base is None else base.parent
-        key = os.path.normpath(folder / path.text) if path.text and "\0" not in path.text else ""
-        if key not in self._files:
-            self._files[key] = self._read_file(key, path)
-        return self._files[key]
-
-    def _read_file(self, key: str, path: Name) -> list[ParameterSection] | None:
-        shown = key
-        if not os.path.isabs(path.text):
-            shown = os.path.normpath(os.path.join(os.path.dirname(path.span.source.name), path.text))
         try:
-            if not key:
-                raise Unreadable("E100", "this is not a file name")
-            source = read_source(Path(key), self.read, shown)
+            key = file_key(path)
+            if key not in self._files:
+                self._files[key] = None
+                source = read_source(Path(key), self.read, shown_path(path))
+                self.sources.append(source)
+                self._files[key] = read_sections(source, self.reporter)
+            return self._files[key]
         except Unreadable as error:
             message = f"`{path.text}` cannot be read: {error}"
             self.reporter.report(error.code, path.span, message, help=error.help)
             return None
-        self.sources.append(source)
-        return read_sections(source, self.reporter)
 
     def _declare_parameters(self, from_files: Mapping[str, Mapping[str, ParameterValueAt]]) -> None:
         """Add the parameters that files give all nodes of a component to it; report those that only some nodes get."""
