@@ -19,7 +19,8 @@ from midstride.generate.merge import BEGIN, END, merge_component, merge_copy, me
 from midstride.generate.names import program, snake
 from midstride.generate.project import project
 from midstride.lang import load, load_text
-from midstride.model.component import ComponentSpec
+from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
+from midstride.model.contract import Interval, Predicate
 from midstride.model.specification import Specification
 from midstride.runtime.registration import mismatches
 from midstride.testing.strategies import components
@@ -121,6 +122,15 @@ def test_numbers_of_many_digits_are_written_as_they_are() -> None:
         .require()
         .components["C"]
     )
+    (text,) = skeletons(of(declared)).values()
+    assert mismatches(declared, registered(text, "C")) == []
+
+
+@pytest.mark.usefixtures("messages")
+def test_a_field_may_have_any_number() -> None:
+    anything = Predicate("sensor_msgs/msg/Range", fields=(("range", Interval()),))
+    work = FunctionalitySpec("work", (Mode("normal", (InputAlternatives(("in",)),)), Mode("degraded")), ("in",))
+    declared = ComponentSpec.of("C", inputs={"in": anything}, functionalities=(work,))
     (text,) = skeletons(of(declared)).values()
     assert mismatches(declared, registered(text, "C")) == []
 

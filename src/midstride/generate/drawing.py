@@ -112,7 +112,8 @@ def to_mermaid(view: View) -> str:
     ids = _ids(view)
     lines = ["flowchart TB" if layout(view).down else "flowchart LR"]
     for box in view.boxes:
-        notes = [f"{kind} {p.name}: {p.note}" for kind, ports in _ports_by_side(box) for p in ports if p.note]
+        sides = ("in", box.inputs), ("out", box.outputs)
+        notes = [f"{side} {port.name}: {port.note}" for side, ports in sides for port in ports if port.note]
         text = "<br/>".join([f"<b>{_mermaid(box.title)}</b>", *(_mermaid(line) for line in [*box.lines, *notes])])
         lines.append(f'  {ids[box.id]}["{text}"]:::{box.kind}')
     for topic in view.topics:
@@ -126,10 +127,6 @@ def to_mermaid(view: View) -> str:
     lines += [f"  classDef {kind} fill:{colour},stroke:#5f6368" for kind, colour in _COLOURS.items()]
     lines += ["  classDef topic fill:#ffffff,stroke:#5f6368", ""]
     return "\n".join(lines)
-
-
-def _ports_by_side(box: Box) -> tuple[tuple[str, tuple[Port, ...]], tuple[str, tuple[Port, ...]]]:
-    return ("in", box.inputs), ("out", box.outputs)
 
 
 def _mermaid(text: str) -> str:

@@ -10,7 +10,7 @@ from typing import Final
 from midstride.errors import SpecificationError
 from midstride.generate.names import AttributeNames
 from midstride.model.component import ComponentSpec, EnvironmentGuarantee, FunctionalitySpec, InputAlternatives, Mode
-from midstride.model.contract import Interval, OneOf, Predicate, QoS, Scalar, ValueSet, format_number, satisfies
+from midstride.model.contract import OneOf, Predicate, QoS, Scalar, ValueSet, format_number, satisfies
 
 # Attributes of every skeleton.
 _RESERVED: Final = ("component", "wire", "start")
@@ -47,20 +47,19 @@ def skeleton(component: ComponentSpec, node: str, environment: tuple[Environment
 
     Raises SpecificationError if no mode states the type of an output.
     """
-    return _Builder(component, node, environment).build()
+    name = f"{component.name}Node" if component.name in _IMPORTED else component.name
+    return _Builder(component, environment, Skeleton(name, node)).build()
 
 
+@dataclass(slots=True)
 class _Builder:
-    def __init__(self, component: ComponentSpec, node: str, environment: tuple[EnvironmentGuarantee, ...]) -> None:
-        self.component = component
-        self.environment = environment
-        name = f"{component.name}Node" if component.name in _IMPORTED else component.name
-        self.result = Skeleton(name, node)
-        self.names = AttributeNames(_RESERVED)
-        self.used = {"Component"}
-        self.classes: dict[str, str] = {}  # the class name of each message type
-        self.ports: dict[str, str] = {}
-        self.functionalities: dict[str, str] = {}
+    component: ComponentSpec
+    environment: tuple[EnvironmentGuarantee, ...]
+    result: Skeleton
+    names: AttributeNames = field(default_factory=lambda: AttributeNames(_RESERVED))
+    used: set[str] = field(default_factory=lambda: {"Component"})
+    classes: dict[str, str] = field(default_factory=dict)  # the class name of each message type
+    ports: dict[str, str] = field(default_factory=dict)
 
     def build(self) -> Skeleton:
         result, component = self.result, self.component
@@ -132,19 +131,14 @@ class _Builder:
             members = [repr(value) for value in values.values]
             return members[0] if len(members) == 1 else "{" + ", ".join(members) + "}"
         low, high = values.low, values.high
-        if values.low_open or values.high_open:
+        if values.low_open or values.high_open or (math.isinf(low) and math.isinf(high)):
             if "from midstride.model.contract import Interval" not in self.result.imports:
                 self.result.imports.insert(0, "from midstride.model.contract import Interval")
             ends = [f'float("{end}")' if math.isinf(end) else repr(end) for end in (low, high)]
             return f"Interval({ends[0]}, {ends[1]}, low_open={values.low_open}, high_open={values.high_open})"
         helper = "at_most" if math.isinf(low) else "at_least" if math.isinf(high) else "between"
         self.used.add(helper)
-        arguments = {
-            "at_most": format_number(high),
-            "at_least": format_number(low),
-            "between": f"{format_number(low)}, {format_number(high)}",
-        }
-        return f"{helper}({arguments[helper]})"
+        return f"{helper}({', '.join(format_number(end) for end in (low, high) if not math.isinf(end))})"
 
     # -- parameters ------------------------------------------------------------------------------------------
 
@@ -163,7 +157,7 @@ class _Builder:
     # -- functionalities ---------------------------------------------------------------------------------------
 
     def _functionality(self, functionality: FunctionalitySpec) -> None:
-        attribute = self.functionalities[functionality.name] = self.names.take(functionality.name, "functionality")
+        attribute = self.names.take(functionality.name, "functionality")
         arguments = [repr(functionality.name)]
         if functionality.inputs:
             arguments.append(f"inputs={self._ports(functionality.inputs)}")
@@ -214,19 +208,12 @@ class _Builder:
             self.used.add("guarantee")
             entries = [f"self.{self.ports[n]}: guarantee(where={self._where(g.fields)})" for n, g in constrained]
             arguments.append(f"guarantees={{{', '.join(entries)}}}")
-        self.result.wiring.append(self._set(attribute, functionality, index, mode, arguments))
-
-    def _set(
-        self, attribute: str, functionality: FunctionalitySpec, index: int, mode: Mode, arguments: list[str]
-    ) -> str:
-        target = f"self.{attribute}"
-        if index == functionality.last_mode:
-            named = [] if mode.name == "degraded" else [f"name={mode.name!r}"]
-            return f"{target}.set_degraded_mode({', '.join([*arguments, *named])})"
-        if index == 0:
-            named = [] if mode.name == "normal" else [f"name={mode.name!r}"]
-            return f"{target}.set_normal_mode({', '.join([*arguments, *named])})"
-        return f"{target}.set_mode({', '.join([repr(mode.name), *arguments])})"
+        setter = "set_degraded_mode" if index == functionality.last_mode else "set_normal_mode"
+        if 0 < index < functionality.last_mode:
+            setter, arguments = "set_mode", [repr(mode.name), *arguments]
+        elif setter != f"set_{mode.name}_mode":
+            arguments.append(f"name={mode.name!r}")
+        self.result.wiring.append(f"self.{attribute}.{setter}({', '.join(arguments)})")
 
     def _assumed(self, functionality: FunctionalitySpec, mode: Mode) -> Iterator[tuple[str, ...]]:
         """The inputs of each assumption, except those that the environment satisfies."""
@@ -268,15 +255,10 @@ def _example_value(values: ValueSet) -> Scalar:
     """One of the values; a whole number if possible, because the field may be an integer."""
     if isinstance(values, OneOf):
         return values.values[0]
-    return _add_file(values)
-
-
-def _add_file(interval: Interval) -> Scalar:
     candidates: list[float] = [0.0]
-    for end in (interval.low, interval.high):
+    for end in (values.low, values.high):
         if math.isfinite(end):
             candidates += [math.ceil(end), math.floor(end), end, end + 1, end - 1]
-    if math.isfinite(interval.low) and math.isfinite(interval.high):
-        candidates.append((interval.low + interval.high) / 2)
-    found = next((value for value in candidates if value in interval), interval.low)
+    candidates.append((values.low + values.high) / 2)
+    found = next((value for value in candidates if value in values), values.low)
     return int(found) if found == int(found) else found

@@ -70,17 +70,17 @@ def view(specification: Specification, *, annotate: bool = False, collapse: bool
     """The view of a specification. ``collapse`` None: only for more than :data:`READABLE` nodes."""
     if collapse is None:
         collapse = len(specification.nodes) > READABLE
-    return _Builder(specification, annotate, collapse).build()
+    return _Builder(specification, annotate, collapse, View(specification.name)).build()
 
 
+@dataclass(slots=True)
 class _Builder:
-    def __init__(self, specification: Specification, annotate: bool, collapse: bool) -> None:
-        self.specification = specification
-        self.annotate = annotate
-        self.collapse = collapse
-        self.view = View(specification.name)
-        self.boxes: dict[str, str] = {}  # the box of each role
-        self.edges: dict[Edge, None] = {}
+    specification: Specification
+    annotate: bool
+    collapse: bool
+    view: View
+    boxes: dict[str, str] = field(default_factory=dict)  # the box of each role
+    edges: dict[Edge, None] = field(default_factory=dict)
 
     def build(self) -> View:
         groups: dict[str, list[str]] = {}
@@ -151,19 +151,15 @@ class _Builder:
             if self.annotate and connector.max_publishers is not None:
                 note += f", at most {connector.max_publishers} publisher{'' if connector.max_publishers == 1 else 's'}"
             self.view.topics.append(TopicNode(f"topic {name}", name, note))
-            for box, name_of_port, is_output in attached:
-                shown = "" if box.startswith("group ") else name_of_port
-                if is_output:
-                    self.edges[Edge(box, f"topic {name}", start_port=shown)] = None
-                else:
-                    self.edges[Edge(f"topic {name}", box, end_port=shown)] = None
+            for box, port_name, is_output in attached:
+                shown, topic = "" if box.startswith("group ") else port_name, f"topic {name}"
+                self.edges[Edge(box, topic, shown) if is_output else Edge(topic, box, end_port=shown)] = None
         return inside
 
     def _environment(self) -> None:
         for offer in self.specification.environment:
-            box = Box(f"environment {offer.name}", offer.name, "environment")
-            if self.annotate:
-                box = Box(box.id, box.title, box.kind, lines=(describe(offer.guarantee),))
+            lines = (describe(offer.guarantee),) if self.annotate else ()
+            box = Box(f"environment {offer.name}", offer.name, "environment", lines=lines)
             self.view.boxes.append(box)
             if offer.topic is not None:
                 self.edges[Edge(box.id, f"topic {offer.topic}")] = None

@@ -17,8 +17,7 @@ from midstride.lang.contracts import ContractResolver
 from midstride.lang.declarations import Declarations, collect, resolve_topic
 from midstride.lang.diagnostics import Diagnostic, Note, Reporter, in_order
 from midstride.lang.files import FileReader, Loader, resolve_name
-from midstride.lang.hints import Hints
-from midstride.lang.impact_notes import ImpactNotes
+from midstride.lang.hints import Hints, impact
 from midstride.lang.lexer import is_topic_name
 from midstride.lang.message_types import MessageTypes
 from midstride.lang.nodes import NodeBuilder
@@ -27,7 +26,7 @@ from midstride.lang.source_map import SourceMap
 from midstride.lang.syntax import KeepStatement, LimitStatement, OrderStatement
 from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.diagnostics import Problem
-from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification
+from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification, initial
 from midstride.model.specification_checks import check as check_specification
 
 # Warnings about the running system, which are meaningless as long as there are errors.
@@ -154,7 +153,7 @@ class _SpecificationBuilder:
         has_errors = self.reporter.has_errors
         problems = check_specification(specification)
         only_mismatches = not has_errors and {p.code for p in problems if p.severity == "error"} == {"E020"}
-        impact = ImpactNotes(specification) if only_mismatches else None
+        at_start = initial(specification) if only_mismatches else None
         hints = Hints(specification)
         for problem in problems:
             if problem.code in _CHECKED_HERE or (has_errors and problem.code in _WITHOUT_ERRORS) or not problem.subject:
@@ -168,7 +167,7 @@ class _SpecificationBuilder:
             follows: str | None = None
             if problem.code == "E020":
                 notes = self._contracts_of(problem, specification)
-                follows = None if impact is None else impact.of(problem)
+                follows = None if at_start is None else impact(problem, specification, at_start)
             help = hints.help_for(problem, "" if place is None else place.text)
             self.reporter.report(problem.code, place, problem.message, help=help, notes=notes, follows=follows)
 

@@ -1,4 +1,4 @@
-"""Help for the model's problems in terms of the language: what to write instead.
+"""What is said about the model's problems beyond their messages: what to write instead, and what a problem leads to.
 
 The model's own help is independent of the form of the specification. Here it is known how each declaration is written,
 and which topics a port could be attached to.
@@ -6,8 +6,13 @@ and which topics a port could be attached to.
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable
 from typing import Final
 
+from midstride.model.best import consumers_of
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
 from midstride.model.contract import Contract, Predicate, satisfies
 from midstride.model.diagnostics import Problem
 from midstride.model.specification import Specification
@@ -15,6 +20,7 @@ from midstride.model.specification import Specification
 # Searching for matching topics is linear in the size of the system, so the number of searches is limited.
 _SHOWN: Final = 3
 MAX_SEARCHES: Final = 20
+_DEGRADED_SHOWN: Final = 8
 
 # How a name is declared, by the section of the JSON form that it would be in.
 _DECLARATIONS: Final = {
@@ -72,3 +78,31 @@ def _declaration(problem: Problem, name: str) -> str | None:
     if section in _DECLARATIONS and len(problem.declared) == 1:
         return f"declare it: `{_DECLARATIONS[section].format(name=name)}`"
     return None
+
+
+def impact(problem: Problem, specification: Specification, configuration: Configuration) -> str | None:
+    """The functionalities that a mismatched attachment (E020) keeps from their normal modes in ``configuration``, which
+    is the initial one; None if there are none."""
+    _, role, _, port, index = problem.subject
+    topic = specification.nodes[role].attachments[port][int(index)]
+    degraded = _degraded(configuration, consumers_of(configuration, PortRef(role, port), topic))
+    if not degraded:
+        return None
+    shown = [f"{ref} will be in mode {configuration.mode(ref).name}" for ref in degraded[:_DEGRADED_SHOWN]]
+    more = len(degraded) - _DEGRADED_SHOWN
+    return ", ".join(shown) + (f", and {more} more below their normal modes" if more > 0 else "")
+
+
+def _degraded(configuration: Configuration, first: Iterable[FunctionalityRef]) -> list[FunctionalityRef]:
+    """Those of ``first`` that are below their normal modes, and those degraded as a consequence, nearest first."""
+    found: dict[FunctionalityRef, None] = {}
+    waiting = deque(dict.fromkeys(first))
+    while waiting:
+        ref = waiting.popleft()
+        if ref in found or configuration.modes[ref] == 0:
+            continue
+        found[ref] = None
+        for output in configuration.functionality(ref).outputs:
+            for topic in configuration.attached_to(PortRef(ref.instance, output)):
+                waiting.extend(sorted(set(configuration.consumers(topic))))
+    return list(found)

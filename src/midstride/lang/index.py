@@ -10,8 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from midstride.lang import syntax
-from midstride.lang.check import Resolved
-from midstride.lang.declarations import NodeEntry, resolve_topic
+from midstride.lang.declarations import Declarations, NodeEntry, resolve_topic
 from midstride.lang.files import resolve_name
 from midstride.lang.source import Source, Span
 
@@ -38,17 +37,13 @@ class Occurrence:
 class SymbolIndex:
     """The occurrences of all symbols of a system."""
 
-    def __init__(self, resolved: Resolved) -> None:
-        self.resolved = resolved
-        self.occurrences = list(_SymbolWalker(resolved).all())
+    def __init__(self, declarations: Declarations) -> None:
+        self.occurrences = list(_SymbolWalker(declarations).all())
 
     def at(self, source: Source, offset: int) -> Occurrence | None:
         """The occurrence at an offset of a source; the position after its last character counts."""
-        for occurrence in self.occurrences:
-            span = occurrence.span
-            if span.source.name == source.name and span.start <= offset <= span.end:
-                return occurrence
-        return None
+        here = (o for o in self.occurrences if o.span.source.name == source.name)
+        return next((o for o in here if o.span.start <= offset <= o.span.end), None)
 
     def declaration(self, symbol: Symbol) -> Occurrence | None:
         return next((found for found in self.occurrences if found.symbol == symbol and found.declares), None)
@@ -70,9 +65,8 @@ class SymbolIndex:
 
 
 class _SymbolWalker:
-    def __init__(self, resolved: Resolved) -> None:
-        self.resolved = resolved
-        self.declarations = resolved.declarations
+    def __init__(self, declarations: Declarations) -> None:
+        self.declarations = declarations
 
     def all(self) -> Iterator[Occurrence]:
         found = self.declarations
@@ -102,12 +96,9 @@ class _SymbolWalker:
                 yield Occurrence(Symbol("node", resolve_name(namespace, statement.then.text)), statement.then.span)
 
     def _contract(self, expression: syntax.ContractExpression | None) -> Iterator[Occurrence]:
-        if (
-            expression is not None
-            and expression.base is not None
-            and expression.base.text in self.declarations.contracts
-        ):
-            yield Occurrence(Symbol("contract", expression.base.text), expression.base.span)
+        base = None if expression is None else expression.base
+        if base is not None and base.text in self.declarations.contracts:
+            yield Occurrence(Symbol("contract", base.text), base.span)
 
     def _topic(self, namespace: str, name: syntax.Name, node: str | None) -> Occurrence:
         return Occurrence(Symbol("topic", resolve_topic(namespace, name.text, node)), name.span, namespace=namespace)

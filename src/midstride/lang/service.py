@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Final
 
@@ -28,24 +29,21 @@ from midstride.lang.source import Source, Span
 _MAX_SEARCHED: Final = 200
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True)
 class Analysis:
     """A loaded system and its symbols."""
 
     root: Path
     loaded: Loaded
-    index: SymbolIndex | None
+
+    @cached_property
+    def index(self) -> SymbolIndex | None:
+        return None if self.loaded.resolved is None else SymbolIndex(self.loaded.resolved.declarations)
 
     def source(self, path: Path) -> Source | None:
         wanted = os.path.normpath(path)
-        return next(
-            (
-                source
-                for source in self.loaded.files
-                if source.path is not None and os.path.normpath(source.path) == wanted
-            ),
-            None,
-        )
+        sources = (source for source in self.loaded.files if source.path is not None)
+        return next((source for source in sources if os.path.normpath(source.path or "") == wanted), None)
 
 
 class LanguageService:
@@ -85,20 +83,19 @@ class LanguageService:
         return self._analyses[key]
 
     def _analyse(self, path: Path) -> Analysis:
-        own = load(path, read=self._read, messages=self._messages())
-        if any(diagnostic.code == "E106" for diagnostic in own.diagnostics):
-            for root in self._candidates(path):
-                found = Analysis(root, load(root, read=self._read, messages=self._messages()), None)
-                if found.source(path) is not None:
-                    found.index = None if found.loaded.resolved is None else SymbolIndex(found.loaded.resolved)
-                    return found
-        return Analysis(path, own, None if own.resolved is None else SymbolIndex(own.resolved))
+        own = Analysis(path, self._load(path))
+        if any(diagnostic.code == "E106" for diagnostic in own.loaded.diagnostics):
+            systems = (Analysis(root, self._load(root)) for root in self._candidates(path))
+            return next((system for system in systems if system.source(path) is not None), own)
+        return own
+
+    def _load(self, path: Path) -> Loaded:
+        return load(path, read=self._read, messages=self._messages())
 
     def _candidates(self, path: Path) -> Iterable[Path]:
         """Files that may include ``path``, open ones first."""
-        folders = [path.parent, path.parent.parent, *self.roots]
         listed: dict[str, None] = dict.fromkeys(self.buffers)
-        for folder in folders:
+        for folder in (path.parent, path.parent.parent, *self.roots):
             try:
                 names = sorted(os.listdir(folder))[:_MAX_SEARCHED]
             except OSError:
@@ -119,10 +116,8 @@ class LanguageService:
     def diagnostics(self, path: Path) -> dict[Path, list[Diagnostic]]:
         """The diagnostics of the system that ``path`` belongs to, by file; a file without any has an empty list."""
         analysis = self.analysis(path)
-        found: dict[Path, list[Diagnostic]] = {
-            source.path: [] for source in analysis.loaded.files if source.path is not None
-        }
-        found.setdefault(path, [])
+        files = (source.path for source in analysis.loaded.files)
+        found: dict[Path, list[Diagnostic]] = {file: [] for file in (*files, path) if file is not None}
         for diagnostic in analysis.loaded.diagnostics:
             span = diagnostic.span
             place = analysis.root if span is None or span.source.path is None else span.source.path
@@ -211,16 +206,12 @@ class LanguageService:
 
 
 def _renamed(occurrence: Occurrence, name: str, full: str) -> str:
-    """The new text of an occurrence of a symbol renamed to ``name``; ``full`` is a topic's full name."""
+    """The new text of an occurrence of a symbol renamed to ``name``; ``full`` is a topic's full name, which is written
+    relative to the namespace where it was so before."""
     text = occurrence.span.text
     if occurrence.symbol.kind == "node":
         return f"{text[: text.rfind('/') + 1]}{name}"
-    return _relative_topic(occurrence, full) if occurrence.symbol.kind == "topic" else name
-
-
-def _relative_topic(occurrence: Occurrence, full: str) -> str:
-    """A topic's full name, relative to the namespace if the occurrence was."""
+    if occurrence.symbol.kind != "topic":
+        return name
     prefix = f"/{occurrence.namespace}/" if occurrence.namespace else "/"
-    if occurrence.span.text.startswith("/") or not full.startswith(prefix):
-        return full
-    return full.removeprefix(prefix)
+    return full if text.startswith("/") else full.removeprefix(prefix)
