@@ -28,6 +28,11 @@ def _json(text: str) -> CatalogueExample:
     return CatalogueExample(text, "example.json")
 
 
+def _listening(contract: str) -> str:
+    """A system whose listener assumes ``contract`` of its input."""
+    return _PAIR.replace("std_msgs/msg/String @ 5 Hz", contract)
+
+
 def _component(body: str) -> str:
     return "system s\ncomponent C {\n" + body + "}\n"
 
@@ -192,13 +197,10 @@ MODEL: Final = (
         message lists each mismatch: type, rate, QoS policy or field.""",
         "weaken what is needed or strengthen what is guaranteed",
         TALKING.replace("/msg/String @ 10 Hz\ncomponent", "/msg/String @ 20 Hz\ncomponent"),
-        _PAIR.replace("input in : std_msgs/msg/String @ 5 Hz", "input in : std_msgs/msg/String @ 50 Hz"),
-        _PAIR.replace("input in : std_msgs/msg/String @ 5 Hz", "input in : std_msgs/msg/Header @ 5 Hz"),
-        _PAIR.replace("input in : std_msgs/msg/String @ 5 Hz", "input in : std_msgs/msg/String where data = hello"),
-        _PAIR.replace(
-            "input in : std_msgs/msg/String @ 5 Hz",
-            "input in : std_msgs/msg/String qos(durability = transient_local)",
-        ),
+        _listening("std_msgs/msg/String @ 50 Hz"),
+        _listening("std_msgs/msg/Header @ 5 Hz"),
+        _listening("std_msgs/msg/String where data = hello"),
+        _listening("std_msgs/msg/String qos(durability = transient_local)"),
     ),
     _entry(
         "E021: port attached twice to one topic",

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from midstride.lang.source import Span
@@ -114,17 +114,12 @@ def _excerpt(span: Span) -> list[str]:
         text, before = text[first : first + _SHOWN], before - first
         length = max(1, min(length, _SHOWN - before))
     margin = " " * len(str(line))
-    shown = "".join(_visible(character) for character in text)
+    # A tab as a space and a control character as U+FFFD, so that the carets line up.
+    hidden = {"Cc", "Cs", "Cf"}
+    shown = "".join("\ufffd" if unicodedata.category(c) in hidden else c for c in text.replace("\t", " "))
     lead = " " * sum(_width(character) for character in cut + text[:before])
     carets = "^" * max(1, sum(_width(character) for character in text[before : before + length]))
     return [f" {margin} |", f" {line} | {cut}{shown}", f" {margin} | {lead}{carets}"]
-
-
-def _visible(character: str) -> str:
-    """A tab as a space and a control character as U+FFFD, so that the carets line up."""
-    if character == "\t":
-        return " "
-    return "\ufffd" if unicodedata.category(character) in {"Cc", "Cs", "Cf"} else character
 
 
 def _width(character: str) -> int:
@@ -133,15 +128,13 @@ def _width(character: str) -> int:
     return 2 if unicodedata.east_asian_width(character) in {"W", "F"} else 1
 
 
+@dataclass(slots=True)
 class Reporter:
     """Collects diagnostics, without duplicates and at most :data:`MAX_DIAGNOSTICS`."""
 
-    __slots__ = ("_seen", "dropped", "found")
-
-    def __init__(self) -> None:
-        self.found: list[Diagnostic] = []
-        self.dropped = False
-        self._seen: set[tuple[str, str, int]] = set()
+    found: list[Diagnostic] = field(default_factory=list)
+    dropped: bool = False
+    _seen: set[tuple[str, str, int]] = field(default_factory=set)
 
     def report(
         self,
@@ -176,16 +169,14 @@ class Reporter:
 
     @property
     def has_errors(self) -> bool:
-        return any(diagnostic.severity == "error" for diagnostic in self.found)
+        return has_errors(self.found)
 
 
 def in_order(diagnostics: Iterable[Diagnostic]) -> tuple[Diagnostic, ...]:
     """The diagnostics by file, in order of first occurrence, then by place."""
     listed = list(diagnostics)
-    rank: dict[str, int] = {}
-    for diagnostic in listed:
-        rank.setdefault(diagnostic.file_name, len(rank))
-    return tuple(sorted(listed, key=lambda d: (d.code == "E199", rank[d.file_name], d.position, d.code)))
+    files = list(dict.fromkeys(diagnostic.file_name for diagnostic in listed))
+    return tuple(sorted(listed, key=lambda d: (d.code == "E199", files.index(d.file_name), d.position, d.code)))
 
 
 def has_errors(diagnostics: Iterable[Diagnostic]) -> bool:
@@ -197,11 +188,6 @@ def render(diagnostics: Iterable[Diagnostic]) -> str:
     listed = list(diagnostics)
     if not listed:
         return ""
-    errors = sum(diagnostic.severity == "error" for diagnostic in listed)
-    warnings = len(listed) - errors
-    counts = [_count(errors, "error"), _count(warnings, "warning")]
-    return "\n\n".join([*(d.render() for d in listed), ", ".join(c for c in counts if c)])
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}{'' if number == 1 else 's'}" if number else ""
+    numbers = {kind: sum(diagnostic.severity == kind for diagnostic in listed) for kind in ("error", "warning")}
+    counts = [f"{number} {kind}{'' if number == 1 else 's'}" for kind, number in numbers.items() if number]
+    return "\n\n".join([*(diagnostic.render() for diagnostic in listed), ", ".join(counts)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 from midstride.lang.index import Symbol
-from midstride.model.component import ComponentSpec, FunctionalityRef, FunctionalitySpec, InputAlternatives
+from midstride.model.component import FunctionalityRef, FunctionalitySpec, InputAlternatives
 from midstride.model.configuration import Configuration
 from midstride.model.contract import NOTHING, format_number
 from midstride.model.diagnosis import reasons_against
@@ -40,8 +40,9 @@ class _Hover:
         connector = self.specification.connectors.get(symbol.name)
         if connector is None:
             return
-        limit = "" if connector.max_publishers is None else f" (at most {_publishers(connector.max_publishers)})"
-        yield f"`{connector.guarantee}`{limit}"
+        limit = connector.max_publishers
+        most = "" if limit is None else f" (at most {limit} publisher{'' if limit == 1 else 's'})"
+        yield f"`{connector.guarantee}`{most}"
         if self.configuration is None:
             return
         for what, ports in (
@@ -63,7 +64,8 @@ class _Hover:
         for name in component.input_order:
             yield f"input `{name} : {component.inputs[name]}`"
         for name in component.outputs:
-            yield f"output `{name} : {_normal_guarantee(component, name)}`"
+            owner = component.find_owner(name)
+            yield f"output `{name} : {owner.modes[0].guarantee(name) if owner and owner.modes else NOTHING}`"
         for functionality in component:
             yield f"functionality `{functionality.name}`: {', '.join(mode.name for mode in functionality.modes)}"
 
@@ -88,8 +90,7 @@ class _Hover:
             yield f"assumes `{component.inputs[symbol.name]}`"
         elif component is not None and (owner := component.find_owner(symbol.name)) is not None:
             for mode in owner.modes:
-                given = mode.guarantee(symbol.name)
-                yield f"{mode.name}: `{'nothing' if given is NOTHING else given}`"
+                yield f"{mode.name}: `{mode.guarantee(symbol.name)}`"
 
     def functionality(self, symbol: Symbol) -> Iterator[str]:
         found = self._declared(symbol.owner, symbol.name)
@@ -131,15 +132,3 @@ class _Hover:
     def _declared(self, component: str, functionality: str) -> FunctionalitySpec | None:
         found = self.specification.components.get(component)
         return None if found is None else found.functionalities.get(functionality)
-
-
-def _publishers(count: int) -> str:
-    return f"{count} publisher{'' if count == 1 else 's'}"
-
-
-def _normal_guarantee(component: ComponentSpec, output: str) -> str:
-    owner = component.find_owner(output)
-    if owner is None or not owner.modes:
-        return "nothing"
-    given = owner.modes[0].guarantee(output)
-    return "nothing" if given is NOTHING else str(given)

@@ -233,16 +233,10 @@ class ComponentSpec:
         """The functionalities associated with ``input_name``, in order of declaration."""
         return self._users.get(input_name, [])
 
-    def output_guarantees(self, output: str) -> list[tuple[Mode, Contract]]:
-        """Each mode of the owner with what it guarantees on ``output``, best first."""
-        return [(mode, mode.guarantee(output)) for mode in self.owner(output).modes]
-
     def output_endpoint(self, output: str) -> tuple[str, QoS] | None:
         """The type and QoS of the real endpoint (rule M3), or None where no mode guarantees anything."""
-        for _, contract in self.output_guarantees(output):
-            if isinstance(contract, Predicate):
-                return contract.type, contract.qos
-        return None
+        stated = (mode.guarantees.get(output) for mode in self.owner(output).modes)
+        return next(((guarantee.type, guarantee.qos) for guarantee in stated if guarantee is not None), None)
 
     def ports(self) -> list[str]:
         """Every port, outputs first, in order of declaration."""

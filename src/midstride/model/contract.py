@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final, Literal, TypeAlias
 
@@ -61,8 +61,7 @@ class QoS:
         if self.is_transient_local and not offered.is_transient_local:
             unmet.append("durability: volatile is offered, transient_local is needed")
         for name in ("deadline", "lease"):
-            needed = _seconds(getattr(self, name))
-            given = _seconds(getattr(offered, name))
+            needed, given = (_seconds(getattr(qos, name)) for qos in (self, offered))
             if given > needed:
                 unmet.append(f"{name}: {_duration(given)} is offered, at most {_duration(needed)} is needed")
         if self.liveliness == "manual_by_topic" and offered.liveliness != "manual_by_topic":
@@ -83,15 +82,13 @@ class QoS:
 
     def effective(self) -> QoS:
         """This profile with ROS 2's defaults filled in for the policies that matter to an endpoint."""
-        return QoS(
+        return replace(
+            self,
             reliability=self.reliability or "reliable",
             durability=self.durability or "volatile",
-            deadline=self.deadline,
             liveliness=self.liveliness or "automatic",
-            lease=self.lease,
             depth=10 if self.depth is None else self.depth,
             history=self.history or "keep_last",
-            lifespan=self.lifespan,
         )
 
     def __str__(self) -> str:
@@ -180,7 +177,7 @@ class OneOf:
     @property
     def values(self) -> tuple[Scalar, ...]:
         """The members, in a stable order."""
-        return tuple(value for _, value in sorted(self.members, key=lambda member: (member[0], member[1])))
+        return tuple(value for _, value in sorted(self.members))
 
     def __contains__(self, value: object) -> bool:
         return isinstance(value, (bool, int, float, str)) and _tagged(value) in self.members
@@ -242,7 +239,7 @@ class Predicate:
     type: str
     rate: float | None = None
     qos: QoS = DEFAULT_QOS
-    fields: tuple[tuple[str, ValueSet], ...] = field(default=())
+    fields: tuple[tuple[str, ValueSet], ...] = ()
 
     def __post_init__(self) -> None:
         """Normalise: one set of values for each field, and a one-point interval becomes a value."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
@@ -66,28 +67,34 @@ def _unknown(
 
 def component_names(component: ComponentSpec, path: Path) -> list[Problem]:
     """The problems with the names of one component under ``path``."""
-    found = list(_invalid_name("component", component.name, path, read=path == ()))
+    return with_suggestions(list(_component_names(component, path)))
+
+
+def _component_names(component: ComponentSpec, path: Path) -> Iterator[Problem]:
+    yield from _invalid_name("component", component.name, path, read=path == ())
     for name in component.input_order:
-        found += _invalid_name("port", name, (*path, "inputs", name))
+        yield from _invalid_name("port", name, (*path, "inputs", name))
     for index, name in enumerate(component.outputs):
-        found += _invalid_name("port", name, (*path, "outputs", str(index)), read=True)
+        where = (*path, "outputs", str(index))
+        yield from _invalid_name("port", name, where, read=True)
         if name in component.inputs:
             message = f"`{name}` names both an input and an output"
-            found.append(
-                Problem("E007", (*path, "outputs", str(index)), message, "the port names of a component are unique")
-            )
-    found += _twice("output", component.outputs, (*path, "outputs"))
-    order = component.functionality_order
-    for name in sorted({name for name in order if order.count(name) > 1}):
-        found.append(Problem("E007", (*path, "functionalities", name), f"functionality `{name}` is declared twice"))
-    for functionality in component.functionalities.values() if len(set(order)) < len(order) else component:
-        found += _functionality_names(component, functionality, (*path, "functionalities", functionality.name))
+            yield Problem("E007", where, message, "the port names of a component are unique")
+    yield from _twice("output", component.outputs, (*path, "outputs"))
+    repeated = _repeated(component.functionality_order)
+    for name in repeated:
+        yield Problem("E007", (*path, "functionalities", name), f"functionality `{name}` is declared twice")
+    for functionality in component.functionalities.values() if repeated else component:
+        yield from _functionality_names(component, functionality, (*path, "functionalities", functionality.name))
     for name in sorted(component.parameters):
         if not name.isprintable() or not name:  # ROS 2 accepts any printable text, and parameter files use it
-            found.append(Problem("E006", (*path, "parameters", name), f"`{name}` is not a valid parameter name"))
+            yield Problem("E006", (*path, "parameters", name), f"`{name}` is not a valid parameter name")
     if component.run is not None:
-        found += _command(component.run, (*path, "run"))
-    return with_suggestions(found)
+        yield from _command(component.run, (*path, "run"))
+
+
+def _repeated(names: Sequence[str]) -> list[str]:
+    return sorted(name for name, count in Counter(names).items() if count > 1)
 
 
 def _command(text: str, path: Path) -> Iterator[Problem]:
@@ -103,16 +110,14 @@ def _command(text: str, path: Path) -> Iterator[Problem]:
 def _functionality_names(component: ComponentSpec, functionality: FunctionalitySpec, path: Path) -> Iterator[Problem]:
     yield from _invalid_name("functionality", functionality.name, path)
     of = component.name or "the component"
-    for index, name in enumerate(functionality.inputs):
-        declared = (*path[:-2], "inputs")
-        yield from _unknown("input", name, component.input_order, (*path, "uses", str(index)), declared, of)
-    for index, name in enumerate(functionality.outputs):
-        declared = (*path[:-2], "outputs")
-        yield from _unknown("output", name, component.outputs, (*path, "produces", str(index)), declared, of)
-    yield from _twice("input", functionality.inputs, (*path, "uses"))
-    yield from _twice("output", functionality.outputs, (*path, "produces"))
-    modes = [mode.name for mode in functionality.modes]
-    for name in sorted({name for name in modes if modes.count(name) > 1}):
+    for kind, names, known, key in (
+        ("input", functionality.inputs, component.input_order, "uses"),
+        ("output", functionality.outputs, component.outputs, "produces"),
+    ):
+        for index, name in enumerate(names):
+            yield from _unknown(kind, name, known, (*path, key, str(index)), (*path[:-2], f"{kind}s"), of)
+        yield from _twice(kind, names, (*path, key))
+    for name in _repeated([mode.name for mode in functionality.modes]):
         yield Problem("E007", (*path, "modes", name), f"mode `{name}` of {functionality.name} is declared twice")
     reported: set[str] = set()
     for mode in functionality.modes:
@@ -125,30 +130,22 @@ def _mode_names(
     """The problems with the names of one mode. ``reported`` are ports reported for an earlier mode already."""
     yield from _invalid_name("mode", mode.name, path)
     for name in sorted(mode.guarantees):
-        where = (*path, "guarantees", name)
-        yield from _associated("output", name, component.outputs, functionality, functionality.outputs, where, reported)
+        yield from _associated("output", name, component, functionality, (*path, "guarantees", name), reported)
     for index, assumption in enumerate(mode.assumptions):
-        if not isinstance(assumption, InputAlternatives):
-            continue
-        where = (*path, "assumes", str(index))
-        yield from _twice("input", assumption.inputs, (*where, "any_of"))
-        for name in assumption.inputs:
-            yield from _associated(
-                "input", name, component.input_order, functionality, functionality.inputs, where, reported
-            )
+        if isinstance(assumption, InputAlternatives):
+            where = (*path, "assumes", str(index))
+            yield from _twice("input", assumption.inputs, (*where, "any_of"))
+            for name in assumption.inputs:
+                yield from _associated("input", name, component, functionality, where, reported)
 
 
 def _associated(
-    kind: str,
-    name: str,
-    ports: Sequence[str],
-    functionality: FunctionalitySpec,
-    associated: Sequence[str],
-    path: Path,
-    reported: set[str],
+    kind: str, name: str, component: ComponentSpec, functionality: FunctionalitySpec, path: Path, reported: set[str]
 ) -> Iterator[Problem]:
     """A mode may refer only to the ports of its own functionality."""
     key, verb = ("uses", "use") if kind == "input" else ("produces", "produce")
+    ports = component.input_order if kind == "input" else component.outputs
+    associated = functionality.inputs if kind == "input" else functionality.outputs
     declared = (*path[:-4], key)  # from …/modes/<mode>/guarantees/<name>, or …/assumes/<index>
     if name not in ports:
         yield from _unknown(kind, name, associated, path, declared, functionality.name)
@@ -164,33 +161,34 @@ def _associated(
 
 def specification_names(specification: Specification) -> list[Problem]:
     """The problems with the names of a whole specification."""
-    found = list(_invalid_name("system", specification.name, ("system",), read=True))
+    return with_suggestions(list(_specification_names(specification)))
+
+
+def _specification_names(specification: Specification) -> Iterator[Problem]:
+    yield from _invalid_name("system", specification.name, ("system",), read=True)
     for name, connector in sorted(specification.connectors.items()):
         if not is_topic(connector.topic):
             where = ("topics", name) if connector.topic == name else ("topics", name, "topic")
             help = "write the full name, which starts with `/`"
-            found.append(Problem("E006", where, f"`{connector.topic}` is not a valid topic name", help))
+            yield Problem("E006", where, f"`{connector.topic}` is not a valid topic name", help)
     topics = {connector.topic for connector in specification.connectors.values()}
-    offers = [offer.name for offer in specification.environment]
-    for name in sorted({name for name in offers if offers.count(name) > 1}):
-        found.append(Problem("E007", ("environment", name), f"environment guarantee `{name}` is declared twice"))
+    for name in _repeated([offer.name for offer in specification.environment]):
+        yield Problem("E007", ("environment", name), f"environment guarantee `{name}` is declared twice")
     for offer in specification.environment:
-        found += _invalid_name("environment guarantee", offer.name, ("environment", offer.name))
+        yield from _invalid_name("environment guarantee", offer.name, ("environment", offer.name))
         if offer.topic is not None:
-            found += _unknown("topic", offer.topic, topics, ("environment", offer.name, "topic"), ("topics",))
+            yield from _unknown("topic", offer.topic, topics, ("environment", offer.name, "topic"), ("topics",))
     for name, component in sorted(specification.components.items()):
-        found += component_names(component, ("components", name))
+        yield from _component_names(component, ("components", name))
         for resource in sorted(component.resource_usage):
-            found += _unknown(
-                "resource", resource, specification.resources, ("components", name, "holds", resource), ("resources",)
-            )
+            holder: Path = ("components", name, "holds", resource)
+            yield from _unknown("resource", resource, specification.resources, holder, ("resources",))
     for role, node in sorted(specification.nodes.items()):
-        found += _node_names(specification, node, ("nodes", role))
+        yield from _node_names(specification, node, ("nodes", role))
     for index in range(len(specification.constraints)):
-        found += _constraint_names(specification, index)
+        yield from _constraint_names(specification, index)
     for kind in sorted(specification.timing):
-        found += _unknown("kind of step", kind, DEFAULT_SECONDS, ("timing_seconds", kind), ())
-    return with_suggestions(found)
+        yield from _unknown("kind of step", kind, DEFAULT_SECONDS, ("timing_seconds", kind), ())
 
 
 def node_names(specification: Specification, node: Node, path: Path) -> list[Problem]:
@@ -200,9 +198,8 @@ def node_names(specification: Specification, node: Node, path: Path) -> list[Pro
 
 def _node_names(specification: Specification, node: Node, path: Path) -> Iterator[Problem]:
     if not _ROLE.fullmatch(node.role) or len(node.role) > _LONGEST:
-        yield Problem(
-            "E006", path, f"`{node.role}` is not a valid node name", "write names joined by `/`, as in `robot1/talker`"
-        )
+        help = "write names joined by `/`, as in `robot1/talker`"
+        yield Problem("E006", path, f"`{node.role}` is not a valid node name", help)
     yield from _unknown("component", node.component, specification.components, (*path, "component"), ("components",))
     component = specification.components.get(node.component)
     for port in sorted(node.attachments):

@@ -20,7 +20,6 @@ from midstride.model.component import (
     FunctionalityRef,
     FunctionalitySpec,
     InputAlternatives,
-    Mode,
     PortRef,
 )
 from midstride.model.configuration import Configuration, to_fraction
@@ -120,7 +119,7 @@ class Evaluator:
         for output in sorted(self.configuration.publishers_on(name)):
             owner = self.configuration.component(output.instance).owner(output.port)
             mode = owner.modes[self.mode_index(FunctionalityRef(output.instance, owner.name))]
-            clauses = explain(self.guarantee(output), connector.guarantee)
+            clauses = explain(mode.guarantee(output.port), connector.guarantee)
             shortfalls.append(f"{output} in mode {mode.name}: {', '.join(clauses)}")
         for offer in self.configuration.context.publishers_out_of_scope(connector):
             shortfalls.append(f"environment {offer.name}: {', '.join(explain(offer.guarantee, connector.guarantee))}")
@@ -163,7 +162,7 @@ class Evaluator:
         """The unsatisfied assumptions of ``refs``."""
         for ref in sorted(set(refs)):
             functionality = self.configuration.functionality(ref)
-            mode: Mode = functionality.modes[self.mode_index(ref)]
+            mode = functionality.modes[self.mode_index(ref)]
             for assumption in mode.assumptions:
                 if not self.assumption_satisfied(ref, functionality, assumption):
                     because = self.why_assumption_unsatisfied(ref, assumption)
@@ -202,11 +201,9 @@ def capacity_violation(configuration: Configuration, resource: str) -> Violation
     held, capacity = configuration.held.get(resource), configuration.context.capacity(resource)
     if held is None or held <= to_fraction(capacity):
         return None
-    holders = _listed(sorted(configuration.holders[resource]))
-    because = f"{format_number(float(held))} held by {holders}, but the capacity is {format_number(capacity)}"
-    return Violation(
-        "capacity", f"resource {resource}", because, (resource, *sorted(configuration.holders[resource])[:_SHOWN])
-    )
+    holders = sorted(configuration.holders[resource])
+    because = f"{format_number(float(held))} held by {_listed(holders)}, but the capacity is {format_number(capacity)}"
+    return Violation("capacity", f"resource {resource}", because, (resource, *holders[:_SHOWN]))
 
 
 def _listed(names: list[str]) -> str:
@@ -218,21 +215,17 @@ def violations(configuration: Configuration) -> list[Violation]:
     """Every reason why ``configuration`` is not valid (docs/semantics.md section 3). Walks the system."""
     found: list[Violation] = []
     for port, connector in sorted(configuration.attachments()):
-        where = f"{port} on {connector}"
         if not configuration.has_port(port):
-            found.append(
-                Violation("attachment", where, f"{port} is not a port of a live component", (str(port), connector))
-            )
+            because = f"{port} is not a port of a live component"
         elif connector not in configuration.context.connectors:
-            found.append(
-                Violation("attachment", where, f"{connector} is not a topic of this system", (str(port), connector))
-            )
-    found.extend(Evaluator(configuration).violations_of(configuration.modes))
-    found.extend(
-        v for name in sorted(configuration.context.connectors) if (v := cap_violation(configuration, name)) is not None
-    )
-    found.extend(v for name in sorted(configuration.held) if (v := capacity_violation(configuration, name)) is not None)
-    return found
+            because = f"{connector} is not a topic of this system"
+        else:
+            continue
+        found.append(Violation("attachment", f"{port} on {connector}", because, (str(port), connector)))
+    found += Evaluator(configuration).violations_of(configuration.modes)
+    limits = [cap_violation(configuration, name) for name in sorted(configuration.context.connectors)]
+    limits += [capacity_violation(configuration, name) for name in sorted(configuration.held)]
+    return [*found, *(violation for violation in limits if violation is not None)]
 
 
 def is_valid(configuration: Configuration) -> bool:

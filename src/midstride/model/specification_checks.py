@@ -94,13 +94,9 @@ def _too_many_publishers(specification: Specification) -> Iterator[Problem]:
                 for topic in dict.fromkeys(topics):
                     publishers.setdefault(topic, []).append(str(PortRef(role, port)))
     for name, connector in specification.connectors.items():
-        if connector.max_publishers is None:
-            continue
-        counted = publishers.get(name, [])
-        counted += [
-            f"environment {offer.name}" for offer in specification.environment if offer.topic == connector.topic
-        ]
-        if len(counted) > connector.max_publishers:
+        offers = specification.context.publishers_out_of_scope(connector)
+        counted = publishers.get(name, []) + [f"environment {offer.name}" for offer in offers]
+        if connector.max_publishers is not None and len(counted) > connector.max_publishers:
             count = f"{len(counted)} publisher{'s' if len(counted) != 1 else ''}"
             message = f"{name} has {count} ({', '.join(counted)}), at most {connector.max_publishers} allowed"
             yield Problem("E022", ("topics", name, "max_publishers"), message, "silent publishers count, too")
@@ -148,10 +144,8 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
     for name, value in node.parameters.items():
         declared = component.parameters.get(name)
         if declared is not None and not value_fits(value, declared.value):
-            message = (
-                f"parameter {name} of {component.name} takes {value_kind(declared.value)}, not {value_kind(value)}"
-            )
-            yield Problem("E025", (*path, "parameters", name), message)
+            kinds = f"{value_kind(declared.value)}, not {value_kind(value)}"
+            yield Problem("E025", (*path, "parameters", name), f"parameter {name} of {component.name} takes {kinds}")
 
 
 def _unfit(component: ComponentSpec, port: PortRef, connector: Connector, path: Path) -> Iterator[Problem]:
@@ -225,35 +219,25 @@ def _unsatisfiable(specification: Specification) -> Iterator[Problem]:
                     given += [(f"environment {offer.name}", offer.guarantee) for offer in offers]
                     if any(satisfies(predicate, assumption) for _, predicate in given):
                         continue
-                    shortfalls = [
-                        f"{source}: {', '.join(explain(predicate, assumption))}"
-                        for source, predicate in given
-                        if predicate.type == assumption.type
-                    ]
+                    alike = ((source, predicate) for source, predicate in given if predicate.type == assumption.type)
+                    shortfalls = [f"{source}: {', '.join(explain(each, assumption))}" for source, each in alike]
                     nothing = f"no input of {functionality.name} and no environment guarantee has that type"
-                    message = (
-                        f"mode {mode.name} of {functionality.name} assumes {assumption}, which nothing can satisfy"
-                    )
+                    unmet = f"mode {mode.name} of {functionality.name} assumes {assumption}, which nothing can satisfy"
                     where = ("components", name, "functionalities", functionality.name, "modes", mode.name)
-                    yield Problem(
-                        "W032", (*where, "assumes", str(index)), f"{message}: {'; '.join(shortfalls) or nothing}"
-                    )
+                    message = f"{unmet}: {'; '.join(shortfalls) or nothing}"
+                    yield Problem("W032", (*where, "assumes", str(index)), message)
 
 
 def _unsatisfied_topics(configuration: Configuration) -> Iterator[Problem]:
     """Topics without a publisher. An attached output that does not fit the topic is reported as E020."""
     for name, connector in configuration.context.connectors.items():
         offers = configuration.context.publishers_out_of_scope(connector)
-        if configuration.publishers_on(name) or any(
-            satisfies(offer.guarantee, connector.guarantee) for offer in offers
-        ):
+        reasons = {offer.name: explain(offer.guarantee, connector.guarantee) for offer in offers}
+        if configuration.publishers_on(name) or not all(reasons.values()):
             continue
-        shortfalls = [f"environment {o.name}: {', '.join(explain(o.guarantee, connector.guarantee))}" for o in offers]
-        message = (
-            f"no publisher satisfies {name}: {'; '.join(shortfalls)}" if shortfalls else f"{name} has no publisher"
-        )
-        help = "attach an output, or let the environment guarantee it"
-        yield Problem("W031", ("topics", name), message, help)
+        shortfalls = "; ".join(f"environment {offer}: {', '.join(clauses)}" for offer, clauses in reasons.items())
+        message = f"no publisher satisfies {name}: {shortfalls}" if shortfalls else f"{name} has no publisher"
+        yield Problem("W031", ("topics", name), message, "attach an output, or let the environment guarantee it")
 
 
 def _at_start(specification: Specification, configuration: Configuration) -> Iterator[Problem]:
