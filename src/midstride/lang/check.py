@@ -35,7 +35,8 @@ _WITHOUT_ERRORS = frozenset({"W031", "W032", "W033", "W034"})
 _NEED_CONTRACTS = frozenset({"E011", "E012", "W032"})
 _NEED_MODES = frozenset({"E010", "E011", "E012", "E015", "W032"})
 # The statements that declare the entries of these sections of the JSON form.
-_KEYWORDS = {"functionalities": "functionality", "parameters": "parameters"}
+_PORTS = ("input", "output")
+_KEYWORDS = {"inputs": _PORTS, "outputs": _PORTS, "functionalities": ("functionality",), "parameters": ("parameters",)}
 # Reported while the text is resolved, at a more precise place.
 _CHECKED_HERE = frozenset({"E016"})
 
@@ -190,12 +191,8 @@ class _SpecificationBuilder:
         kind, name, *rest = (*problem.subject, "", "")
         if problem.code == "E008":
             text = "" if place is None else place.text
-            return (
-                files_missing
-                or text in self.skipped
-                or text.rpartition("/")[2] in self.skipped
-                or self._may_be_declared(problem)
-            )
+            skipped = text in self.skipped or text.rpartition("/")[2] in self.skipped
+            return files_missing or skipped or self._may_be_declared(problem)
         if problem.code == "E006" and place is not None and not is_topic_name(place.text):
             return True  # the lexer has reported it
         if kind == "components":
@@ -205,7 +202,7 @@ class _SpecificationBuilder:
                 return of_contracts or (rest[1] in unresolved.incomplete and problem.code in _NEED_MODES)
             return problem.code == "E013" and (unresolved.may_declare("functionality") or bool(unresolved.incomplete))
         if kind == "nodes":
-            return self._node_may_follow(problem, specification, name, tuple(rest))
+            return self._node_may_follow(problem, specification)
         if kind == "topics" and name in self.unresolved_topics:
             return True
         return problem.code == "W031" and files_missing
@@ -215,25 +212,19 @@ class _SpecificationBuilder:
         kind, name, section = (*problem.declared, "", "", "")[:3]
         if kind != "components" or name not in self.components.unresolved:
             return False
-        words = {"inputs": ("input", "output"), "outputs": ("input", "output")}.get(
-            section, (_KEYWORDS.get(section, ""),)
-        )
-        return bool(name) and self.components.unresolved[name].may_declare(*words)
+        return self.components.unresolved[name].may_declare(*_KEYWORDS.get(section, ()))
 
-    def _node_may_follow(
-        self, problem: Problem, specification: Specification, role: str, rest: tuple[str, ...]
-    ) -> bool:
-        entry = self.declarations.nodes[role]
+    def _node_may_follow(self, problem: Problem, specification: Specification) -> bool:
+        role, *rest = problem.subject[1:]
         node = specification.nodes[role]
         unresolved = self.components.unresolved.get(node.component)
         if unresolved is None:
             return False
         if problem.code == "W030":
-            return entry.declaration.incomplete or bool(unresolved.skipped) or unresolved.base
-        if problem.code == "E020" and len(rest) > 2:
-            port, index = rest[1], rest[2]
-            topics = node.attachments.get(port, ())
-            topic = topics[int(index)] if index.isdecimal() and int(index) < len(topics) else ""
+            return self.declarations.nodes[role].declaration.incomplete or bool(unresolved.skipped) or unresolved.base
+        if problem.code == "E020":
+            _, port, index = rest
+            topic = node.attachments[port][int(index)]
             owner = specification.components[node.component].find_owner(port)
             uncertain = owner is not None and owner.name in unresolved.normal
             return port in unresolved.ports or topic in self.unresolved_topics or uncertain

@@ -124,39 +124,32 @@ class ComponentBuilder:
             message = f"`{own.name.text}` has more than one `run` command"
             self.reporter.report("E128", run.span, message, help="keep one of them", notes=[note])
         for declared in own.inputs:
-            contract = self.contracts.declared.get(declared.name.text)
-            if contract is not None:
-                name = declared.name
+            name, span = declared.name
+            if (contract := self.contracts.declared.get(name)) is not None:
                 note = Note("contract declared here", contract.name.span)
-                ambiguous = f"`assume {name.text}` is ambiguous"
-                message = f"`{name.text}` is both an input of {own.name.text} and a contract, so {ambiguous}"
-                self.reporter.report("E141", name.span, message, help="rename one of them", notes=[note])
-        inputs = self._unique(own.inputs, lambda declared: declared.name, "input")
-        outputs = self._unique(own.outputs, lambda name: name, "output")
-        functionalities = self._unique(own.functionalities, lambda declared: declared.name, "functionality")
-        parameters = self._unique(own.parameters, lambda entry: entry.name, "parameter")
-        held = self._unique(
-            (held for statement in own.holds for held in statement), lambda held: held.resource, "held resource"
-        )
+                both = f"`{name}` is both an input of {own.name.text} and a contract"
+                message = f"{both}, so `assume {name}` is ambiguous"
+                self.reporter.report("E141", span, message, help="rename one of them", notes=[note])
+        functionalities = self._unique(own.functionalities, _name, "functionality")
+        held = (held for statement in own.holds for held in statement)
         return own._replace(
-            inputs=inputs,
-            outputs=outputs,
+            inputs=self._unique(own.inputs, _name, "input"),
+            outputs=self._unique(own.outputs, lambda name: name, "output"),
             functionalities=tuple(self._unique_modes(functionality) for functionality in functionalities),
-            parameters=parameters,
-            holds=(held,) if own.holds else (),
+            parameters=self._unique(own.parameters, _name, "parameter"),
+            holds=(self._unique(held, lambda held: held.resource, "held resource"),) if own.holds else (),
         )
 
     def _unique_modes(self, functionality: syntax.FunctionalityDeclaration) -> syntax.FunctionalityDeclaration:
-        modes = self._unique(functionality.modes, lambda mode: mode.name, "mode")
+        modes = self._unique(functionality.modes, _name, "mode")
         for mode in modes:
             self._unique(mode.guarantees, lambda guarantee: guarantee.output, "guarantee for")
-        used, produced = (
-            tuple(limited(names, "name", lambda name: name.span, self.reporter))
-            for names in (functionality.uses, functionality.produces)
+        return functionality._replace(
+            uses=tuple(limited(functionality.uses, "name", lambda name: name.span, self.reporter)),
+            produces=tuple(limited(functionality.produces, "name", lambda name: name.span, self.reporter)),
+            modes=modes,
+            incomplete=functionality.incomplete or len(modes) < len(functionality.modes),
         )
-        functionality = functionality._replace(uses=used, produces=produced)
-        fewer = len(modes) < len(functionality.modes)
-        return functionality._replace(modes=modes, incomplete=functionality.incomplete or fewer)
 
     def _unique(self, entries: Iterable[T], name_of: Callable[[T], syntax.Name], what: str) -> tuple[T, ...]:
         first: dict[str, T] = {}
@@ -177,23 +170,19 @@ class ComponentBuilder:
         inputs: dict[str, Predicate] = {}
         for declared in declaration.inputs:
             predicate = self.contracts.predicate(declared.contract, "the assumption of an input")
+            name = declared.name.text
             if predicate is None:
-                unresolved.ports.add(declared.name.text)
-                unresolved.functionalities |= {
-                    f.name.text
-                    for f in declaration.functionalities
-                    if any(u.text == declared.name.text for u in f.uses)
-                }
-            inputs[declared.name.text] = predicate or UNRESOLVED
-        functionalities = tuple(
-            self._functionality(f, declaration, inputs, unresolved) for f in declaration.functionalities
-        )
+                unresolved.ports.add(name)
+                using = (f for f in declaration.functionalities if any(used.text == name for used in f.uses))
+                unresolved.functionalities.update(functionality.name.text for functionality in using)
+            inputs[name] = predicate or UNRESOLVED
+        parts = (self._functionality(part, declaration, inputs, unresolved) for part in declaration.functionalities)
         run = declaration.runs[0] if declaration.runs else None
         return ComponentSpec.of(
             declaration.name.text,
             inputs=inputs,
             outputs=tuple(output.text for output in declaration.outputs),
-            functionalities=functionalities,
+            functionalities=tuple(parts),
             holds={
                 held.resource.text: 1.0 if held.amount is None else held.amount.value
                 for statement in declaration.holds
@@ -202,7 +191,7 @@ class ComponentBuilder:
             parameters={
                 entry.name.text: ParameterSpec(entry.value.value, entry.changeable) for entry in declaration.parameters
             },
-            allows=tuple(dict.fromkeys(_endpoint(allowed) for allowed in declaration.allows)),
+            allows=tuple(dict.fromkeys(NodeEndpoint(ENDPOINT_KINDS[a.kind], a.name.text) for a in declaration.allows)),
             run=None if run is None else run.command.text,
             takes=None if run is None or run.startup is None else run.startup.value,
         )
@@ -219,10 +208,9 @@ class ComponentBuilder:
             unresolved.incomplete.add(name)
             if not any(mode.incomplete for mode in declared.modes[1:]):
                 unresolved.normal.add(name)
-        modes = tuple(self._mode(mode, name, owner, inputs, unresolved) for mode in declared.modes)
         return FunctionalitySpec(
             name,
-            modes,
+            tuple(self._mode(mode, name, owner, inputs, unresolved) for mode in declared.modes),
             inputs=tuple(used.text for used in declared.uses),
             outputs=tuple(produced.text for produced in declared.produces),
             weight=1.0 if declared.weight is None else declared.weight.value,
@@ -259,14 +247,11 @@ class ComponentBuilder:
     ) -> Assumption | None:
         if isinstance(assumed, syntax.NamedAssumption):
             return InputAlternatives(tuple(name.text for name in assumed.inputs))
-        if (
-            assumed.base is not None
-            and "/" not in assumed.base.text
-            and assumed.base.text not in self.contracts.declared
-        ):
-            return self._named_input(assumed, assumed.base, owner, inputs)
-        if assumed.is_bare_name and assumed.base is not None and assumed.base.text in inputs:
-            return InputAlternatives((assumed.base.text,))  # a contract of that name has been reported
+        base = assumed.base
+        if base is not None and "/" not in base.text and base.text not in self.contracts.declared:
+            return self._named_input(assumed, base, owner, inputs)
+        if base is not None and assumed.is_bare_name and base.text in inputs:
+            return InputAlternatives((base.text,))  # a contract of that name has been reported
         return self.contracts.predicate(assumed, "an assumption")
 
     def _named_input(
@@ -280,38 +265,32 @@ class ComponentBuilder:
             if assumed.is_bare_name:
                 return InputAlternatives((base.text,))
             message = f"`{base.text}` is an input; what it needs is stated in its declaration"
-            self.reporter.report(
-                "E142",
-                assumed.span,
-                message,
-                help=f"write `assume {base.text}`, and move the rest to the declaration of the input",
-            )
+            help = f"write `assume {base.text}`, and move the rest to the declaration of the input"
+            self.reporter.report("E142", assumed.span, message, help=help)
         elif base.text not in self.skipped and not self.unresolved[owner.name.text].may_declare("input"):
-            help = did_you_mean(base.text, [*inputs, *self.contracts.declared])
             message = f"`{base.text}` is neither an input of {owner.name.text} nor a contract"
-            self.reporter.report("E008", base.span, message, help=help)
+            hint = did_you_mean(base.text, [*inputs, *self.contracts.declared])
+            self.reporter.report("E008", base.span, message, help=hint)
         return None
 
 
-def _endpoint(allowed: syntax.AllowedEndpoint) -> NodeEndpoint:
-    return NodeEndpoint(ENDPOINT_KINDS[allowed.kind], allowed.name.text)
+def _name(declared: syntax.Named) -> syntax.Name:
+    return declared.name
 
 
 def _inherited(base: syntax.ComponentDeclaration, own: syntax.ComponentDeclaration) -> syntax.ComponentDeclaration:
     """``own``, completed from ``base`` part by part; a functionality is one part."""
 
     def merged(name_of: Callable[[T], syntax.Name], theirs: tuple[T, ...], ours: tuple[T, ...]) -> tuple[T, ...]:
-        entries = {name_of(entry).text: entry for entry in theirs}
-        entries.update({name_of(entry).text: entry for entry in ours})
-        return tuple(entries.values())
+        return tuple({name_of(entry).text: entry for entry in (*theirs, *ours)}.values())
 
     return own._replace(
         runs=own.runs or base.runs,
         holds=own.holds or base.holds,
-        parameters=merged(lambda entry: entry.name, base.parameters, own.parameters),
+        parameters=merged(_name, base.parameters, own.parameters),
         files=own.files or base.files,
-        inputs=merged(lambda declared: declared.name, base.inputs, own.inputs),
+        inputs=merged(_name, base.inputs, own.inputs),
         outputs=merged(lambda name: name, base.outputs, own.outputs),
         allows=(*base.allows, *own.allows),
-        functionalities=merged(lambda declared: declared.name, base.functionalities, own.functionalities),
+        functionalities=merged(_name, base.functionalities, own.functionalities),
     )

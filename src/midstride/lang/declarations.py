@@ -100,15 +100,13 @@ class _Collector:
                     self._add(found.components, name.text, item, name, "component")
                 case syntax.ResourceDeclaration(name=name):
                     self._add(found.resources, name.text, item, name, "resource")
-                case syntax.EnvironmentBlock(offers=offers):
+                case syntax.EnvironmentOffer(name=name):
+                    full = resolve_name(namespace, name.text).replace("/", "_")
                     limit = MAX_PARTS - len(found.offers)
-                    for offer in limited(offers, "guarantee", lambda offer: offer.name.span, self.reporter, limit):
-                        full = resolve_name(namespace, offer.name.text).replace("/", "_")
-                        entry = OfferEntry(namespace, offer)
-                        self._add(found.offers, full, entry, offer.name, "environment guarantee")
-                case syntax.TimingBlock(durations=durations):
-                    for duration in durations:
-                        self._add(found.timing, duration.kind.text, duration, duration.kind, "time for")
+                    for offer in limited((item,), "guarantee", lambda offer: offer.name.span, self.reporter, limit):
+                        self._add(found.offers, full, OfferEntry(namespace, offer), name, "environment guarantee")
+                case syntax.StepDuration(kind=kind):
+                    self._add(found.timing, kind.text, item, kind, "time for")
                 case syntax.NamespaceBlock(name=name):
                     self.items(item.items, resolve_name(namespace, name.text))
                 case syntax.ParameterFile(path=path):

@@ -12,6 +12,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
@@ -74,34 +75,26 @@ class InstalledTypes:
 
     def __init__(self, folders: Iterable[Path], fallback: Callable[[], MessageTypes | None] | None = None) -> None:
         self._folders = tuple(folders)
-        self._load_fallback = fallback
-        self._fallback: MessageTypes | None = None
-        self._packages: dict[str, Path | None] = {}
-        self._messages: dict[str, MessageDefinition | None] = {}
-
-    def message(self, name: str) -> MessageDefinition | None:
-        if name not in self._messages:
-            self._messages[name] = self._find(name)
-        return self._messages[name]
+        self._fallback = cache(fallback or (lambda: None))
+        self._folder = cache(self._find_folder)
+        self.message = cache(self._find)
 
     def types(self, package: str) -> Iterable[str]:
         folder = self._folder(package)
         if folder is not None:
             return sorted(path.stem for path in folder.glob("*.msg"))
-        other = self._fallback_types()
+        other = self._fallback()
         return () if other is None else other.types(package)
 
-    def _folder(self, package: str) -> Path | None:
-        if package not in self._packages:
-            candidates = (folder / package / "msg" for folder in self._folders)
-            self._packages[package] = next((folder for folder in candidates if _has_messages(folder)), None)
-        return self._packages[package]
+    def _find_folder(self, package: str) -> Path | None:
+        candidates = (folder / package / "msg" for folder in self._folders)
+        return next((folder for folder in candidates if _has_messages(folder)), None)
 
     def _find(self, name: str) -> MessageDefinition | None:
         package, _, rest = canonical_type(name).partition("/msg/")
         folder = self._folder(package)
         if folder is None:
-            other = self._fallback_types()
+            other = self._fallback()
             return None if other is None else other.message(name)
         try:
             with open(folder / f"{rest}.msg", encoding="utf-8", errors="replace") as stream:
@@ -109,11 +102,6 @@ class InstalledTypes:
         except OSError:
             return None
         return MessageDefinition(name, parse_fields(text, package), parse_constants(text))
-
-    def _fallback_types(self) -> MessageTypes | None:
-        if self._load_fallback is not None:
-            self._fallback, self._load_fallback = self._load_fallback(), None
-        return self._fallback
 
 
 def _has_messages(folder: Path) -> bool:

@@ -69,12 +69,10 @@ class NodeBuilder:
         for attachment in declaration.attachments:
             port = attachment.port.text
             if component is not None and port in (component.inputs if attachment.is_output else component.outputs):
-                right = "<-" if attachment.is_output else "->"
-                kind = "input" if attachment.is_output else "output"
+                kind, right = ("input", "<-") if attachment.is_output else ("output", "->")
                 message = f"`{port}` of {component.name} is an {kind}"
-                self.reporter.report(
-                    "E144", attachment.port.span, message, help=f"write `{port} {right} {attachment.topics[0].text}`"
-                )
+                help = f"write `{port} {right} {attachment.topics[0].text}`"
+                self.reporter.report("E144", attachment.port.span, message, help=help)
             limit = MAX_PARTS - len(found.get(port, ()))
             named = limited(attachment.topics, "topic", lambda topic: topic.span, self.reporter, limit)
             topics = tuple(resolve_topic(entry.namespace, topic.text, declaration.name.text) for topic in named)
@@ -168,11 +166,9 @@ class NodeBuilder:
 
     def _is_like(self, declaration: ComponentDeclaration, name: str) -> bool:
         seen: set[str] = set()
-        while (
-            declaration.like is not None and declaration.like.text in self.merged and declaration.like.text not in seen
-        ):
-            if declaration.like.text == name:
+        while declaration.like is not None and (base := declaration.like.text) in self.merged and base not in seen:
+            if base == name:
                 return True
-            seen.add(declaration.like.text)
-            declaration = self.merged[declaration.like.text]
+            seen.add(base)
+            declaration = self.merged[base]
         return False

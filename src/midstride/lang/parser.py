@@ -6,7 +6,6 @@ terminates, with bounded recursion, and does not raise.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from typing import Final
 
 from midstride.lang import syntax
@@ -46,28 +45,23 @@ class Parser(ComponentParser):
         self._system = name
 
     def _handlers(self, items: list[syntax.Item]) -> Handlers:
-        readers: Mapping[str, Callable[[int], syntax.Item]] = {
-            "include": self._include,
-            "contract": self._contract,
-            "topic": self._topic,
-            "resource": self._resource,
-            "environment": self._environment,
-            "component": self.component,
-            "node": self._node,
-            "namespace": self._namespace,
-            "parameters": self._parameter_file,
-            "keep": self._keep,
-            "limit": self._limit,
-            "order": self._order,
-            "timing": self._timing,
+        return {
+            "include": lambda _: items.append(self._include()),
+            "contract": lambda start: items.append(self._contract(start)),
+            "topic": lambda start: items.append(self._topic(start)),
+            "resource": lambda _: items.append(self._resource()),
+            "environment": lambda start: self._environment(start, items),
+            "component": lambda start: items.append(self.component(start)),
+            "node": lambda start: items.append(self._node(start)),
+            "namespace": lambda start: items.append(self._namespace(start)),
+            "parameters": lambda _: items.append(self._parameter_file()),
+            "keep": lambda start: items.append(self._keep(start)),
+            "limit": lambda start: items.append(self._limit(start)),
+            "order": lambda start: items.append(self._order(start)),
+            "timing": lambda start: self._timing(start, items),
         }
 
-        def reader(read: Callable[[int], syntax.Item]) -> Callable[[int], None]:
-            return lambda start: items.append(read(start))
-
-        return {word: reader(read) for word, read in readers.items()}
-
-    def _include(self, _: int) -> syntax.IncludeStatement:
+    def _include(self) -> syntax.IncludeStatement:
         if self.kinds[self.i] != "string":
             help = f'write `include "{self.texts[self.i]}.stride"`' if self.kinds[self.i] in {"name", "path"} else None
             raise self.fail("a file name in double quotes after `include`", help)
@@ -116,23 +110,20 @@ class Parser(ComponentParser):
         limits.append(number)
         return True
 
-    def _resource(self, _: int) -> syntax.ResourceDeclaration:
+    def _resource(self) -> syntax.ResourceDeclaration:
         name = self.resource("a resource name or device path")
         self.layout.marks[self.i] = "resource ="
         capacity = self.number("a capacity") if self.accept("=") else None
         return syntax.ResourceDeclaration(name, capacity)
 
-    def _environment(self, first: int) -> syntax.EnvironmentBlock:
-        offers: list[syntax.EnvironmentOffer] = []
-
+    def _environment(self, first: int, items: list[syntax.Item]) -> None:
         def offer(_: int) -> None:
             name = self.name("the name of a guarantee", (":",))
             topic = self.topic("a topic name after `on`") if self.accept_word("on") else None
             self.expect(":", f"after `{name.text}`", ("path",))
-            offers.append(syntax.EnvironmentOffer(name, topic, self.contract(f"for `{name.text}`")))
+            items.append(syntax.EnvironmentOffer(name, topic, self.contract(f"for `{name.text}`")))
 
         self.block("the environment", first, {"guarantee": offer})
-        return syntax.EnvironmentBlock(tuple(offers))
 
     # -- nodes -----------------------------------------------------------------------------------------
 
@@ -190,7 +181,7 @@ class Parser(ComponentParser):
             self._depth -= 1
         return syntax.NamespaceBlock(name, tuple(items))
 
-    def _parameter_file(self, _: int) -> syntax.ParameterFile:
+    def _parameter_file(self) -> syntax.ParameterFile:
         what = "a ROS parameter file name in double quotes (parameter values belong in a component or a node)"
         return syntax.ParameterFile(self.text(what))
 
@@ -220,17 +211,14 @@ class Parser(ComponentParser):
         self.expect_word("before", "and another node")
         return syntax.OrderStatement(self.since(start), before, self.topic("a node name after `before`"))
 
-    def _timing(self, first: int) -> syntax.TimingBlock:
-        durations: list[syntax.StepDuration] = []
-
+    def _timing(self, first: int, items: list[syntax.Item]) -> None:
         def duration() -> bool:
             if self.kinds[self.i] != "name" or self.kinds[self.i + 1] not in {"number", "=", ":"}:
                 return False
             kind = self.take()
             if self.kinds[self.i] != "number":
                 raise self.fail(f"a time after `{kind.text}`", f"write `{kind.text} 0.5 s`")
-            durations.append(syntax.StepDuration(kind, self.seconds("a time")))
+            items.append(syntax.StepDuration(kind, self.seconds("a time")))
             return True
 
         self.block("the timing", first, {}, duration)
-        return syntax.TimingBlock(tuple(durations))

@@ -225,50 +225,40 @@ class _Printer:
 
 def _align_marks(lines: list[_Line]) -> None:
     """Align the marked tokens of adjacent lines of one kind."""
-    first = 0
-    while first < len(lines):
-        last = first + 1
-        if lines[first].marks:
-            kind = lines[first].marks[0][0]
-            while last < len(lines) and _continues(lines[last - 1], lines[last]) and _kind(lines[last]) == kind:
-                last += 1
-            _align_group(lines[first:last])
-        first = last
+    group: list[_Line] = []
+    for line in lines:
+        if not (group and line.marks and line.marks[0][0] == group[0].marks[0][0] and _continues(group[-1], line)):
+            _align_group(group)
+            group = []
+        if line.marks:
+            group.append(line)
+    _align_group(group)
 
 
 def _continues(before: _Line, line: _Line) -> bool:
     return bool(line.text) and not line.blank_before and before.indent == line.indent
 
 
-def _kind(line: _Line) -> str | None:
-    return line.marks[0][0] if line.marks else None
-
-
 def _align_group(group: list[_Line]) -> None:
-    for step in range(max(len(line.marks) for line in group)):
+    for step in range(max((len(line.marks) for line in group), default=0)):
         having = [line for line in group if len(line.marks) > step]
         target = max(line.marks[step][1] for line in having)
         for line in having:
             at = line.marks[step][1]
             pad = target - at
-            if pad:
-                line.text = line.text[:at] + " " * pad + line.text[at:]
-                line.marks = [(kind, place + pad if place >= at else place) for kind, place in line.marks]
+            line.text = line.text[:at] + " " * pad + line.text[at:]
+            line.marks = [(kind, place + pad if place >= at else place) for kind, place in line.marks]
 
 
 def _align_comments(lines: list[_Line]) -> None:
-    """Keep trailing comments in their columns, shared ones together."""
-    first = 0
-    while first < len(lines):
-        last = first + 1
-        while last < len(lines) and not lines[last].blank_before:
-            last += 1
-        columns: dict[int, list[_Line]] = {}
-        for line in lines[first:last]:
-            if line.comment and line.text:
-                columns.setdefault(line.comment_column, []).append(line)
-        for column, sharing in columns.items():
-            target = max(column, max(line.width for line in sharing) + _GAP)
-            for line in sharing:
-                line.comment_column = target
-        first = last
+    """Keep trailing comments in their columns; those that share one between two blank lines keep sharing it."""
+    sharing: dict[tuple[int, int], list[_Line]] = {}
+    paragraph = 0
+    for line in lines:
+        paragraph += line.blank_before
+        if line.comment and line.text:
+            sharing.setdefault((paragraph, line.comment_column), []).append(line)
+    for (_, column), group in sharing.items():
+        target = max(column, max(line.width for line in group) + _GAP)
+        for line in group:
+            line.comment_column = target

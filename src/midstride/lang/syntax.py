@@ -196,10 +196,6 @@ class EnvironmentOffer(NamedTuple):
     contract: ContractExpression
 
 
-class EnvironmentBlock(NamedTuple):
-    offers: tuple[EnvironmentOffer, ...]
-
-
 class Attachment(NamedTuple):
     """``port <- topic, …`` (an input) or ``port -> topic, …`` (an output)."""
 
@@ -262,14 +258,10 @@ class StepDuration(NamedTuple):
     seconds: Number
 
 
-class TimingBlock(NamedTuple):
-    durations: tuple[StepDuration, ...]
-
-
 ConstraintStatement: TypeAlias = "KeepStatement | LimitStatement | OrderStatement"
 Item: TypeAlias = (
-    "IncludeStatement | ContractDeclaration | TopicDeclaration | ResourceDeclaration | EnvironmentBlock"
-    " | ComponentDeclaration | NodeDeclaration | NamespaceBlock | ParameterFile | ConstraintStatement | TimingBlock"
+    "IncludeStatement | ContractDeclaration | TopicDeclaration | ResourceDeclaration | EnvironmentOffer"
+    " | ComponentDeclaration | NodeDeclaration | NamespaceBlock | ParameterFile | ConstraintStatement | StepDuration"
 )
 
 
