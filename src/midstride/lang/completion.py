@@ -98,6 +98,7 @@ class _CursorContext:
         declarations = self.resolved.declarations
         block = self.texts[self.blocks[-1]] if self.blocks and self.blocks[-1] >= 0 else ""
         component = self._component()
+        inputs = [port.name.text for port in component.inputs] if component else []
         if last in {"<-", "->"} or (last == "on" and first == "guarantee"):
             yield from _completions("topic", declarations.topics)
         elif last == "like" or (last == ":" and first == "node"):
@@ -110,17 +111,15 @@ class _CursorContext:
         elif last == ":" or (last == "=" and first == "contract"):
             yield from _completions("contract", declarations.contracts)
         elif first == "assume" and last in {"assume", "or"}:
-            yield from _completions("port", [port.name.text for port in component.inputs] if component else ())
+            yield from _completions("port", inputs)
             yield from _completions("contract", declarations.contracts if last == "assume" else ())
         elif first == "uses":
-            yield from _completions("port", [port.name.text for port in component.inputs] if component else ())
+            yield from _completions("port", inputs)
         elif first in {"produces", "guarantee"} and last in {"produces", "guarantee", ","} and component is not None:
             yield from _completions("port", [output.text for output in component.outputs])
         elif last == "holds":
             yield from _completions("resource", declarations.resources)
-        elif (first in {"keep", "limit"} and len(self.statement) == 1) or (
-            first == "order" and last in {"order", "before"}
-        ):
+        elif self.statement in (["keep"], ["limit"]) or (first == "order" and last in {"order", "before"}):
             yield from _completions("node", declarations.nodes)
         elif first in {"keep", "limit"} and last == ".":
             found = self._node_component(self.statement[1])
@@ -133,7 +132,8 @@ class _CursorContext:
             yield from _completions("keyword", _STATEMENTS.get(block, ()))
             if block == "node":
                 found = self._declared(self._word_after(self.blocks[-1], 3))
-                yield from _completions("port", _ports(found) if found else ())
+                yield from _completions("port", [port.name.text for port in found.inputs] if found else ())
+                yield from _completions("port", [output.text for output in found.outputs] if found else ())
 
     def _word_after(self, index: int, places: int) -> str:
         at = index + places
@@ -153,10 +153,6 @@ class _CursorContext:
         entry = self.resolved.declarations.nodes.get(role)
         component = None if entry is None else entry.declaration.component
         return None if component is None else self._declared(component.text)
-
-
-def _ports(component: ComponentDeclaration) -> list[str]:
-    return [*(port.name.text for port in component.inputs), *(output.text for output in component.outputs)]
 
 
 def _completions(kind: str, words: Iterable[str]) -> Iterable[Completion]:

@@ -1,4 +1,4 @@
-"""Specifications in JSON, with their problems told at their places in the text."""
+"""Specifications in JSON, with their problems reported at their places in the text."""
 
 from __future__ import annotations
 
@@ -30,12 +30,9 @@ def check_json(source: Source) -> tuple[Specification | None, tuple[Diagnostic, 
     places = places_of(source) if problems else {}
     for problem in problems:
         place = _syntax_place(source) if not problem.subject else None
-        subject = problem.subject
-        while place is None and subject not in places and subject:
-            subject = subject[:-1]
-        reporter.report(
-            problem.code, place or places.get(subject), problem.message, help=problem.help or None, file=source.name
-        )
+        paths = (problem.subject[:length] for length in range(len(problem.subject), -1, -1))
+        place = place or next((places[path] for path in paths if path in places), None)
+        reporter.report(problem.code, place, problem.message, help=problem.help or None, file=source.name)
     return (None if reporter.has_errors else specification), in_order(reporter.found)
 
 
@@ -46,7 +43,7 @@ def _syntax_place(source: Source) -> Span | None:
     except json.JSONDecodeError as error:
         return Span(source, error.pos, error.pos)
     except (RecursionError, ValueError):
-        return None
+        pass
     return None
 
 
@@ -77,10 +74,7 @@ def places_of(source: Source) -> dict[tuple[str, ...], Span]:
             except ValueError:
                 return places
             continue
-        if not stack:
-            path = ()
-        else:
-            path = (*stack[-1][0], key[0] if key is not None else str(stack[-1][2]))
+        path = (*stack[-1][0], key[0] if key is not None else str(stack[-1][2])) if stack else ()
         places[path] = key[1] if key is not None else span
         if text in "{[":
             if len(stack) > 64:

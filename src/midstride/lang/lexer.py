@@ -57,14 +57,13 @@ def tokenize(source: Source, reporter: Reporter) -> Tokens:
     starts: list[int] = []
     comments: list[tuple[int, int]] = []
     add_kind, add_text, add_start = kinds.append, texts.append, starts.append
-    is_name = _NAME.fullmatch
     for match in _PATTERN.finditer(source.text):
         group = match.lastgroup
         if group == "blank":
             continue
         text, start = match.group(), match.start()
         if group == "word":
-            kind = "name" if is_name(text) else "path"
+            kind = "name" if _NAME.fullmatch(text) else "path"
             if len(text) > _MAX_NAME or (kind == "path" and not _PATH.fullmatch(text)):
                 _invalid_word(Span(source, start, match.end()), reporter)
         elif group == "sign":
@@ -132,12 +131,10 @@ def _check_string(span: Span, reporter: Reporter) -> None:
         reporter.report("E113", span, "this string is too long", help=f"strings have at most {_MAX_STRING} characters")
         return
     if text[0] == "'":
-        reporter.report(
-            "E112", span, "strings use double quotes", help=f'write "{truncated(text[1:].rstrip(chr(39)))}"'
-        )
+        help = f'write "{truncated(text[1:].rstrip(chr(39)))}"'
+        reporter.report("E112", span, "strings use double quotes", help=help)
         return
-    closed = re.fullmatch(r'"(?:[^"\\]|\\.)*"', text)
-    if closed is None:
+    if re.fullmatch(r'"(?:[^"\\]|\\.)*"', text) is None:
         reporter.report("E113", span, "unterminated string", help='end it with `"` on the same line')
         return
     for escape in re.finditer(r"\\(.)", text):
@@ -153,8 +150,8 @@ def _invalid_characters(span: Span, reporter: Reporter) -> None:
     text = span.text
     if "\0" in text:
         at = span.start + text.index("\0")
-        place = Span(span.source, at, at + 1)
-        reporter.report("E115", place, "NUL byte in the text", help="check that this is the intended file")
+        help = "check that this is the intended file"
+        reporter.report("E115", Span(span.source, at, at + 1), "NUL byte in the text", help=help)
         return
     hints = {
         ";": "statements need no terminator; remove it",

@@ -7,6 +7,7 @@ limits its nesting and the expansion of aliases.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -46,10 +47,8 @@ class ParameterSection:
 
     def matches(self, role: str, namespace: str) -> bool:
         """Whether the section applies to the node ``role``, in a file used in ``namespace``."""
-        full = "/" + role.strip("/")
-        return any(
-            re.fullmatch(_regex(name), full) for name in (self.pattern, "/" + resolve_name(namespace, self.pattern))
-        )
+        names = self.pattern, "/" + resolve_name(namespace, self.pattern)
+        return any(re.fullmatch(_regex(name), "/" + role.strip("/")) for name in names)
 
 
 class _InvalidFile(Exception):
@@ -67,21 +66,18 @@ def read_sections(source: Source, reporter: Reporter) -> list[ParameterSection]:
     """The sections of a parameter file; none if it is invalid, which is reported."""
     try:
         tree = _TreeBuilder(source).build()
-        if tree is None:
-            return []
-        return list(_sections(tree, "", 0))
+        return [] if tree is None else list(_sections(tree, ""))
     except _InvalidFile as refused:
         reporter.report("E150", refused.span, str(refused), help=refused.help)
         return []
 
 
-def _sections(tree: _Tree, prefix: str, depth: int) -> Iterator[ParameterSection]:
+def _sections(tree: _Tree, prefix: str) -> Iterator[ParameterSection]:
     value, span = tree
     if not isinstance(value, dict):
         help = f"a parameter file has a section `node:` per node, each with `{KEY}:`"
         raise _InvalidFile(span, "expected a section of a ROS parameter file", help)
-    for name, inner in value.items():
-        content, place = inner
+    for name, (content, place) in value.items():
         pattern = name if name.startswith("/") or not prefix else f"{prefix}/{name}"
         if not isinstance(content, dict):
             help = f"write the parameters under `{name}: {KEY}:`"
@@ -92,7 +88,7 @@ def _sections(tree: _Tree, prefix: str, depth: int) -> Iterator[ParameterSection
             yield section
         rest = {key: other for key, other in content.items() if key != KEY}
         if rest:
-            yield from _sections((rest, place), pattern, depth + 1)
+            yield from _sections((rest, place), pattern)
 
 
 def _flatten(tree: _Tree, prefix: str, into: dict[str, ParameterValueAt]) -> None:
@@ -125,11 +121,10 @@ def _listed(name: str, items: list[_Tree], span: Span) -> ParameterValue:
 
 
 def _regex(pattern: str) -> str:
-    parts = []
-    for part in pattern.strip("/").split("/"):
-        parts.append("(/[^/]+)*" if part == "**" else "/[^/]+" if part == "*" else "/" + re.escape(part))
-    # `/**` alone is every node.
-    return "(/[^/]+)+" if parts == ["(/[^/]+)*"] else "".join(parts)
+    if pattern.strip("/") == "**":
+        return "(/[^/]+)+"  # every node
+    wildcards = {"**": "(/[^/]+)*", "*": "/[^/]+"}
+    return "".join(wildcards.get(part, "/" + re.escape(part)) for part in pattern.strip("/").split("/"))
 
 
 class _TreeBuilder:
@@ -173,12 +168,10 @@ class _TreeBuilder:
         documents = 0
         for event in events:
             kind = type(event).__name__
-            if kind == "DocumentStartEvent":
-                documents += 1
+            if kind in {"StreamStartEvent", "StreamEndEvent", "DocumentStartEvent", "DocumentEndEvent"}:
+                documents += kind == "DocumentStartEvent"
                 if documents > 1:
                     raise _InvalidFile(self._span(event), "a parameter file must be a single YAML document")
-                continue
-            if kind in {"StreamStartEvent", "StreamEndEvent", "DocumentEndEvent"}:
                 continue
             if kind in {"MappingStartEvent", "SequenceStartEvent"}:
                 if len(stack) >= MAX_DEPTH:
@@ -219,7 +212,7 @@ class _TreeBuilder:
                 if name in stack[-1][0]:
                     raise _InvalidFile(place, f"duplicate key `{name}`", "keep one of them")
                 stack[-1][0][name] = done
-        return root if root is None or root[0] is not None else None
+        return None if root is None or root[0] is None else root
 
 
 def _scalar(event: Any, span: Span) -> Scalar | None:
@@ -239,10 +232,9 @@ def _scalar(event: Any, span: Span) -> Scalar | None:
             raise _InvalidFile(span, "integers have at most 64 bits")
         return number
     if _REAL.fullmatch(text):
-        number_ = float(text)
-        if number_ in (float("inf"), float("-inf")):
+        if math.isinf(value := float(text)):
             raise _InvalidFile(span, "this number is too large")
-        return number_
+        return value
     if _NOT_FINITE.fullmatch(text):
         raise _InvalidFile(span, "parameter values must be finite", "use a large finite number instead")
     return text

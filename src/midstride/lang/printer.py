@@ -77,12 +77,10 @@ class _Printer:
         for index, line in enumerate(self.lines):
             if line.blank_before and index:
                 out.append("")
-            code = line.indent + line.text if line.text else line.indent
+            code = line.indent + line.text
             if line.comment and line.text:
-                code = code.ljust(line.comment_column) + line.comment
-            elif line.comment:
-                code += line.comment
-            out.append(code.rstrip())
+                code = code.ljust(line.comment_column)
+            out.append((code + line.comment).rstrip())
         return "\n".join(out) + "\n" if out else ""
 
     # -- structure ---------------------------------------------------------------------------------------
@@ -108,9 +106,8 @@ class _Printer:
         """The opening braces of the blocks that span several lines."""
         multi: set[int] = set()
         for opened, close in self.layout.blocks.items():
-            commented = any(index in self.after for index in range(opened, close))
-            empty = close == opened + 1 and not commented
-            if not empty and (commented or self.of_token[opened] != self.of_token[close]):
+            spread = close > opened + 1 and self.of_token[opened] != self.of_token[close]
+            if spread or any(index in self.after for index in range(opened, close)):
                 multi.add(opened)
         return multi
 
@@ -174,10 +171,10 @@ class _Printer:
     def _blank_before(self, index: int, previous: int | None) -> bool:
         """Whether a blank line precedes the token; never directly inside braces."""
         if previous is None:
-            return bool(self.lines) and self._gap_before(self.tokens.starts[index])
-        if index in self.closing or (previous in self.multi and previous not in self.after):
-            return False
-        return self._gap_before(self.tokens.starts[index])
+            inside = not self.lines
+        else:
+            inside = index in self.closing or (previous in self.multi and previous not in self.after)
+        return not inside and self._gap_before(self.tokens.starts[index])
 
     def _gap_before(self, offset: int) -> bool:
         text = self.source.text
