@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from midstride.lang.check import Resolved
-from midstride.lang.contracts import POLICIES, policy_words
+from midstride.lang.contracts import POLICIES, POLICY_WORDS
 from midstride.lang.diagnostics import Reporter
 from midstride.lang.lexer import Tokens, tokenize
 from midstride.lang.source import Source
@@ -107,7 +107,7 @@ class _CursorContext:
             return
         elif "qos" in self.statement and self.statement.count("(") > self.statement.count(")"):
             name = self.statement[-2] if last == "=" else ""
-            yield from _completions("value", policy_words(name)) if name else _completions("keyword", POLICIES)
+            yield from _completions("value", POLICY_WORDS.get(name, ())) if name else _completions("keyword", POLICIES)
         elif last == ":" or (last == "=" and first == "contract"):
             yield from _completions("contract", declarations.contracts)
         elif first == "assume" and last in {"assume", "or"}:

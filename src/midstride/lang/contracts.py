@@ -30,14 +30,15 @@ from midstride.model.contract import (
 )
 from midstride.model.near_miss import did_you_mean
 
-_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
+# The values of the QoS policies that are enumerations.
+POLICY_WORDS: Final[Mapping[str, tuple[str, ...]]] = {
     "reliability": get_args(Reliability),
     "durability": get_args(Durability),
     "liveliness": get_args(Liveliness),
     "history": get_args(History),
 }
 _DURATIONS: Final = ("deadline", "lease", "lifespan")
-POLICIES: Final = (*_WORDS, *_DURATIONS, "depth")
+POLICIES: Final = (*POLICY_WORDS, *_DURATIONS, "depth")
 # The long names that ROS 2 uses for the lease.
 _ALIASES: Final = {"liveliness_lease_duration": "lease", "lease_duration": "lease"}
 
@@ -184,10 +185,10 @@ class ContractResolver:
 
     def _policy(self, name: str, policy: QoSPolicy) -> object:
         value, span, unit = policy.value.value, policy.value.span, policy.unit
-        if name in _WORDS:
-            if value in _WORDS[name]:
+        if name in POLICY_WORDS:
+            if value in POLICY_WORDS[name]:
                 return value
-            help = did_you_mean(str(value), _WORDS[name]) or f"one of {', '.join(_WORDS[name])}"
+            help = did_you_mean(str(value), POLICY_WORDS[name]) or f"one of {', '.join(POLICY_WORDS[name])}"
             self.reporter.report("E131", span, f"`{span.text}` is not a valid {name}", help=help)
         elif name == "depth":
             if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < 2**31:
@@ -241,7 +242,7 @@ class ContractResolver:
             return False
         if kind == "unknown":
             return True
-        stated = _kind_of(values)
+        stated = {"number"} if isinstance(values, Interval) else {kind for kind, _ in values.members}
         if kind not in {"number", "text", "boolean"}:
             shown = "a list" if kind == "list" else f"a {kind}"
             self.reporter.report("E138", path.span, f"{path.text} of {type_} is {shown}, which cannot be compared")
@@ -275,10 +276,6 @@ def _constant_hint(message: MessageDefinition, constraint: FieldConstraint) -> s
     return None
 
 
-def _kind_of(values: ValueSet) -> set[str]:
-    return {"number"} if isinstance(values, Interval) else {kind for kind, _ in values.members}
-
-
 def _values(constraint: FieldConstraint) -> ValueSet:
     values = [value.value for value in constraint.values]
     operator = constraint.operator
@@ -293,8 +290,3 @@ def _values(constraint: FieldConstraint) -> ValueSet:
     if operator in {">", ">="}:
         return Interval(low=number, low_open=operator == ">")
     return Interval(high=number, high_open=operator == "<")
-
-
-def policy_words(name: str) -> tuple[str, ...]:
-    """The values of a QoS policy that is an enumeration; empty for the other policies."""
-    return _WORDS.get(name, ())

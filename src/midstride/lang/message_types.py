@@ -19,11 +19,14 @@ from typing import Final, NamedTuple, Protocol
 from midstride.model.contract import canonical_type
 
 _FIELD: Final = re.compile(r"\s*([A-Za-z][\w/]*)(<=\d+)?(\[[^\]]*\])?\s+([A-Za-z]\w*)\s*(=?)")
-_NUMBERS: Final = frozenset(
-    "byte char int8 uint8 int16 uint16 int32 uint32 int64 uint64 float32 float64 octet float double".split()
-)
-# Primitive types of ROS 1 that have fields.
-_TIMES: Final = {"time": ("secs", "nsecs"), "duration": ("secs", "nsecs")}
+_NUMBERS: Final = "byte char int8 uint8 int16 uint16 int32 uint32 int64 uint64 float32 float64 octet float double"
+_KINDS: Final = {
+    **dict.fromkeys(_NUMBERS.split(), "number"),
+    **dict.fromkeys(("string", "wstring"), "text"),
+    **dict.fromkeys(("bool", "boolean"), "boolean"),
+    **dict.fromkeys(("time", "duration"), "unknown"),  # primitive types of ROS 1 that have fields
+    "Header": "std_msgs/msg/Header",
+}
 _LARGEST: Final = 1 << 20
 
 
@@ -71,44 +74,36 @@ def field_kind(messages: MessageTypes, message: MessageDefinition, path: str) ->
 
 
 class InstalledTypes:
-    """The message types of the packages under ``folders``, and those of ``fallback`` for other packages."""
+    """The message types of the packages under ``folders``, and those of ``fallback``, made when it is needed first, for
+    other packages."""
 
-    def __init__(self, folders: Iterable[Path], fallback: Callable[[], MessageTypes | None] | None = None) -> None:
+    def __init__(self, folders: Iterable[Path], fallback: Callable[[], MessageTypes]) -> None:
         self._folders = tuple(folders)
-        self._fallback = cache(fallback or (lambda: None))
+        self._fallback = cache(fallback)
         self._folder = cache(self._find_folder)
         self.message = cache(self._find)
 
     def types(self, package: str) -> Iterable[str]:
         folder = self._folder(package)
-        if folder is not None:
-            return sorted(path.stem for path in folder.glob("*.msg"))
-        other = self._fallback()
-        return () if other is None else other.types(package)
+        if folder is None:
+            return self._fallback().types(package)
+        return sorted(path.stem for path in folder.glob("*.msg"))
 
     def _find_folder(self, package: str) -> Path | None:
         candidates = (folder / package / "msg" for folder in self._folders)
-        return next((folder for folder in candidates if _has_messages(folder)), None)
+        return next((folder for folder in candidates if any(folder.glob("*.msg"))), None)
 
     def _find(self, name: str) -> MessageDefinition | None:
         package, _, rest = canonical_type(name).partition("/msg/")
         folder = self._folder(package)
         if folder is None:
-            other = self._fallback()
-            return None if other is None else other.message(name)
+            return self._fallback().message(name)
         try:
             with open(folder / f"{rest}.msg", encoding="utf-8", errors="replace") as stream:
                 text = stream.read(_LARGEST)
         except OSError:
             return None
         return MessageDefinition(name, parse_fields(text, package), parse_constants(text))
-
-
-def _has_messages(folder: Path) -> bool:
-    try:
-        return any(name.endswith(".msg") for name in os.listdir(folder))
-    except OSError:
-        return False
 
 
 def parse_fields(text: str, package: str) -> dict[str, str]:
@@ -130,17 +125,7 @@ def parse_constants(text: str) -> dict[str, str]:
 
 
 def _kind(base: str, package: str) -> str:
-    if base in _NUMBERS:
-        return "number"
-    if base in {"string", "wstring"}:
-        return "text"
-    if base in {"bool", "boolean"}:
-        return "boolean"
-    if base in _TIMES:
-        return "unknown"
-    if base == "Header":
-        return "std_msgs/msg/Header"
-    return canonical_type(base if "/" in base else f"{package}/{base}")
+    return _KINDS.get(base) or canonical_type(base if "/" in base else f"{package}/{base}")
 
 
 class _Rosbags:
@@ -173,13 +158,6 @@ def _rosbags_kind(kind: object) -> str:
     return _kind(detail[0], "") if label == "BASE" else "list"  # type: ignore[has-type]
 
 
-def _rosbags() -> MessageTypes | None:
-    try:
-        return _Rosbags()
-    except ImportError:
-        return None
-
-
 def share_folders(environment: Mapping[str, str]) -> list[Path]:
     """Where message packages may be installed: the sourced ROS environment, then this interpreter's prefix."""
     prefixes = environment.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
@@ -191,4 +169,4 @@ def share_folders(environment: Mapping[str, str]) -> list[Path]:
 
 def installed(environment: Mapping[str, str] | None = None) -> MessageTypes:
     """The installed message types; ``environment`` defaults to that of the process."""
-    return InstalledTypes(share_folders(os.environ if environment is None else environment), _rosbags)
+    return InstalledTypes(share_folders(os.environ if environment is None else environment), _Rosbags)

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from midstride.lang.completion import Completion, complete
+from midstride.lang.declarations import Declarations
 from midstride.lang.diagnostics import Diagnostic
 from midstride.lang.files import FileReader, Unreadable, read_text, resolve_name
 from midstride.lang.hover import hover
@@ -37,8 +38,8 @@ class Analysis:
     loaded: Loaded
 
     @cached_property
-    def index(self) -> SymbolIndex | None:
-        return None if self.loaded.resolved is None else SymbolIndex(self.loaded.resolved.declarations)
+    def index(self) -> SymbolIndex:
+        return SymbolIndex(Declarations() if self.loaded.resolved is None else self.loaded.resolved.declarations)
 
     def source(self, path: Path) -> Source | None:
         wanted = os.path.normpath(path)
@@ -127,39 +128,35 @@ class LanguageService:
     def _at(self, path: Path, line: int, column: int) -> tuple[Analysis, Occurrence | None]:
         analysis = self.analysis(path)
         source = analysis.source(path)
-        if source is None or analysis.index is None:
-            return analysis, None
-        return analysis, analysis.index.at(source, source.offset(line, column))
+        return analysis, None if source is None else analysis.index.at(source, source.offset(line, column))
 
     def hover(self, path: Path, line: int, column: int) -> str | None:
         """A description of the symbol at a position (both from 1) in Markdown, such as its contract or initial mode."""
         analysis, found = self._at(path, line, column)
-        if found is None or analysis.loaded.resolved is None:
+        resolved = analysis.loaded.resolved
+        if found is None or resolved is None:
             return None
-        specification = analysis.loaded.specification
         if found.symbol.kind == "contract":
-            contract = analysis.loaded.resolved.contracts.named(found.symbol.name)
+            contract = resolved.contracts.named(found.symbol.name)
             return f"**contract** `{found.symbol.name}`\n\n`{contract}`" if contract is not None else None
-        return hover(found.symbol, analysis.loaded.resolved.specification, runnable=specification is not None)
+        return hover(found.symbol, resolved.specification, runnable=analysis.loaded.specification is not None)
 
     def definition(self, path: Path, line: int, column: int) -> Span | None:
         """The declaration of the symbol at a position."""
         analysis, found = self._at(path, line, column)
-        declared = None if found is None or analysis.index is None else analysis.index.declaration(found.symbol)
+        declared = None if found is None else analysis.index.declaration(found.symbol)
         return None if declared is None else declared.span
 
     def references(self, path: Path, line: int, column: int) -> list[Span]:
         """All occurrences of the symbol at a position."""
         analysis, found = self._at(path, line, column)
-        if found is None or analysis.index is None:
-            return []
-        return [occurrence.span for occurrence in analysis.index.occurrences_of(found.symbol)]
+        return [] if found is None else [place.span for place in analysis.index.occurrences_of(found.symbol)]
 
     def rename(self, path: Path, line: int, column: int, name: str) -> list[tuple[Span, str]]:
         """The edits that rename the symbol at a position. Raises ValueError if the name is invalid for it, or if the
         rename would cause an error."""
         analysis, found = self._at(path, line, column)
-        if found is None or analysis.index is None or analysis.index.declaration(found.symbol) is None:
+        if found is None or analysis.index.declaration(found.symbol) is None:
             raise ValueError("there is no symbol to rename at this position")
         if not is_topic_name(name) or (("/" in name or name.startswith("~")) and found.symbol.kind != "topic"):
             raise ValueError(f"`{name}` is not a valid {found.symbol.kind} name")

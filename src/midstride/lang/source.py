@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from bisect import bisect_right
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple
 
 
 class Source:
     """A text with a display name. Line ends are normalised to ``\\n``, and a byte order mark is dropped."""
-
-    __slots__ = ("_starts", "name", "path", "text")
 
     def __init__(self, name: str, text: str, path: Path | None = None) -> None:
         if text.startswith("\ufeff"):
@@ -20,18 +20,11 @@ class Source:
         self.name = name
         self.path = path
         self.text = text
-        self._starts: list[int] | None = None
 
-    @property
+    @cached_property
     def starts(self) -> list[int]:
         """The offset of the start of each line."""
-        if self._starts is None:
-            starts, at = [0], self.text.find("\n")
-            while at >= 0:
-                starts.append(at + 1)
-                at = self.text.find("\n", at + 1)
-            self._starts = starts
-        return self._starts
+        return [0, *(match.end() for match in re.finditer("\n", self.text))]
 
     def position(self, offset: int) -> tuple[int, int]:
         """Line and column, both starting at 1; columns count characters."""
