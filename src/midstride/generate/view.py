@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Final, Literal
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode
@@ -111,18 +112,17 @@ class _Builder:
         return Box(
             f"node {role}",
             role if component.name.lower() == role.lower() else f"{role} : {component.name}",
-            inputs=tuple(self._input(component, name) for name in component.input_order),
+            inputs=tuple(Port(name, self._note(component.inputs[name])) for name in component.input_order),
             outputs=tuple(self._output(component, name) for name in component.outputs),
             lines=tuple(line for functionality in component for line in self._functionality(functionality)),
         )
 
-    def _input(self, component: ComponentSpec, name: str) -> Port:
-        return Port(name, describe(component.inputs[name]) if self.annotate else "")
-
     def _output(self, component: ComponentSpec, name: str) -> Port:
         owner = component.find_owner(name)
-        guarantee = owner.modes[0].guarantee(name) if owner is not None and owner.modes else None
-        return Port(name, describe(guarantee) if self.annotate and isinstance(guarantee, Predicate) else "")
+        return Port(name, self._note(owner.modes[0].guarantees.get(name)) if owner and owner.modes else "")
+
+    def _note(self, predicate: Predicate | None) -> str:
+        return describe(predicate) if self.annotate and predicate is not None else ""
 
     def _functionality(self, functionality: FunctionalitySpec) -> Iterable[str]:
         yield functionality.name
@@ -147,7 +147,7 @@ class _Builder:
             if len(boxes) == 1 and name not in used_outside and next(iter(boxes)).startswith("group "):
                 inside[boxes.pop()] = inside.get(attached[0][0], 0) + 1
                 continue
-            note = describe(connector.guarantee) if self.annotate else ""
+            note = self._note(connector.guarantee)
             if self.annotate and connector.max_publishers is not None:
                 note += f", at most {connector.max_publishers} publisher{'' if connector.max_publishers == 1 else 's'}"
             self.view.topics.append(TopicNode(f"topic {name}", name, note))
@@ -171,13 +171,9 @@ class _Builder:
 
 def _shared_namespace(roles: Iterable[str]) -> tuple[str, ...]:
     """The common namespace of all roles, such as that of a robot, for which a box would be of no use."""
-    namespaces = [role.strip("/").split("/")[:-1] for role in roles]
-    shared = []
-    for parts in zip(*namespaces, strict=False):
-        if len(set(parts)) > 1:
-            break
-        shared.append(parts[0])
-    return tuple(shared)
+    namespaces = (role.strip("/").split("/")[:-1] for role in roles)
+    shared = takewhile(lambda parts: len(set(parts)) == 1, zip(*namespaces, strict=False))
+    return tuple(parts[0] for parts in shared)
 
 
 def _assumed_by(component: ComponentSpec, guarantee: Predicate) -> bool:

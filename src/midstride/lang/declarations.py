@@ -25,12 +25,17 @@ def limited(
     entries: Sequence[T], what: str, span_of: Callable[[T], Span], reporter: Reporter, limit: int = MAX_PARTS
 ) -> Sequence[T]:
     """The first ``limit`` entries; reports that there are more."""
+    limit = max(limit, 0)
     if len(entries) > limit:
-        message = f"more than {MAX_PARTS} entries of one kind: {what}"
-        if any(other.code == "E145" and other.message == message for other in reporter.found):
-            return entries[: max(limit, 0)]
-        reporter.report("E145", span_of(entries[max(limit, 0)]), message, help="split the declaration")
-    return entries[: max(limit, 0)]
+        report_excess(what, span_of(entries[limit]), reporter)
+    return entries[:limit]
+
+
+def report_excess(what: str, span: Span, reporter: Reporter) -> None:
+    """Report, once for each kind, the first entry that is too many."""
+    message = f"more than {MAX_PARTS} entries of one kind: {what}"
+    if all(other.code != "E145" or other.message != message for other in reporter.found):
+        reporter.report("E145", span, message, help="split the declaration")
 
 
 class NodeEntry(NamedTuple):
@@ -102,9 +107,10 @@ class _Collector:
                     self._add(found.resources, name.text, item, name, "resource")
                 case syntax.EnvironmentOffer(name=name):
                     full = resolve_name(namespace, name.text).replace("/", "_")
-                    limit = MAX_PARTS - len(found.offers)
-                    for offer in limited((item,), "guarantee", lambda offer: offer.name.span, self.reporter, limit):
-                        self._add(found.offers, full, OfferEntry(namespace, offer), name, "environment guarantee")
+                    if len(found.offers) < MAX_PARTS:
+                        self._add(found.offers, full, OfferEntry(namespace, item), name, "environment guarantee")
+                    else:
+                        report_excess("guarantee", name.span, self.reporter)
                 case syntax.StepDuration(kind=kind):
                     self._add(found.timing, kind.text, item, kind, "time for")
                 case syntax.NamespaceBlock(name=name):
@@ -113,9 +119,10 @@ class _Collector:
                     found.parameter_files.append((namespace, path))
                 case syntax.OrderStatement():
                     self.orders += 1
-                    limit = 1 if self.orders <= MAX_PARTS else 0
-                    for order in limited((item,), "order", lambda order: order.span, self.reporter, limit):
-                        found.constraints.append((namespace, order))
+                    if self.orders <= MAX_PARTS:
+                        found.constraints.append((namespace, item))
+                    else:
+                        report_excess("order", item.span, self.reporter)
                 case syntax.KeepStatement() | syntax.LimitStatement():
                     found.constraints.append((namespace, item))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 from midstride.lang.index import Symbol
 from midstride.model.component import FunctionalityRef, FunctionalitySpec, InputAlternatives
@@ -31,10 +32,10 @@ def hover(symbol: Symbol, specification: Specification, *, runnable: bool) -> st
     return "\n\n".join([f"**{symbol.kind}** `{symbol.name}`", *lines])
 
 
+@dataclass(frozen=True, slots=True)
 class _Hover:
-    def __init__(self, specification: Specification, configuration: Configuration | None) -> None:
-        self.specification = specification
-        self.configuration = configuration
+    specification: Specification
+    configuration: Configuration | None
 
     def topic(self, symbol: Symbol) -> Iterator[str]:
         connector = self.specification.connectors.get(symbol.name)
@@ -45,12 +46,11 @@ class _Hover:
         yield f"`{connector.guarantee}`{most}"
         if self.configuration is None:
             return
-        for what, ports in (
-            ("published by", self.configuration.publishers_on(symbol.name)),
-            ("subscribed by", self.configuration.subscribers_on(symbol.name)),
-        ):
+        publishers = self.configuration.publishers_on(symbol.name)
+        subscribers = self.configuration.subscribers_on(symbol.name)
+        for what, ports in (("published", publishers), ("subscribed", subscribers)):
             if ports:
-                yield f"{what} {', '.join(f'`{port}`' for port in sorted(ports))}"
+                yield f"{what} by {', '.join(f'`{port}`' for port in sorted(ports))}"
         evaluator = Evaluator(self.configuration)
         satisfied = evaluator.connector_satisfied(symbol.name)
         yield "satisfied" if satisfied else evaluator.why_connector_unsatisfied(symbol.name)
