@@ -268,43 +268,10 @@ def configure(
     attachments: Iterable[tuple[PortRef, str]],
     modes: Mapping[FunctionalityRef, int] | None = None,
 ) -> Configuration:
-    """A whole configuration at once; functionalities not in ``modes`` are in their last mode.
-
-    Linear in the system, where building it change by change would copy as it goes.
-    """
-    live: dict[str, Instance] = {instance.name: instance for instance in instances}
-    entered: dict[FunctionalityRef, int] = {}
-    held: dict[str, Fraction] = {}
-    holders: dict[str, dict[str, None]] = {}
-    instances_by_role: dict[str, dict[str, None]] = {}
-    for instance in live.values():
-        instances_by_role.setdefault(instance.role, {})[instance.name] = None
-        for functionality in instance.component:
-            entered[FunctionalityRef(instance.name, functionality.name)] = functionality.last_mode
-        for resource, amount in instance.component.resource_usage.items():
-            held[resource] = held.get(resource, _NONE_HELD) + to_fraction(amount)
-            holders.setdefault(resource, {})[instance.name] = None
-    entered.update(modes or {})
-    connectors_of: dict[PortRef, dict[str, None]] = {}
-    publishers: dict[str, dict[PortRef, None]] = {}
-    subscribers: dict[str, dict[PortRef, None]] = {}
+    """A whole configuration; functionalities not in ``modes`` are in their last mode."""
+    configuration = Configuration(context)
+    for instance in instances:
+        configuration = configuration.with_instance(instance)
     for port, connector in attachments:
-        connectors_of.setdefault(port, {})[connector] = None
-        side = publishers if live[port.instance].component.has_output(port.port) else subscribers
-        side.setdefault(connector, {})[port] = None
-    return Configuration(
-        context=context,
-        instances=Map(live),
-        connectors_of=_frozen(connectors_of),
-        modes=Map(entered),
-        publishers=_frozen(publishers),
-        subscribers=_frozen(subscribers),
-        held=Map(held),
-        holders=_frozen(holders),
-        instances_by_role=_frozen(instances_by_role),
-    )
-
-
-def _frozen(index: Mapping[K, Iterable[V]]) -> Map[K, Map[V, None]]:
-    sets: dict[K, Map[V, None]] = {key: Map((member, None) for member in members) for key, members in index.items()}
-    return Map(sets)
+        configuration = configuration.with_attachment(port, connector)
+    return configuration.with_modes(modes or {})
