@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Final, TypeVar
+from typing import Final, TypeAlias, TypeVar
 
 from immutables import Map
 
@@ -25,10 +25,11 @@ from midstride.model.component import (
     NodeEndpoint,
     ParameterSpec,
 )
-from midstride.model.contract import NOTHING, Predicate
+from midstride.model.contract import Predicate
 from midstride.model.near_miss import did_you_mean
 
 T = TypeVar("T")
+Inputs: TypeAlias = Mapping[str, Predicate]  # of a component, by name
 
 # The placeholder for a contract that could not be resolved; no error is derived from it.
 UNRESOLVED: Final = Predicate("")
@@ -176,7 +177,7 @@ class ComponentBuilder:
                 using = (f for f in declaration.functionalities if any(used.text == name for used in f.uses))
                 unresolved.functionalities.update(functionality.name.text for functionality in using)
             inputs[name] = predicate or UNRESOLVED
-        parts = (self._functionality(part, declaration, inputs, unresolved) for part in declaration.functionalities)
+        parts = (self._functionality(part, declaration.name.text, inputs) for part in declaration.functionalities)
         run = declaration.runs[0] if declaration.runs else None
         return ComponentSpec.of(
             declaration.name.text,
@@ -197,80 +198,58 @@ class ComponentBuilder:
         )
 
     def _functionality(
-        self,
-        declared: syntax.FunctionalityDeclaration,
-        owner: syntax.ComponentDeclaration,
-        inputs: Mapping[str, Predicate],
-        unresolved: UnresolvedParts,
+        self, declared: syntax.FunctionalityDeclaration, component: str, inputs: Inputs
     ) -> FunctionalitySpec:
-        name = declared.name.text
+        name, unresolved = declared.name.text, self.unresolved[component]
         if declared.incomplete:
             unresolved.incomplete.add(name)
             if not any(mode.incomplete for mode in declared.modes[1:]):
                 unresolved.normal.add(name)
         return FunctionalitySpec(
             name,
-            tuple(self._mode(mode, name, owner, inputs, unresolved) for mode in declared.modes),
+            tuple(self._mode(mode, name, component, inputs) for mode in declared.modes),
             inputs=tuple(used.text for used in declared.uses),
             outputs=tuple(produced.text for produced in declared.produces),
             weight=1.0 if declared.weight is None else declared.weight.value,
         )
 
-    def _mode(
-        self,
-        mode: syntax.ModeDeclaration,
-        functionality: str,
-        owner: syntax.ComponentDeclaration,
-        inputs: Mapping[str, Predicate],
-        unresolved: UnresolvedParts,
-    ) -> Mode:
+    def _mode(self, mode: syntax.ModeDeclaration, functionality: str, component: str, inputs: Inputs) -> Mode:
+        unresolved = self.unresolved[component]
         guarantees: dict[str, Predicate] = {}
         for guarantee in mode.guarantees:
             contract = self.contracts.contract(guarantee.contract)
             if contract is None:
                 unresolved.functionalities.add(functionality)
                 unresolved.ports.add(guarantee.output.text)
-                guarantees.setdefault(guarantee.output.text, UNRESOLVED)
-            elif contract is not NOTHING:
-                assert isinstance(contract, Predicate)
+                contract = UNRESOLVED
+            if isinstance(contract, Predicate):
                 guarantees.setdefault(guarantee.output.text, contract)
         assumptions: list[Assumption] = []
         for assumed in mode.assumptions:
-            assumption = self._assumption(assumed, owner, inputs)
+            assumption = self._assumption(assumed, component, inputs)
             if assumption is None:
                 unresolved.functionalities.add(functionality)
             assumptions.append(assumption or UNRESOLVED)
         return Mode(mode.name.text, tuple(assumptions), Map(guarantees))
 
-    def _assumption(
-        self, assumed: syntax.AssumptionExpression, owner: syntax.ComponentDeclaration, inputs: Mapping[str, Predicate]
-    ) -> Assumption | None:
+    def _assumption(self, assumed: syntax.AssumptionExpression, component: str, inputs: Inputs) -> Assumption | None:
         if isinstance(assumed, syntax.NamedAssumption):
             return InputAlternatives(tuple(name.text for name in assumed.inputs))
-        base = assumed.base
-        if base is not None and "/" not in base.text and base.text not in self.contracts.declared:
-            return self._named_input(assumed, base, owner, inputs)
-        if base is not None and assumed.is_bare_name and base.text in inputs:
-            return InputAlternatives((base.text,))  # a contract of that name has been reported
-        return self.contracts.predicate(assumed, "an assumption")
-
-    def _named_input(
-        self,
-        assumed: syntax.ContractExpression,
-        base: syntax.Name,
-        owner: syntax.ComponentDeclaration,
-        inputs: Mapping[str, Predicate],
-    ) -> Assumption | None:
-        if base.text in inputs:
-            if assumed.is_bare_name:
-                return InputAlternatives((base.text,))
-            message = f"`{base.text}` is an input; what it needs is stated in its declaration"
-            help = f"write `assume {base.text}`, and move the rest to the declaration of the input"
+        if assumed.base is None or "/" in assumed.base.text:
+            return self.contracts.predicate(assumed, "an assumption")
+        name, span = assumed.base
+        if name in inputs and assumed.is_bare_name:
+            return InputAlternatives((name,))  # a contract of that name has been reported
+        if name in self.contracts.declared:
+            return self.contracts.predicate(assumed, "an assumption")
+        if name in inputs:
+            message = f"`{name}` is an input; what it needs is stated in its declaration"
+            help = f"write `assume {name}`, and move the rest to the declaration of the input"
             self.reporter.report("E142", assumed.span, message, help=help)
-        elif base.text not in self.skipped and not self.unresolved[owner.name.text].may_declare("input"):
-            message = f"`{base.text}` is neither an input of {owner.name.text} nor a contract"
-            hint = did_you_mean(base.text, [*inputs, *self.contracts.declared])
-            self.reporter.report("E008", base.span, message, help=hint)
+        elif name not in self.skipped and not self.unresolved[component].may_declare("input"):
+            message = f"`{name}` is neither an input of {component} nor a contract"
+            hint = did_you_mean(name, [*inputs, *self.contracts.declared])
+            self.reporter.report("E008", span, message, help=hint)
         return None
 
 
