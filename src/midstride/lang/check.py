@@ -7,8 +7,8 @@ be parsed or resolved.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 
 from immutables import Map
 
@@ -23,10 +23,10 @@ from midstride.lang.message_types import MessageTypes
 from midstride.lang.nodes import NodeBuilder
 from midstride.lang.source import Source, Span
 from midstride.lang.source_map import SourceMap
-from midstride.lang.syntax import KeepStatement, LimitStatement, OrderStatement
-from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, FunctionalityRef, Resource
+from midstride.lang.syntax import KeepStatement, OrderStatement
+from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.diagnostics import Problem
-from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification, initial
+from midstride.model.specification import Constraint, Keep, Limit, Order, Specification, initial
 from midstride.model.specification_checks import check as check_specification
 
 # Warnings about the running system, which are meaningless as long as there are errors.
@@ -66,51 +66,43 @@ def check_files(
         reporter.report("E106", Span(source, end, end), "this file does not name a system", help=help)
         semantic = Reporter()  # discarded: what a fragment uses may be declared by the file that includes it
     declarations = collect(loader.files_in_order, semantic)
-    builder = _SpecificationBuilder(declarations, frozenset(loader.skipped), messages, read, semantic)
+    skipped = frozenset(loader.skipped)
+    contracts = ContractResolver(declarations.contracts, skipped, messages, semantic)
+    components = ComponentBuilder(declarations.components, contracts, skipped, semantic)
+    contracts.resolve_all()
+    nodes = NodeBuilder(declarations, components.build(), components.merged, read, semantic)
+    builder = _SpecificationBuilder(declarations, contracts, components, nodes, skipped, semantic)
     specification = builder.specification()
     builder.report_problems(specification, loader.files_missing)
     reporter.finish(source.name)
-    resolved = Resolved(declarations, builder.components, builder.contracts, specification)
-    sources = (*loader.sources, *builder.nodes.sources)
+    resolved = Resolved(declarations, components, contracts, specification)
+    sources = (*loader.sources, *nodes.sources)
     return (None if reporter.has_errors else specification), in_order(reporter.found), sources, resolved
 
 
+@dataclass(slots=True)
 class _SpecificationBuilder:
-    def __init__(
-        self,
-        declarations: Declarations,
-        skipped: frozenset[str],
-        messages: MessageTypes | None,
-        read: FileReader,
-        reporter: Reporter,
-    ) -> None:
-        self.declarations = declarations
-        self.skipped = skipped
-        self.reporter = reporter
-        self.contracts = ContractResolver(declarations.contracts, skipped, messages, reporter)
-        self.components = ComponentBuilder(declarations.components, self.contracts, skipped, reporter)
-        self.contracts.resolve_all()
-        self.built: dict[str, ComponentSpec] = self.components.build()
-        self.nodes = NodeBuilder(declarations, self.built, self.components.merged, read, reporter)
-        self.unresolved_topics: set[str] = set()
+    declarations: Declarations
+    contracts: ContractResolver
+    components: ComponentBuilder
+    nodes: NodeBuilder
+    skipped: frozenset[str]
+    reporter: Reporter
+    unresolved_topics: set[str] = field(default_factory=set)
 
     def specification(self) -> Specification:
         """The specification, with placeholders for what could not be resolved."""
         found = self.declarations
         nodes = self.nodes.build()
+        capacities = {name: resource.capacity for name, resource in found.resources.items()}
         return Specification(
             name="" if found.system is None else found.system.text,
             connectors=Map(self._connectors()),
-            components=Map(self.built),
+            components=Map(self.nodes.components),
             nodes=Map(nodes),
             environment=tuple(self._offers()),
-            resources=Map(
-                {
-                    name: Resource(name, 1.0 if resource.capacity is None else resource.capacity.value)
-                    for name, resource in found.resources.items()
-                }
-            ),
-            constraints=tuple(self._constraints(nodes)),
+            resources=Map({name: Resource(name, 1.0 if c is None else c.value) for name, c in capacities.items()}),
+            constraints=tuple(self._constraints()),
             timing=Map({kind: duration.seconds.value for kind, duration in found.timing.items()}),
         )
 
@@ -124,27 +116,23 @@ class _SpecificationBuilder:
             connectors[name] = Connector(name, guarantee or UNRESOLVED, max_publishers)
         return connectors
 
-    def _offers(self) -> list[EnvironmentGuarantee]:
-        offers: list[EnvironmentGuarantee] = []
+    def _offers(self) -> Iterator[EnvironmentGuarantee]:
         for name, (namespace, offer) in self.declarations.offers.items():
             guarantee = self.contracts.predicate(offer.contract, "an environment guarantee")
             topic = None if offer.topic is None else resolve_topic(namespace, offer.topic.text)
-            offers.append(EnvironmentGuarantee(name, guarantee or UNRESOLVED, topic))
-        return offers
+            yield EnvironmentGuarantee(name, guarantee or UNRESOLVED, topic)
 
-    def _constraints(self, nodes: dict[str, Node]) -> list[Constraint]:
-        found: list[Constraint] = []
+    def _constraints(self) -> Iterator[Constraint]:
         for namespace, statement in self.declarations.constraints:
-            match statement:
-                case OrderStatement(_, first, then):
-                    found.append(Order(resolve_name(namespace, first.text), resolve_name(namespace, then.text)))
-                case KeepStatement(_, (role, name), mode):
-                    ref = FunctionalityRef(resolve_name(namespace, role.text), name.text)
-                    found.append(Keep(ref, mode.text))
-                case LimitStatement(_, (role, name), seconds):
-                    ref = FunctionalityRef(resolve_name(namespace, role.text), name.text)
-                    found.append(Limit(ref, seconds.value))
-        return found
+            if isinstance(statement, OrderStatement):
+                yield Order(*(resolve_name(namespace, name.text) for name in (statement.first, statement.then)))
+                continue
+            role, name = statement.functionality
+            ref = FunctionalityRef(resolve_name(namespace, role.text), name.text)
+            if isinstance(statement, KeepStatement):
+                yield Keep(ref, statement.mode.text)
+            else:
+                yield Limit(ref, statement.seconds.value)
 
     # -- problems --------------------------------------------------------------------------------------------
 
