@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
-from midstride.lang.diagnostics import Severity
+from midstride.model.diagnostics import Severity
 
 
 @dataclass(frozen=True, slots=True)

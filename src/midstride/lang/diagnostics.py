@@ -8,11 +8,10 @@ from __future__ import annotations
 import unicodedata
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from midstride.lang.source import Span
-
-Severity = Literal["error", "warning"]
+from midstride.model.diagnostics import Severity
 
 # A file in another language would produce an error per line.
 MAX_DIAGNOSTICS = 100

@@ -19,6 +19,7 @@ from immutables import Map
 
 from midstride.errors import ActionRefused
 from midstride.model import wording
+from midstride.model.best import consumers_of
 from midstride.model.component import Connector, FunctionalityRef, ParameterValue, PortRef, value_fits, value_kind
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.contract import explain, satisfies
@@ -221,13 +222,9 @@ class Detach(Action):
             because = f"{self.port} is not attached to {self.connector}"
             return (Reason("attached", (str(self.port), self.connector), because),)
         after = self.effect(configuration)
-        if configuration.is_output(self.port):
-            # While another publisher satisfies the topic, no consumer loses anything.
-            if Evaluator(after).connector_satisfied(self.connector):
-                return ()
-            affected: Iterable[FunctionalityRef] = configuration.consumers(self.connector)
-        else:
-            affected = configuration.users(self.port)
+        if configuration.is_output(self.port) and Evaluator(after).connector_satisfied(self.connector):
+            return ()  # while another publisher satisfies the topic, no consumer loses anything
+        affected = consumers_of(configuration, self.port, self.connector)
         return _unsatisfied(after, affected, str(self.port), self.connector)
 
     def effect(self, configuration: Configuration) -> Configuration:
