@@ -20,7 +20,6 @@ from midstride.model.component import (
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
 from midstride.plan.change import Change
-from midstride.plan.forms import LevelShiftForm
 from midstride.plan.quiesce import reachable
 from midstride.plan.registry import STRATEGIES
 from tests.plan.cases import (
@@ -496,7 +495,7 @@ def test_what_a_replacement_never_comes_up_to_is_told(strategy: str) -> None:
     start = replace(start, components=start.components.set("Blind", blind))
     plan = sound(replaced(start, "talker", "Blind", strategy))
     assert plan.disruption == 0.0 or strategy != "minimal"
-    assert [encode(LevelShiftForm.of(shift)) for shift in plan.level_shifts] == [
+    assert [encode(shift) for shift in plan.level_shifts] == [
         {"functionality": "listener.listen", "from": "normal", "to": "degraded", "levels": 1},
         {"functionality": "talker.talk", "from": "normal", "to": "degraded", "levels": 1},
     ]

@@ -106,7 +106,7 @@ def test_keep_at_a_mode_that_is_none() -> None:
 
 def test_limit_counts_every_step_below_the_baseline() -> None:
     plan = replaced(talker(), "talker", "NewTalker", "paper")
-    (seconds,) = [fall.seconds for fall in plan.degradations if fall.functionality == LISTEN]
+    (seconds,) = [fall.seconds for fall in plan.degradations if fall.functionality == str(LISTEN)]
     target = talker().with_replaced("talker", "NewTalker")
     sound(changed(talker(), bound(target, Limit(LISTEN, seconds)), "paper"))
     words = refused(talker(), bound(target, Limit(LISTEN, seconds - 0.01)), "paper")

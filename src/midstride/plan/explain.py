@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Annotated
 
+import msgspec
+
+from midstride.codec.form import Form, field
 from midstride.model.action import Degrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
@@ -15,39 +18,30 @@ from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
 from midstride.plan.step import Step
 
 
-@dataclass(frozen=True, slots=True)
-class Degradation:
-    """A role's functionality below its baseline: the steps (from 1) that take it there and back, and why.
+class Degradation(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """A functionality of a role below its baseline: the steps that take it there and back, how long, and why.
 
-    ``seconds`` counts every step of the sequence during which it is below, by the steps'
-    estimates. ``since`` is 0 where the plan begins below, ``until`` is None where it ends below. ``unserved`` is the
-    step from which on no instance serves the functionality, None where one always does.
+    Steps count from 1; from step 0: the plan begins below; to step null: it ends below. ``seconds`` adds up the
+    estimates of the steps during which it is below.
     """
 
-    functionality: FunctionalityRef
-    since: int
-    until: int | None
+    functionality: str
+    since: int = msgspec.field(name="from_step")
+    until: int | None = msgspec.field(name="to_step")
     seconds: float
     because: str
-    unserved: int | None = None
-
-    def __str__(self) -> str:
-        back = "" if self.until is None else f" to step {self.until}"
-        stretch = f"from step {self.since}{back} ({self.seconds:g} s)"
-        return f"{self.functionality} is below its baseline {stretch}: {self.because}"
+    unserved: Annotated[
+        int | None, field("a step", "from which on no instance serves it; null where one always does")
+    ] = msgspec.field(name="unserved_from_step")
 
 
-@dataclass(frozen=True, slots=True)
-class LevelShift:
-    """A role's functionality that is in another mode at the end of a plan than at its beginning.
+class LevelShift(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """A functionality of a role that ends in another mode than it began in; null: no instance serves it."""
 
-    ``before`` and ``after`` are modes; None where no instance serves it. ``levels`` says by how many it ends lower.
-    """
-
-    functionality: FunctionalityRef
-    before: str | None
-    after: str | None
-    levels: int
+    functionality: str
+    before: str | None = msgspec.field(name="from")
+    after: str | None = msgspec.field(name="to")
+    levels: Annotated[int, field("a number of levels", "by how many it ends lower")]
 
 
 def level_shifts(change: Change, steps: Sequence[Step]) -> tuple[LevelShift, ...]:
@@ -64,7 +58,7 @@ def level_shifts(change: Change, steps: Sequence[Step]) -> tuple[LevelShift, ...
             was, will = levels.level(change.start, counted.ref), levels.level(end, counted.ref)
             if was != will:
                 before, after = _mode(change.specification, counted.ref, was), _mode(change.target, counted.ref, will)
-                found.append(LevelShift(counted.ref, before, after, will - was))
+                found.append(LevelShift(str(counted.ref), before, after, will - was))
     return tuple(sorted(found, key=lambda shift: (-shift.levels, shift.functionality)))
 
 
@@ -100,7 +94,7 @@ def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ..
     for ref in sorted(begun):
         close(ref, None)
     found = [
-        Degradation(ref, since, until, seconds, _because(steps, configurations, ref, since), unserved_from)
+        Degradation(str(ref), since, until, seconds, _because(steps, configurations, ref, since), unserved_from)
         for ref, since, until, seconds, unserved_from in ends
     ]
     return tuple(sorted(found, key=lambda each: (each.since, each.functionality)))
