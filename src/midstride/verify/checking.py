@@ -113,7 +113,7 @@ def _solve(dump: Dump, alloy: Alloy, commands: str, limit: float, stop: Event | 
 
 def _invalid_plan(because: str) -> Verdict:
     finding = Finding("document", None, "the plan", "its document", because)
-    return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", (finding,))
+    return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", findings=(finding,))
 
 
 def _verified(subject: str, dump: Detail, options: AlloyOptions) -> Verdict:
