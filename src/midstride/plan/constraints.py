@@ -10,11 +10,10 @@ from typing import Final
 from immutables import Map
 
 from midstride.errors import PlanRefused
-from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Constraint, Keep, Limit, Order
 from midstride.plan.change import Change
-from midstride.plan.disruption import DisruptionMeter, Levels
+from midstride.plan.disruption import DisruptionMeter, Levels, follow
 from midstride.plan.step import Step
 
 # Up to this many constraints, a smallest conflicting set is searched for; beyond, one that contains no smaller one.
@@ -56,17 +55,14 @@ def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints:
     asked = tuple(constraints)
     if not asked:
         return []
-    meter, monitor = DisruptionMeter.at_start(levels), ConstraintMonitor.of(change, levels, asked)
-    configuration = change.start
+    monitor, track = ConstraintMonitor.of(change, levels, asked), list(follow(levels, steps))
     for number, step in enumerate(steps, start=1):
-        configuration = step.action.effect(configuration)
-        meter = meter.after(step.action, step.seconds, configuration)
-        monitor = monitor.after(number, step, configuration)
+        monitor = monitor.after(number, step, track[number][0])
     found: dict[Constraint, str] = dict(monitor.broken)
     for constraint in asked:
         if isinstance(constraint, Limit):
-            if _exceeds(constraint, meter):
-                seconds = meter.seconds(constraint.functionality)
+            if _exceeds(constraint, track[-1][1]):
+                seconds = track[-1][1].seconds(constraint.functionality)
                 found[constraint] = f"it would be below its baseline for {seconds:g} s"
         elif isinstance(constraint, Order):
             late = _out_of_order(constraint, steps)
@@ -182,11 +178,3 @@ def refusal(conflicting: Sequence[Constraint], breaches: Iterable[Breach], scarc
     which = f"the constraint {words[0]}" if len(words) == 1 else f"these constraints together: {'; '.join(words)}"
     because = "".join(f"; {why}" for why in scarce)
     return PlanRefused(f"no plan was found that meets {which}{because}")
-
-
-def roles_of(constraint: Constraint) -> tuple[str, ...]:
-    """The roles that a constraint names."""
-    if isinstance(constraint, Order):
-        return (constraint.first, constraint.then)
-    ref: FunctionalityRef = constraint.functionality
-    return (ref.instance,)

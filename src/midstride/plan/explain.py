@@ -14,7 +14,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
-from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
+from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels, follow
 from midstride.plan.step import Step
 
 
@@ -70,19 +70,20 @@ def _mode(specification: Specification, ref: FunctionalityRef, level: int) -> st
 def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ...]:
     """One for each stretch of the plan in which a functionality is below its baseline, in the order they begin."""
     levels = Levels(change)
-    meter, configurations = DisruptionMeter.at_start(levels), [change.start]
-    begun: dict[FunctionalityRef, int] = dict.fromkeys(meter.below, 0)
-    spent: dict[FunctionalityRef, float] = dict.fromkeys(meter.below, 0.0)
+    track = list(follow(levels, steps))
+    configurations = [configuration for configuration, _ in track]
+    begun: dict[FunctionalityRef, int] = dict.fromkeys(track[0][1].below, 0)
+    spent: dict[FunctionalityRef, float] = dict.fromkeys(begun, 0.0)
     unserved: dict[FunctionalityRef, int] = {}
-    ends: list[tuple[FunctionalityRef, int, int | None, float, int | None]] = []
+    found: list[Degradation] = []
 
-    def close(ref: FunctionalityRef, until: int | None) -> None:
+    def close(ref: FunctionalityRef, meter: DisruptionMeter, until: int | None) -> None:
+        since = begun.pop(ref)
         seconds = round(meter.seconds(ref) - spent[ref], DIGITS)
-        ends.append((ref, begun.pop(ref), until, seconds, unserved.pop(ref, None)))
+        because = _because(steps, configurations, ref, since)
+        found.append(Degradation(str(ref), since, until, seconds, because, unserved.pop(ref, None)))
 
-    for number, step in enumerate(steps, start=1):
-        configurations.append(step.action.effect(configurations[-1]))
-        meter = meter.after(step.action, step.seconds, configurations[-1])
+    for number, (step, (_, meter)) in enumerate(zip(steps, track[1:], strict=True), start=1):
         for moved in meter.changes:
             counted = levels.find(moved.ref)
             if counted is not None and moved.after and counted.baseline + moved.after == counted.worst:
@@ -90,13 +91,9 @@ def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ..
             if not moved.before:
                 begun[moved.ref], spent[moved.ref] = number, meter.seconds(moved.ref) - step.seconds
             elif not moved.after:
-                close(moved.ref, number)
+                close(moved.ref, meter, number)
     for ref in sorted(begun):
-        close(ref, None)
-    found = [
-        Degradation(str(ref), since, until, seconds, _because(steps, configurations, ref, since), unserved_from)
-        for ref, since, until, seconds, unserved_from in ends
-    ]
+        close(ref, track[-1][1], None)
     return tuple(sorted(found, key=lambda each: (each.since, each.functionality)))
 
 

@@ -16,9 +16,9 @@ from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import to_fraction
 from midstride.model.contract import format_number
-from midstride.model.specification import Constraint, Order
+from midstride.model.specification import Constraint, Order, roles_of
 from midstride.plan.change import Change
-from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal, roles_of
+from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal
 from midstride.plan.disruption import Levels
 from midstride.plan.moves import moves, play
 from midstride.plan.plan import Plan
@@ -85,9 +85,7 @@ def _no_room(change: Change) -> list[str]:
 
 def _relevant(change: Change, found: Candidate | None, constraints: Iterable[Constraint]) -> list[Constraint]:
     """The constraints that concern the roles that the plan touches."""
-    ports = [port for port, _ in (*change.detached, *change.attached)]
-    names = [*change.leaving, *(instance.name for instance in change.coming), *(port.instance for port in ports)]
-    touched = {change.role_of(name) for name in names}
+    touched = {change.role_of(name) for name in change.instances()}
     if found is not None:
         touched.update(role for step in found.steps for role in step.roles)
     return [constraint for constraint in constraints if touched.intersection(roles_of(constraint))]

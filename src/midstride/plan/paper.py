@@ -44,7 +44,7 @@ def six_steps(strategy: str, change: Change, lowered_first: Iterable[Functionali
     """
     levels = Levels(change)
     constraints = in_force(change)
-    roles = [change.role_of(name) for name in _instances(change)]
+    roles = [change.role_of(name) for name in change.instances()]
     layered = layers(roles, constraints)
     if layered is None:
         orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
@@ -56,12 +56,6 @@ def six_steps(strategy: str, change: Change, lowered_first: Iterable[Functionali
     if broken := breaches(change, plan.steps, levels, constraints):
         raise refusal([broken[0].constraint], broken)
     return Plan.of(strategy, change, plan.steps, levels)
-
-
-def _instances(change: Change) -> list[str]:
-    """The instances with structural changes."""
-    ports = [port.instance for port, _ in (*change.detached, *change.attached)]
-    return list(dict.fromkeys([*change.leaving, *(instance.name for instance in change.coming), *ports]))
 
 
 # -- steps 1 and 2 -------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan import explain
 from midstride.plan.change import Change
-from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
+from midstride.plan.disruption import DIGITS, Levels, follow
 from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.schedule import dependencies, makespan
 from midstride.plan.step import Step
@@ -43,11 +43,7 @@ class Plan:
 
         No disruption is less than 0, so a plan without disruption is minimal; of any other, nothing is claimed.
         """
-        meter = DisruptionMeter.at_start(levels or Levels(change))
-        configuration = change.start
-        for step in steps:
-            configuration = step.action.effect(configuration)
-            meter = meter.after(step.action, step.seconds, configuration)
+        *_, (_, meter) = follow(levels or Levels(change), steps)
         return cls(
             strategy=strategy,
             change=change,

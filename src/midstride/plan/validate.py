@@ -11,15 +11,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from midstride.errors import MidstrideError
-from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.action import Action, Create, Remove
 from midstride.model.best import best
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import violations
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.plan.constraints import in_force
-from midstride.plan.decoding import decode_plan
 from midstride.plan.plan import Plan
 
 _EPSILON: Final = 1e-6
@@ -54,15 +52,6 @@ class ReplayResult:
         if self.holds:
             return f"the plan holds: {self.steps} steps replayed"
         return "the plan does not hold: " + "; ".join(str(finding) for finding in self.findings)
-
-
-def replay_document(document: object) -> ReplayResult:
-    """The result for a plan in its JSON form. A document that cannot be read is a finding."""
-    try:
-        plan = decode_plan(document)
-    except MidstrideError as error:
-        return ReplayResult("violated", (ReplayFinding(None, str(error)),), 0)
-    return replay(plan)
 
 
 def replay(plan: Plan) -> ReplayResult:
@@ -235,8 +224,7 @@ class _Ledger:
         for keep, threshold in self.keeps.items():
             if self.levels[keep.functionality] > threshold:
                 self.broken[f"`{keep}` does not hold after `{action.describe(start)}`"] = None
-        structural = isinstance(action, (Create, Remove, Attach, Detach, Handover))
-        named = _names(action) if structural else []
+        named = action.instances() if action.is_structural else ()
         self.roles.append({(start.instances.get(name) or after.instances[name]).role for name in named})
 
     def differences(self) -> Iterator[str]:
@@ -266,18 +254,3 @@ class _Ledger:
                 first = [index for index, roles in enumerate(self.roles) if constraint.then in roles]
                 if last and first and last[-1] > first[0]:
                     yield f"`{constraint}` is broken by step {last[-1] + 1}"
-
-
-def _names(action: Action) -> list[str]:
-    match action:
-        case Create():
-            return [action.instance.name]
-        case Remove() | SetParameters():
-            return [action.instance]
-        case Attach() | Detach():
-            return [action.port.instance]
-        case Handover():
-            return [port.instance for swap in action.swaps for port in (swap.old, swap.new)]
-        case Degrade() | Upgrade():
-            return [ref.instance for ref in action.modes]
-    return []

@@ -15,7 +15,7 @@ from msgspec import UNSET, UnsetType, structs
 from midstride.errors import ManagerError, PlanRefused, StepFailed
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
-from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
@@ -173,9 +173,9 @@ def _plan(
 ) -> tuple[Plan, Specification]:
     target = request.target(specification)
     if request.to is None and len(request.replace) + len(request.remove) + len(request.add) == 1:
-        change = Change.of_request(configuration, specification, request, target)
+        change = requested_change(configuration, specification, request, target)
     else:
-        change = Change.between(configuration, specification, target)
+        change = change_between(configuration, specification, target)
     return planner(request.strategy)(change), target
 
 
