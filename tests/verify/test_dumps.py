@@ -17,7 +17,7 @@ from midstride.model.component import ComponentSpec, FunctionalityRef, InputAlte
 from midstride.model.configuration import Configuration
 from midstride.model.rules import capacity_violation
 from midstride.model.specification import Node, Specification, initial, structure
-from midstride.verify.alloy_names import Names
+from midstride.verify.alloy_atoms import Names
 from midstride.verify.chain import chain
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
