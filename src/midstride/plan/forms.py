@@ -13,16 +13,7 @@ from msgspec import UNSET, UnsetType
 from midstride.codec.form import Document, FiniteNumber, Form, encode, field
 from midstride.codec.parameter import Value, values_form
 from midstride.codec.specification import SpecificationForm
-from midstride.model.action import (
-    Attach,
-    Create,
-    Degrade,
-    Detach,
-    Handover,
-    Remove,
-    SetParameters,
-    Upgrade,
-)
+from midstride.model.action import Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.best import best
 from midstride.model.configuration import Configuration
 from midstride.plan.change import Change

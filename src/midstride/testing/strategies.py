@@ -305,10 +305,7 @@ def _networks(draw: st.DrawFn, most: int) -> Specification:
         ]
         inputs = {f"in{index}": topics[name] for index, name in enumerate(read)}
         cast[f"n{number}"] = ComponentSpec.of(
-            f"C{number}",
-            inputs=inputs,
-            outputs=("out0",),
-            functionalities=(draw(_links(inputs)),),
+            f"C{number}", inputs=inputs, outputs=("out0",), functionalities=(draw(_links(inputs)),)
         )
         also = draw(st.sampled_from((*[own] * count, *names)))
         wiring[f"n{number}"] = {"out0": tuple(dict.fromkeys((own, also)))}
@@ -408,22 +405,3 @@ def endpoints() -> st.SearchStrategy[NodeEndpoint]:
 
 def worlds() -> st.SearchStrategy[SystemContext]:
     return specifications().map(lambda specification: specification.context)
-
-
-__all__ = [
-    "RESOURCES",
-    "TOPICS",
-    "TYPES",
-    "GeneratedSystem",
-    "components",
-    "configurations",
-    "contracts",
-    "endpoints",
-    "intervals",
-    "predicates",
-    "qos_profiles",
-    "scenes",
-    "specifications",
-    "value_sets",
-    "worlds",
-]

@@ -163,11 +163,9 @@ class _PlanWalk:
 def _wrong_modes(configuration: Configuration, step: Step) -> Iterator[str]:
     """Functionalities that a step takes to be in another mode than they are."""
     for change in step.modes:
-        if (
-            change.functionality in configuration.modes
-            and configuration.mode(change.functionality).name != change.before
-        ):
-            now = configuration.mode(change.functionality).name
+        if change.functionality not in configuration.modes:
+            continue
+        if (now := configuration.mode(change.functionality).name) != change.before:
             yield f"it assumes that {change.functionality} is in mode {change.before}, but it is in mode {now}"
 
 

@@ -6,17 +6,7 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from midstride.model.action import (
-    Action,
-    Attach,
-    Create,
-    Degrade,
-    Detach,
-    Handover,
-    Remove,
-    SetParameters,
-    Upgrade,
-)
+from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.verify.world_encoder import WorldEncoder
 

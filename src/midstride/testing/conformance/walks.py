@@ -62,12 +62,7 @@ class ExpectedComponent:
         return done
 
     def settled(self) -> dict[str, Any]:
-        return {
-            "revision": self.revision,
-            "modes": self.modes,
-            "gates": self.gates,
-            "parameters": self.parameters,
-        }
+        return {"revision": self.revision, "modes": self.modes, "gates": self.gates, "parameters": self.parameters}
 
     def _attach(self, port: str, topic: str, gate: str) -> bool:
         if port not in self.gates or topic in self.gates[port]:

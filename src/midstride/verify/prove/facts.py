@@ -31,10 +31,7 @@ def _closed(t: Theory) -> Case:
     a = t.start("one")
     b = _assignment(t, a, "other")
     join = a.in_modes(lambda f: if_(t.at_least(a.mode(f), b.mode(f)), a.mode(f), b.mode(f)))
-    premises = [
-        Part("the first is satisfied", t.all_satisfied(a)),
-        Part("the second is satisfied", t.all_satisfied(b)),
-    ]
+    premises = [Part("the first is satisfied", t.all_satisfied(a)), Part("the second is satisfied", t.all_satisfied(b))]
     return Case(t.structure_valid(a), premises, t.valid(join), (a, b, join), active(t, join))
 
 
@@ -108,10 +105,7 @@ def _more(t: Theory) -> Case:
     after = t.state("after", s.live, attached, s.mode)
     f = t.logic.constant("the_functionality", FUNCTIONALITY)
     more = t.logic.all((PORT, TOPIC), lambda p, k: implies(s.attached(p, k), attached(p, k)))
-    premises = [
-        Part("no attachment is removed", more),
-        Part("it was satisfied", t.satisfied(s, f)),
-    ]
+    premises = [Part("no attachment is removed", more), Part("it was satisfied", t.satisfied(s, f))]
     t.logic.facts.append(s.live(t.host(f)))
     return Case([], premises, [Part("it is satisfied", t.satisfied(after, f))], (s, after), active(t, s))
 

@@ -156,10 +156,7 @@ def _apart_undone(t: Theory) -> Case:
     kept = t.logic.all(
         (PORT, TOPIC),
         lambda p, k: implies(
-            and_(
-                s.attached(p, k),
-                or_(not_(t.is_output(p)), t.satisfies(t.current(s, p), t.topic_guarantee(k))),
-            ),
+            and_(s.attached(p, k), or_(not_(t.is_output(p)), t.satisfies(t.current(s, p), t.topic_guarantee(k)))),
             attached(p, k),
         ),
     )
@@ -202,8 +199,7 @@ def _checked(action: str) -> Callable[[Theory], Case]:
                 return or_(act.in_group(f), t.logic.some((TOPIC,), lambda k: and_(lost(k), _consumes(t, s, f, k))))
 
         examined = t.logic.all(
-            (FUNCTIONALITY,),
-            lambda f: implies(and_(t.live_in(after, f), affected(f)), t.satisfied(after, f)),
+            (FUNCTIONALITY,), lambda f: implies(and_(t.live_in(after, f), affected(f)), t.satisfied(after, f))
         )
         asked.append(Part("every functionality that `check` examines is satisfied", or_(topic_kept, examined)))
         return Case(t.valid(s), asked, required, (s, after), and_(some, active(t, s)), action)
