@@ -7,7 +7,7 @@ from the definition. The result is data.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -56,11 +56,8 @@ class ReplayResult:
 
 def replay(plan: Plan) -> ReplayResult:
     """The result for a plan. The replay stops at the first refused step, since what follows has no meaning."""
-    findings: list[ReplayFinding] = []
     configuration = plan.change.start
-    findings.extend(
-        ReplayFinding(None, f"the start is not valid: {violation}") for violation in violations(configuration)
-    )
+    findings = [ReplayFinding(None, f"the start is not valid: {each}") for each in violations(configuration)]
     ledger = _Ledger(plan)
     for number, step in enumerate(plan.steps, start=1):
         reasons = [str(reason) for reason in step.action.check(configuration)] or list(
@@ -163,23 +160,6 @@ def _counted(start: Specification, target: Specification) -> Iterator[_Counted]:
             yield _Counted(FunctionalityRef(role, name), needed, max(len(was.modes), len(will.modes)))
 
 
-def _levels(configuration: Configuration, every: Iterable[_Counted]) -> Levels:
-    """The level of every functionality that both ends have, literally as section 6 defines it."""
-    found: Levels = {}
-    for counted in every:
-        role, name = counted.ref
-        found[counted.ref] = min(
-            (
-                configuration.modes[FunctionalityRef(instance.name, name)]
-                for instance in configuration.instances_of(role)
-                if name in instance.component.functionalities
-                and all(configuration.attached_to(PortRef(instance.name, output)) for output in counted.needed)
-            ),
-            default=counted.worst,
-        )
-    return found
-
-
 class _Ledger:
     """The costs of a plan, entered step by step."""
 
@@ -202,7 +182,20 @@ class _Ledger:
         self.broken: dict[str, None] = {}
 
     def _now(self, configuration: Configuration) -> Levels:
-        return _levels(configuration, self.counted)
+        """The level of every functionality that both ends have, literally as section 6 defines it."""
+        found: Levels = {}
+        for counted in self.counted:
+            role, name = counted.ref
+            found[counted.ref] = min(
+                (
+                    configuration.modes[FunctionalityRef(instance.name, name)]
+                    for instance in configuration.instances_of(role)
+                    if name in instance.component.functionalities
+                    and all(configuration.attached_to(PortRef(instance.name, output)) for output in counted.needed)
+                ),
+                default=counted.worst,
+            )
+        return found
 
     def _below(self, ref: FunctionalityRef, levels: Levels) -> int:
         return max(0, levels[ref] - self.baseline[ref])
