@@ -110,6 +110,15 @@ def test_a_subscriber_that_hears_nothing_at_all_is_no_picture_of_health() -> Non
     assert (seen.gap, seen.missed, seen.lost) == (0.9, 45, None)
 
 
+@pytest.mark.parametrize("known", [True, False], ids=["identity", "numbering"])
+def test_a_publisher_replaced_right_after_its_start_is_known_by_its_first_message(known: bool) -> None:
+    """The whole life of the old publisher is in the window."""
+    recorder = Recorder()
+    swap(recorder, cut=10, end=40)
+    seen = recorder.observe(-1, 40, last=10, known=known)
+    assert (seen.missed, seen.lost, seen.duplicates) == (0, 0, 0)
+
+
 def test_messages_nobody_received_are_lost() -> None:
     recorder = Recorder()
     for slot in range(40):

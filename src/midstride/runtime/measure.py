@@ -253,7 +253,8 @@ def _lost(
     if last_number is not None:
         moved = _swapped(rows, sides, begun, tail)
         old = min(moved, key=lambda name: moved[name][0].received)
-        if moved[old][0].received > begun and min(numbers[old]) == 1:
-            return None  # no message of the old publisher is in the window
+        begins = [name for name, own in moved.items() if own[0].received > begun and min(numbers[name]) == 1]
+        if begins == [old]:
+            return None  # these are the new publisher's messages: none of the old one's is in the window
         lost += max(0, last_number - max(numbers[old]))
     return lost

@@ -165,9 +165,9 @@ class Ros1Host:
     async def _run(self, main: Callable[[], Awaitable[None]]) -> None:
         self._loop = asyncio.get_running_loop()
         task = asyncio.ensure_future(main())  # it answers its manager, and waits for the data thread
-        joining = asyncio.ensure_future(common.on_thread(self._join, _start_thread))
         opened = False
         with common.ending_on_signals(task) as signals:
+            joining = asyncio.ensure_future(common.on_thread(self._join, _start_thread))
             try:
                 await asyncio.wait({task, joining}, return_when=asyncio.FIRST_COMPLETED)
                 if joining.done() and not signals:
