@@ -79,16 +79,28 @@ class ConstraintMonitor:
     """
 
     levels: Levels
-    keeps: tuple[tuple[Keep, str, int], ...]
+    keeps: tuple[tuple[Keep, str, int], ...]  # with the role concerned and the worst level allowed
     limits: tuple[Limit, ...]
     broken: Map[Constraint, str] = field(default_factory=Map)
 
     @classmethod
     def of(cls, change: Change, levels: Levels, constraints: Iterable[Constraint]) -> ConstraintMonitor:
         """The monitor before the first step. Raises PlanRefused for a ``keep`` at a mode that does not exist."""
-        asked = tuple(constraints)
-        keeps = _thresholds(change, levels, [constraint for constraint in asked if isinstance(constraint, Keep)])
-        return cls(levels, tuple(keeps), tuple(constraint for constraint in asked if isinstance(constraint, Limit)))
+        keeps: list[tuple[Keep, str, int]] = []
+        limits: list[Limit] = []
+        for constraint in constraints:
+            if isinstance(constraint, Limit):
+                limits.append(constraint)
+            elif isinstance(constraint, Keep) and levels.find(ref := constraint.functionality) is not None:
+                chain = change.target.component_of(ref.instance).functionalities[ref.functionality]
+                try:
+                    asked = chain.mode_index(constraint.mode)
+                except KeyError:
+                    names = ", ".join(mode.name for mode in chain.modes)
+                    because = f"{ref} has no mode {constraint.mode}; it has {names}"
+                    raise PlanRefused(f"the constraint `{constraint}`: {because}") from None
+                keeps.append((constraint, ref.instance, max(asked, levels.level(change.start, ref))))
+        return cls(levels, tuple(keeps), tuple(limits))
 
     def after(self, number: int, step: Step, configuration: Configuration) -> ConstraintMonitor:
         """The monitor after step ``number`` (from 1), which leads to ``configuration``."""
@@ -107,23 +119,6 @@ class ConstraintMonitor:
 
 def _exceeds(limit: Limit, meter: DisruptionMeter) -> bool:
     return meter.seconds(limit.functionality) > limit.seconds + _EPSILON
-
-
-def _thresholds(change: Change, levels: Levels, keeps: Iterable[Keep]) -> list[tuple[Keep, str, int]]:
-    """For each constraint the role it concerns and the worst level it allows."""
-    found = []
-    for keep in keeps:
-        ref = keep.functionality
-        if levels.find(ref) is None:
-            continue
-        chain = change.target.component_of(ref.instance).functionalities[ref.functionality]
-        try:
-            asked = chain.mode_index(keep.mode)
-        except KeyError:
-            names = ", ".join(mode.name for mode in chain.modes)
-            raise PlanRefused(f"the constraint `{keep}`: {ref} has no mode {keep.mode}; it has {names}") from None
-        found.append((keep, ref.instance, max(asked, levels.level(change.start, ref))))
-    return found
 
 
 def _out_of_order(order: Order, steps: Sequence[Step]) -> str | None:

@@ -104,7 +104,8 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
     step, before = steps[since - 1], configurations[since - 1]
     if not isinstance(step.action, Degrade):
         return f"after `{step.describe()}`, no instance of {ref.instance} serves it"
-    live = next((live for live in sorted(step.action.modes) if _by_role(before, live) == ref), None)
+    degraded = (live for live in sorted(step.action.modes) if live.functionality == ref.functionality)
+    live = next((live for live in degraded if before.instances[live.instance].role == ref.instance), None)
     for number, later in enumerate(steps[since:], start=since + 1):
         if later.is_structural:
             after = configurations[number]
@@ -120,7 +121,3 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
                 f"the strategy degrades it before step {number} (`{later.describe()}`), although it loses nothing there"
             )
     return "the strategy degrades it"
-
-
-def _by_role(configuration: Configuration, live: FunctionalityRef) -> FunctionalityRef:
-    return FunctionalityRef(configuration.instances[live.instance].role, live.functionality)

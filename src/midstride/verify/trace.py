@@ -6,7 +6,7 @@ since one of the two must be wrong.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 
 from midstride.errors import AlloyFailed
 from midstride.model.action import Action
@@ -28,7 +28,7 @@ _DISAGREE = "according to Alloy; Midstride's model finds no reason, so one of th
 class AlloyInstance:
     """The fields of an Alloy instance, with the meanings of its atoms."""
 
-    def __init__(self, outcome: SolverOutcome, meanings: Mapping[str, object], fields: frozenset[str]) -> None:
+    def __init__(self, outcome: SolverOutcome, meanings: Mapping[str, object], fields: Set[str]) -> None:
         self._values = outcome.values.get(_FINDINGS, {})
         self._bearers = meanings
         if missing := sorted(fields - self._values.keys()):
@@ -60,12 +60,12 @@ def instance(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> AlloyInstance
     verdict = outcomes.get(VERDICT)
     if verdict is None or not verdict.satisfiable:
         raise AlloyFailed("the dump contradicts itself: Alloy finds no instance of it")
-    return AlloyInstance(verdict, dump.meanings, dump.fields)
+    return AlloyInstance(verdict, dump.meanings, dump.obligations.fields.keys())
 
 
 def confirm(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> None:
     """Confirm with the checks that nothing was found. Raises AlloyFailed where one does not hold."""
-    for check in dump.checks:
+    for check in dump.obligations.checks:
         if check not in outcomes or outcomes[check].satisfiable:
             raise AlloyFailed(f"Alloy contradicts itself: it finds no violation, but the check {check} does not hold")
 
