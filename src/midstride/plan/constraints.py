@@ -46,7 +46,7 @@ def in_force(change: Change) -> tuple[Constraint, ...]:
     return (*target.constraints, *kept)
 
 
-def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints: Iterable[Constraint]) -> list[Breach]:
+def breaches(steps: Sequence[Step], levels: Levels, constraints: Iterable[Constraint]) -> list[Breach]:
     """The constraints that a plan of these steps does not meet, in the order given.
 
     A functionality that is already below its ``keep`` when the plan begins may stay there, but not degrade further.
@@ -55,7 +55,7 @@ def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints:
     asked = tuple(constraints)
     if not asked:
         return []
-    monitor, track = ConstraintMonitor.of(change, levels, asked), list(follow(levels, steps))
+    monitor, track = ConstraintMonitor.of(levels, asked), list(follow(levels, steps))
     for number, step in enumerate(steps, start=1):
         monitor = monitor.after(number, step, track[number][0])
     found: dict[Constraint, str] = dict(monitor.broken)
@@ -84,7 +84,7 @@ class ConstraintMonitor:
     broken: Map[Constraint, str] = field(default_factory=Map)
 
     @classmethod
-    def of(cls, change: Change, levels: Levels, constraints: Iterable[Constraint]) -> ConstraintMonitor:
+    def of(cls, levels: Levels, constraints: Iterable[Constraint]) -> ConstraintMonitor:
         """The monitor before the first step. Raises PlanRefused for a ``keep`` at a mode that does not exist."""
         keeps: list[tuple[Keep, str, int]] = []
         limits: list[Limit] = []
@@ -92,14 +92,14 @@ class ConstraintMonitor:
             if isinstance(constraint, Limit):
                 limits.append(constraint)
             elif isinstance(constraint, Keep) and levels.find(ref := constraint.functionality) is not None:
-                chain = change.target.component_of(ref.instance).functionalities[ref.functionality]
+                chain = levels.change.target.component_of(ref.instance).functionalities[ref.functionality]
                 try:
                     asked = chain.mode_index(constraint.mode)
                 except KeyError:
                     names = ", ".join(mode.name for mode in chain.modes)
                     because = f"{ref} has no mode {constraint.mode}; it has {names}"
                     raise PlanRefused(f"the constraint `{constraint}`: {because}") from None
-                keeps.append((constraint, ref.instance, max(asked, levels.level(change.start, ref))))
+                keeps.append((constraint, ref.instance, max(asked, levels.level(levels.change.start, ref))))
         return cls(levels, tuple(keeps), tuple(limits))
 
     def after(self, number: int, step: Step, configuration: Configuration) -> ConstraintMonitor:

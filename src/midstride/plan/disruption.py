@@ -8,7 +8,7 @@ effort follows the plan, not the system.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from immutables import Map
 
@@ -163,7 +163,9 @@ class DisruptionMeter:
             during = self.missing + sum(weight(each.ref) * max(0, each.after - each.before) for each in changes)
             disruption = round(disruption + during * seconds, DIGITS)
         if not changes:
-            return replace(self, disruption=disruption, clock=clock, changes=())
+            return DisruptionMeter(
+                self.levels, self.below, self.fallen, self.missing, self.since, self.spent, disruption, clock
+            )
         missing = self.missing + sum(weight(each.ref) * (each.after - each.before) for each in changes)
         below, fallen, since, spent = self.below, self.fallen, self.since, self.spent
         for each in changes:

@@ -38,20 +38,20 @@ class Plan:
     fallen: tuple[FunctionalityRef, ...]
 
     @classmethod
-    def of(cls, strategy: str, change: Change, steps: Sequence[Step], levels: Levels | None = None) -> Plan:
+    def of(cls, strategy: str, steps: Sequence[Step], levels: Levels) -> Plan:
         """The plan that consists of ``steps``, with its costs.
 
         No disruption is less than 0, so a plan without disruption is minimal; of any other, nothing is claimed.
         """
-        *_, (_, meter) = follow(levels or Levels(change), steps)
+        *_, (_, meter) = follow(levels, steps)
         return cls(
             strategy=strategy,
-            change=change,
+            change=levels.change,
             steps=tuple(steps),
             disruption=meter.disruption,
             lower_bound=0.0,
             proved_minimal=meter.disruption == 0.0,
-            makespan=makespan(change, steps, meter.levels),
+            makespan=makespan(steps, levels),
             seconds=round(sum(step.seconds for step in steps), DIGITS),
             fallen=tuple(sorted(meter.fallen)),
         )
@@ -89,4 +89,4 @@ class Plan:
     @cached_property
     def dependencies(self) -> tuple[tuple[int, ...], ...]:
         """For each step, the earlier ones with which it does not commute, and for which it must wait."""
-        return dependencies(self.change, self.steps, Levels(self.change))
+        return dependencies(self.steps, Levels(self.change))

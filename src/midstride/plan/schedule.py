@@ -164,34 +164,41 @@ class _Marker:
         return known
 
 
-def _marks(change: Change, steps: Sequence[Step], levels: Levels) -> Iterator[tuple[list[Mark], list[Mark]]]:
-    """For each step the marks that it leaves, and those of earlier steps for which it waits."""
-    marker = _Marker(change)
+def _marks(steps: Sequence[Step], levels: Levels) -> Iterator[Iterable[Mark]]:
+    """The marks of each step."""
+    marker = _Marker(levels.change)
     for step, (_, meter) in zip(steps, islice(follow(levels, steps), 1, None), strict=True):
-        left = dict.fromkeys(marker.of(step))
+        marks = dict.fromkeys(marker.of(step))
         if isinstance(step.action, (Create, Remove)):
-            left["creation or removal", Claim.BEFORE] = None
+            marks["creation or removal", Claim.BEFORE] = None
         if any(moved.after > moved.before for moved in meter.changes):
-            left["creation or removal", Claim.AFTER] = None
-        yield list(left), [(thing, earlier) for thing, claim in left for earlier in _WAITS_FOR[claim]]
+            marks["creation or removal", Claim.AFTER] = None
+        yield marks
 
 
-def dependencies(change: Change, steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...], ...]:
+def dependencies(steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...], ...]:
     """For each step the earlier ones that it must wait for; the others it commutes with."""
     earlier: dict[Mark, list[int]] = defaultdict(list)
     found: list[tuple[int, ...]] = []
-    for index, (left, awaited) in enumerate(_marks(change, steps, levels)):
-        found.append(tuple(sorted({waited for mark in awaited for waited in earlier.get(mark, ())})))
-        for mark in left:
+    for index, marks in enumerate(_marks(steps, levels)):
+        waits: set[int] = set()
+        for thing, claim in marks:
+            for awaited in _WAITS_FOR[claim]:
+                waits.update(earlier.get((thing, awaited), ()))
+        found.append(tuple(sorted(waits)))
+        for mark in marks:
             earlier[mark].append(index)
     return tuple(found)
 
 
-def makespan(change: Change, steps: Sequence[Step], levels: Levels) -> float:
+def makespan(steps: Sequence[Step], levels: Levels) -> float:
     """The critical path (s): each step begins as soon as all those it waits for are done."""
     ends: dict[Mark, float] = defaultdict(float)
-    for step, (left, awaited) in zip(steps, _marks(change, steps, levels), strict=True):
-        end = step.seconds + max((ends.get(mark, 0.0) for mark in awaited), default=0.0)
-        for mark in left:
-            ends[mark] = max(ends[mark], end)
+    for step, marks in zip(steps, _marks(steps, levels), strict=True):
+        begin = 0.0
+        for thing, claim in marks:
+            for awaited in _WAITS_FOR[claim]:
+                begin = max(begin, ends.get((thing, awaited), 0.0))
+        for mark in marks:
+            ends[mark] = max(ends[mark], begin + step.seconds)
     return round(max(ends.values(), default=0.0), DIGITS)
