@@ -6,10 +6,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from midstride.model.action import Action
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
-from midstride.model.specification import Specification
 from midstride.plan import explain
 from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, Levels, follow
@@ -55,18 +53,6 @@ class Plan:
             seconds=round(sum(step.seconds for step in steps), DIGITS),
             fallen=tuple(sorted(meter.fallen)),
         )
-
-    @property
-    def start(self) -> Specification:
-        return self.change.specification
-
-    @property
-    def target(self) -> Specification:
-        return self.change.target
-
-    @property
-    def actions(self) -> tuple[Action, ...]:
-        return tuple(step.action for step in self.steps)
 
     def configurations(self) -> Iterator[Configuration]:
         """The configurations on the way: the start, and then one after each step."""
