@@ -26,7 +26,7 @@ from midstride.model.component import ComponentSpec, Connector, FunctionalitySpe
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, structure
-from midstride.plan.change import Change
+from midstride.plan.change_builder import requested_change
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.request import PlanRequest
@@ -117,7 +117,7 @@ class Case:
         role = f"cell{len(self.specification.nodes) // CELL // 2}/filter"
         request = PlanRequest(replace=((role, "NewFilter"),), strategy=strategy)
         target = request.target(self.specification)
-        return STRATEGIES[strategy](Change.of_request(self.configuration, self.specification, request, target))
+        return STRATEGIES[strategy](requested_change(self.configuration, self.specification, request, target))
 
     def conclude(self) -> dict[str, Any]:
         for name, taken in self.taken.items():

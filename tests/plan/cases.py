@@ -17,12 +17,15 @@ from midstride.model.component import (
     ParameterSpec,
     Resource,
 )
+from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.model.rules import violations
 from midstride.model.specification import Constraint, Node, Specification, initial
 from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
+from midstride.plan.request import PlanRequest
 from midstride.plan.validate import replay
 
 TYPE = "std_msgs/msg/String"
@@ -124,13 +127,29 @@ def talker() -> Specification:
     return system([*talkers, listen], nodes)
 
 
+def requested(configuration: Configuration, specification: Specification, request: PlanRequest) -> Change:
+    return requested_change(configuration, specification, request, request.target(specification))
+
+
+def replacing(configuration: Configuration, specification: Specification, role: str, component: str) -> Change:
+    return requested(configuration, specification, PlanRequest(replace=((role, component),)))
+
+
+def adding(configuration: Configuration, specification: Specification, node: Node) -> Change:
+    return requested(configuration, specification, PlanRequest(add=(node,)))
+
+
+def removing(configuration: Configuration, specification: Specification, role: str) -> Change:
+    return requested(configuration, specification, PlanRequest(remove=(role,)))
+
+
 def replaced(specification: Specification, role: str, component: str, strategy: str) -> Plan:
-    change = Change.replacing(initial(specification), specification, role, component)
+    change = replacing(initial(specification), specification, role, component)
     return STRATEGIES[strategy](change)
 
 
 def changed(start: Specification, target: Specification, strategy: str) -> Plan:
-    return STRATEGIES[strategy](Change.between(initial(start), start, target))
+    return STRATEGIES[strategy](change_between(initial(start), start, target))
 
 
 def told(plan: Plan) -> list[str]:

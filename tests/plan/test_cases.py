@@ -19,19 +19,21 @@ from midstride.model.component import (
 )
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
-from midstride.plan.change import Change
-from midstride.plan.forms import LevelShiftForm
+from midstride.plan.change_builder import change_between
 from midstride.plan.quiesce import reachable
 from midstride.plan.registry import STRATEGIES
 from tests.plan.cases import (
     NEED,
     SLOW,
     TYPE,
+    adding,
     changed,
     component,
     fallen,
     functionality,
+    removing,
     replaced,
+    replacing,
     sound,
     system,
     talker,
@@ -98,7 +100,7 @@ def test_quiescence_reaches_everything_downstream() -> None:
     }
     start = system(parts, nodes)
     running = initial(start)
-    change = Change.replacing(running, start, "sensor", "NewSensor")
+    change = replacing(running, start, "sensor", "NewSensor")
     assert [str(ref) for ref in reachable(change)] == [
         "logger.work",
         "one.work",
@@ -106,7 +108,7 @@ def test_quiescence_reaches_everything_downstream() -> None:
         "sink.work",
         "two.work",
     ]
-    second = Change.adding(running, start, Node("second", "Sensor", Map({"out": ("/two",)})))
+    second = adding(running, start, Node("second", "Sensor", Map({"out": ("/two",)})))
     assert [str(ref) for ref in reachable(second)] == ["sink.work"]
 
 
@@ -125,7 +127,7 @@ def test_talker_replaced_again_and_again_never_takes_the_bare_name_back() -> Non
     specification = talker()
     configuration, names = initial(specification), []
     for to in ("NewTalker", "Talker", "NewTalker"):
-        change = Change.replacing(configuration, specification, "talker", to)
+        change = replacing(configuration, specification, "talker", to)
         plan = sound(STRATEGIES["minimal"](change))
         names += [instance.name for instance in change.coming]
         *_, last = plan.configurations()
@@ -155,7 +157,7 @@ def test_obstacle_the_motor_notices_nothing_of_a_replacement() -> None:
 
 def test_obstacle_removing_the_detector_stops_the_motor_first() -> None:
     start = obstacle()
-    plan = sound(STRATEGIES["minimal"](Change.removing(initial(start), start, "detector")))
+    plan = sound(STRATEGIES["minimal"](removing(initial(start), start, "detector")))
     assert told(plan) == [
         "degrade controller.control from normal to degraded",
         "detach detector.out from /obstacles",
@@ -168,7 +170,7 @@ def test_obstacle_removing_the_detector_stops_the_motor_first() -> None:
 def test_obstacle_a_detector_again_starts_it() -> None:
     start = obstacle().without_node("detector")
     node = Node("detector", "Detector", Map({"out": ("/obstacles",)}))
-    plan = sound(STRATEGIES["minimal"](Change.adding(initial(start), start, node)))
+    plan = sound(STRATEGIES["minimal"](adding(initial(start), start, node)))
     assert told(plan)[0] == "create detector (Detector)"
     assert told(plan)[-1] == "upgrade controller.control from degraded to normal"
 
@@ -432,7 +434,7 @@ def test_a_whole_system_is_brought_up_under_its_own_names(strategy: str) -> None
     specification = diamond()
     empty = replace(initial(specification), instances=Map(), connectors_of=Map(), modes=Map())
     empty = replace(empty, publishers=Map(), subscribers=Map(), held=Map(), instances_by_role=Map())
-    plan = sound(STRATEGIES[strategy](Change.between(empty, specification, specification)))
+    plan = sound(STRATEGIES[strategy](change_between(empty, specification, specification)))
     *_, last = plan.configurations()
     assert last == initial(specification)
     assert (plan.disruption, plan.fallen) == (0.0, ())
@@ -443,7 +445,7 @@ def test_what_has_crashed_comes_again(strategy: str) -> None:
     specification = chain()
     configuration = initial(specification).without_instance("filter")
     configuration = configuration.with_modes({FunctionalityRef("sink", "work"): 1})
-    plan = sound(STRATEGIES[strategy](Change.between(configuration, specification, specification)))
+    plan = sound(STRATEGIES[strategy](change_between(configuration, specification, specification)))
     *_, last = plan.configurations()
     assert last == initial(specification)
     assert plan.fallen == ()
@@ -453,7 +455,7 @@ def test_what_stands_lower_than_it_could_is_raised() -> None:
     specification = chain()
     low = {FunctionalityRef("sink", "work"): 1, FunctionalityRef("filter", "work"): 1}
     plan = sound(
-        STRATEGIES["minimal"](Change.between(initial(specification).with_modes(low), specification, specification))
+        STRATEGIES["minimal"](change_between(initial(specification).with_modes(low), specification, specification))
     )
     assert told(plan) == ["upgrade filter.work from degraded to normal", "upgrade sink.work from degraded to normal"]
     assert fallen(plan) == ["filter.work", "sink.work"]
@@ -472,7 +474,7 @@ def test_what_the_new_environment_keeps_down_is_told_as_fallen() -> None:
     )
     target = replace(start.with_node(Node("source", "Source", Map({"out": ("/image",)}))), environment=())
     configuration = initial(start).with_modes({FunctionalityRef("eye", "see"): 1})
-    plan = sound(STRATEGIES["minimal"](Change.between(configuration, start, target)))
+    plan = sound(STRATEGIES["minimal"](change_between(configuration, start, target)))
     assert fallen(plan) == ["eye.see"]
     assert plan.degradations[0].because == "it is already below when the plan begins"
     # While the source comes (1 s) the eye is a level below what it was when its camera still worked.
@@ -496,7 +498,7 @@ def test_what_a_replacement_never_comes_up_to_is_told(strategy: str) -> None:
     start = replace(start, components=start.components.set("Blind", blind))
     plan = sound(replaced(start, "talker", "Blind", strategy))
     assert plan.disruption == 0.0 or strategy != "minimal"
-    assert [encode(LevelShiftForm.of(shift)) for shift in plan.level_shifts] == [
+    assert [encode(shift) for shift in plan.level_shifts] == [
         {"functionality": "listener.listen", "from": "normal", "to": "degraded", "levels": 1},
         {"functionality": "talker.talk", "from": "normal", "to": "degraded", "levels": 1},
     ]

@@ -12,15 +12,26 @@ from midstride.errors import PlanRefused
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalitySpec, Mode, ParameterSpec
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
-from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.registry import STRATEGIES, planner
 from midstride.plan.request import PlanRequest
-from tests.plan.cases import NEED, SLOW, component, functionality, system, talker, work
+from tests.plan.cases import (
+    NEED,
+    SLOW,
+    adding,
+    component,
+    functionality,
+    removing,
+    replacing,
+    system,
+    talker,
+    work,
+)
 
 
 def refused(start: Specification, target: Specification) -> str:
     with pytest.raises(PlanRefused) as caught:
-        Change.between(initial(start), start, target)
+        change_between(initial(start), start, target)
     return str(caught.value)
 
 
@@ -31,14 +42,14 @@ def test_a_replacement_takes_the_first_name_that_nobody_has() -> None:
     start = talker()
     nodes = start.nodes.set("talker_2", Node("talker_2", "Talker")).set("talker_4", Node("talker_4", "Talker"))
     start = replace(start, nodes=nodes)
-    change = Change.replacing(initial(start), start, "talker", "NewTalker")
+    change = replacing(initial(start), start, "talker", "NewTalker")
     assert [instance.name for instance in change.coming] == ["talker_3"]
 
 
 def test_a_name_of_the_target_is_nobody_else_s() -> None:
     start = talker()
     target = start.with_replaced("talker", "NewTalker").with_node(Node("talker_2", "Talker"))
-    change = Change.between(initial(start), start, target)
+    change = change_between(initial(start), start, target)
     assert sorted((instance.role, instance.name) for instance in change.coming) == [
         ("talker", "talker_3"),
         ("talker_2", "talker_2"),
@@ -48,13 +59,11 @@ def test_a_name_of_the_target_is_nobody_else_s() -> None:
 def test_a_first_instance_bears_its_role_s_name_unless_it_is_taken() -> None:
     start = talker()
     configuration = initial(start)
-    change = Change.replacing(configuration, start, "talker", "NewTalker")
+    change = replacing(configuration, start, "talker", "NewTalker")
     *_, last = STRATEGIES["minimal"](change).configurations()
-    change = Change.adding(change.settled(last), change.target, Node("talker_2", "Talker"))
+    change = adding(change.settled(last), change.target, Node("talker_2", "Talker"))
     assert [instance.name for instance in change.coming] == ["talker_2_2"]
-    assert [instance.name for instance in Change.adding(configuration, start, Node("other", "Talker")).coming] == [
-        "other"
-    ]
+    assert [instance.name for instance in adding(configuration, start, Node("other", "Talker")).coming] == ["other"]
 
 
 # -- what differs ------------------------------------------------------------------------------------
@@ -64,7 +73,7 @@ def test_a_parameter_that_only_one_declares_asks_for_a_replacement() -> None:
     start = talker()
     more = replace(start.components["Talker"], parameters=Map({"gain": ParameterSpec(1.0, changeable=True)}))
     target = replace(start, components=start.components.set("Talker", more))
-    assert Change.between(initial(start), start, target).leaving == ("talker",)
+    assert change_between(initial(start), start, target).leaving == ("talker",)
 
 
 def test_parameters_of_the_node_go_over_those_of_the_component() -> None:
@@ -72,16 +81,16 @@ def test_parameters_of_the_node_go_over_those_of_the_component() -> None:
     start = system([one], {"n": ("One", {})})
     default = replace(one, parameters=Map({"gain": ParameterSpec(2.0, changeable=True)}))
     target = replace(start, components=start.components.set("One", default))
-    assert Change.between(initial(start), start, target).parameters == (("n", Map({"gain": 2.0})),)
+    assert change_between(initial(start), start, target).parameters == (("n", Map({"gain": 2.0})),)
     own = target.with_node(replace(target.nodes["n"], parameters=Map({"gain": 1.0})))
-    assert Change.between(initial(start), start, own).parameters == ()
+    assert change_between(initial(start), start, own).parameters == ()
 
 
 def test_an_instance_of_no_role_leaves() -> None:
     start = talker()
     configuration = initial(start)
     stray = replace(configuration.instances["talker"], name="talker_7")
-    change = Change.between(configuration.with_instance(stray), start, start)
+    change = change_between(configuration.with_instance(stray), start, start)
     assert change.leaving == ("talker_7",)
     assert change.coming == ()
 
@@ -92,7 +101,7 @@ def test_durations_are_declared_else_measured_else_the_default() -> None:
     start = replace(start, components=start.components.set("NewTalker", slow))
     target = start.with_replaced("talker", "NewTalker")
     measured = {"create NewTalker": 9.0, "detach": 9.0, "attach": 0.7, "create Listener": 2.5, "create": 3.5}
-    change = Change.between(initial(start), start, target, measured)
+    change = change_between(initial(start), start, target, measured)
     assert change.seconds("create", slow) == 4.0
     assert change.seconds("detach") == 0.3
     assert change.seconds("attach") == 0.7
@@ -108,13 +117,13 @@ def test_unknown_names_are_suggested() -> None:
     start = talker()
     configuration = initial(start)
     with pytest.raises(PlanRefused, match=r"no node `talkr`; did you mean `talker`\?"):
-        Change.replacing(configuration, start, "talkr", "NewTalker")
+        replacing(configuration, start, "talkr", "NewTalker")
     with pytest.raises(PlanRefused, match=r"no component `NewTalk`; did you mean `NewTalker`\?"):
-        Change.replacing(configuration, start, "talker", "NewTalk")
+        replacing(configuration, start, "talker", "NewTalk")
     with pytest.raises(PlanRefused, match=r"no node `speaker`"):
-        Change.removing(configuration, start, "speaker")
+        removing(configuration, start, "speaker")
     with pytest.raises(PlanRefused, match=r"no topic `/chater` \(did you mean `/chatter`\?\)"):
-        Change.adding(configuration, start, Node("more", "Talker", Map({"out": ("/chater",)})))
+        adding(configuration, start, Node("more", "Talker", Map({"out": ("/chater",)})))
     with pytest.raises(PlanRefused, match=r"no strategy `minimum`; did you mean `minimal`\?"):
         planner("minimum")
     assert planner() is STRATEGIES["minimal"]
@@ -173,7 +182,7 @@ def test_contracts_that_do_not_fit() -> None:
     start = replace(start, components=start.components.set("Weak", component("Weak", talk)))
     configuration = initial(start)
     with pytest.raises(PlanRefused) as caught:
-        Change.replacing(configuration, start, "talker", "Weak")
+        replacing(configuration, start, "talker", "Weak")
     assert "talker_2.out cannot be attached to /chatter" in str(caught.value)
     assert "5 Hz is offered, at least 10 Hz is needed" in str(caught.value)
 
@@ -189,7 +198,7 @@ def test_a_cap_that_either_end_exceeds() -> None:
     assert words.startswith("the target exceeds a limit: /x: 2 publishers")
     start = system(parts, one, caps={"/x": 1})
     with pytest.raises(PlanRefused, match="the target exceeds a limit: /x: 2 publishers"):
-        Change.adding(initial(start), start, Node("b", "Source", Map({"out": ("/x",)})))
+        adding(initial(start), start, Node("b", "Source", Map({"out": ("/x",)})))
 
 
 def test_a_capacity_that_either_end_exceeds() -> None:
@@ -201,7 +210,7 @@ def test_a_capacity_that_either_end_exceeds() -> None:
     with pytest.raises(
         PlanRefused, match="the target exceeds a limit: resource memory: 12 held by a, b, but the capacity is 8"
     ):
-        Change.adding(initial(start), start, Node("b", "Big"))
+        adding(initial(start), start, Node("b", "Big"))
 
 
 def test_an_environment_that_the_running_system_cannot_do_without() -> None:
@@ -239,7 +248,7 @@ def calls_to_plan(specification: Specification, strategy: str) -> int:
     sys.setprofile(note)
     try:
         target = request.target(specification)
-        plan = STRATEGIES[strategy](Change.of_request(configuration, specification, request, target))
+        plan = STRATEGIES[strategy](requested_change(configuration, specification, request, target))
     finally:
         sys.setprofile(None)
     assert len(plan.steps) >= 7
@@ -257,7 +266,7 @@ def test_connectors_of_the_target_alone_are_there_throughout() -> None:
     start = talker()
     target = replace(start, connectors=start.connectors.set("/more", Connector("/more", NEED)))
     target = target.with_node(Node("talker", "Talker", Map({"out": ("/chatter", "/more")})))
-    change = Change.between(initial(start), start, target)
+    change = change_between(initial(start), start, target)
     assert "/more" in change.start.context.connectors
     assert "/more" not in change.origin.context.connectors
     assert change.end_context == target.context

@@ -11,12 +11,23 @@ from midstride.errors import PlanRefused
 from midstride.model.action import Remove
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Constraint, Keep, Limit, Node, Order, Specification, initial
-from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between
 from midstride.plan.constraints import conflict, in_force, layers
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.validate import replay
-from tests.plan.cases import SLOW, changed, component, functionality, replaced, system, talker, told, work
+from tests.plan.cases import (
+    SLOW,
+    changed,
+    component,
+    functionality,
+    removing,
+    replaced,
+    system,
+    talker,
+    told,
+    work,
+)
 
 LISTEN = FunctionalityRef("listener", "listen")
 
@@ -78,13 +89,13 @@ def test_keep_at_a_worse_mode_allows_the_fall() -> None:
 def test_keep_refuses_to_take_the_publisher_away() -> None:
     start = bound(talker(), Keep(LISTEN, "normal"))
     with pytest.raises(PlanRefused, match=r"`keep listener.listen at normal` \(step 1"):
-        STRATEGIES["minimal"](Change.removing(initial(start), start, "talker"))
+        STRATEGIES["minimal"](removing(initial(start), start, "talker"))
 
 
 def test_keep_does_not_forbid_to_bring_up_what_is_down() -> None:
     start = bound(talker(), Keep(LISTEN, "normal"))
     configuration = initial(start).without_instance("talker").with_modes({LISTEN: 1})
-    plan = sound(STRATEGIES["minimal"](Change.between(configuration, start, start)))
+    plan = sound(STRATEGIES["minimal"](change_between(configuration, start, start)))
     assert told(plan)[-1] == "upgrade listener.listen from degraded to normal"
 
 
@@ -106,7 +117,7 @@ def test_keep_at_a_mode_that_is_none() -> None:
 
 def test_limit_counts_every_step_below_the_baseline() -> None:
     plan = replaced(talker(), "talker", "NewTalker", "paper")
-    (seconds,) = [fall.seconds for fall in plan.degradations if fall.functionality == LISTEN]
+    (seconds,) = [fall.seconds for fall in plan.degradations if fall.functionality == str(LISTEN)]
     target = talker().with_replaced("talker", "NewTalker")
     sound(changed(talker(), bound(target, Limit(LISTEN, seconds)), "paper"))
     words = refused(talker(), bound(target, Limit(LISTEN, seconds - 0.01)), "paper")
@@ -140,7 +151,7 @@ def test_order_of_a_role_that_leaves_is_the_start_s() -> None:
     start, target = devices()
     start = bound(start, Order("b", "a"))
     target = target.without_node("b")
-    change = Change.between(initial(start), start, target)
+    change = change_between(initial(start), start, target)
     assert in_force(change) == (Order("b", "a"),)
     plan = sound(STRATEGIES["minimal"](change))
     roles = [step.roles[0] for step in plan.steps if step.is_structural]

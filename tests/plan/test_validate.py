@@ -10,12 +10,14 @@ from typing import Any
 import pytest
 from immutables import Map
 
+from midstride.errors import MidstrideError
 from midstride.model.component import FunctionalityRef
 from midstride.model.specification import Keep, Limit, Node, Order, Specification, initial
-from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between
+from midstride.plan.decoding import decode_plan
 from midstride.plan.forms import encode_plan
 from midstride.plan.registry import STRATEGIES
-from midstride.plan.validate import ReplayFinding, replay, replay_document
+from midstride.plan.validate import ReplayFinding, ReplayResult, replay
 from tests.plan.cases import component, functionality, replaced, system, talker, work
 
 Document = dict[str, Any]
@@ -25,8 +27,16 @@ def document(strategy: str = "paper", specification: Specification | None = None
     return encode_plan(replaced(specification or talker(), "talker", "NewTalker", strategy))
 
 
+def replayed(document: Document) -> ReplayResult:
+    return replay(decode_plan(document))
+
+
 def findings(spoilt: Document) -> str:
-    verdict = replay_document(spoilt)
+    """Why a plan is refused: as it is read, or as it is replayed."""
+    try:
+        verdict = replayed(spoilt)
+    except MidstrideError as error:
+        return str(error)
     assert verdict.outcome == "violated"
     assert not verdict.holds
     assert all(isinstance(finding, ReplayFinding) for finding in verdict.findings)
@@ -35,7 +45,7 @@ def findings(spoilt: Document) -> str:
 
 def test_what_is_not_spoilt_holds() -> None:
     for strategy in sorted(STRATEGIES):
-        verdict = replay_document(document(strategy))
+        verdict = replayed(document(strategy))
         assert (verdict.outcome, verdict.findings) == ("holds", ())
         assert "steps replayed" in str(verdict)
 
@@ -125,9 +135,9 @@ def test_the_name_of_a_node_is_not_free_for_an_instance_of_another_role() -> Non
     target = start.with_replaced("talker", "NewTalker").with_node(
         Node("talker_2", "Listener", Map({"in": ("/chatter",)}))
     )
-    plan = STRATEGIES["minimal"](Change.between(initial(start), start, target))
+    plan = STRATEGIES["minimal"](change_between(initial(start), start, target))
     spoilt = encode_plan(plan)
-    assert replay_document(spoilt).holds
+    assert replayed(spoilt).holds
     # The new talker takes the name of the new node, and the new node another one, so that no name occurs twice.
     spoilt["steps"] = rename(spoilt["steps"], '"talker_2', '"listener_9')
     spoilt["steps"] = rename(spoilt["steps"], '"talker_3', '"talker_2')
@@ -145,7 +155,7 @@ def test_a_plan_from_an_invalid_configuration() -> None:
 def test_another_name_that_it_may_have() -> None:
     spoilt = document()
     spoilt["steps"] = rename(spoilt["steps"], "talker_2", "talker_9")
-    assert replay_document(spoilt).holds
+    assert replayed(spoilt).holds
 
 
 def test_the_bare_name_is_for_the_first_alone() -> None:
@@ -176,8 +186,8 @@ def test_a_port_left_on_the_old_contract_of_a_topic_as_well() -> None:
     chatter = start.connectors["/chatter"]
     slower = dataclasses.replace(chatter, guarantee=dataclasses.replace(chatter.guarantee, rate=5.0))
     target = dataclasses.replace(start, connectors=start.connectors.set("/chatter", slower))
-    spoilt = encode_plan(STRATEGIES["minimal"](Change.between(initial(start), start, target)))
-    assert replay_document(spoilt).holds
+    spoilt = encode_plan(STRATEGIES["minimal"](change_between(initial(start), start, target)))
+    assert replayed(spoilt).holds
     (detach,) = [step for step in spoilt["steps"] if step["action"] == "detach"]
     spoilt["steps"].remove(detach)
     assert "talker.out is still attached to /chatter with its old contract at the end" in findings(spoilt)
@@ -207,7 +217,7 @@ def test_an_order_that_is_not_kept() -> None:
     ]
     start = system(parts, {"a": ("OldA", {"out": "/a"}), "b": ("OldB", {"out": "/b"})})
     target = start.with_replaced("a", "NewA").with_replaced("b", "NewB")
-    plan = STRATEGIES["minimal"](Change.between(initial(start), start, target))
+    plan = STRATEGIES["minimal"](change_between(initial(start), start, target))
     spoilt = encode_plan(plan)
     spoilt["target"]["constraints"] = [{"order": "b", "before": "a"}]
     assert f"`{Order('b', 'a')}` is broken by step" in findings(spoilt)
@@ -221,6 +231,6 @@ def test_parameters_that_were_not_set() -> None:
     one = work("One", parameters={"gain": ParameterSpec(1.0, changeable=True)})
     start = system([one], {"n": ("One", {})})
     target = start.with_node(replace(start.nodes["n"], parameters=Map({"gain": 2.0})))
-    spoilt = encode_plan(STRATEGIES["minimal"](Change.between(initial(start), start, target)))
+    spoilt = encode_plan(STRATEGIES["minimal"](change_between(initial(start), start, target)))
     spoilt["steps"], spoilt["seconds"] = [], 0.0
     assert "the parameters of n at the end differ from the target" in findings(spoilt)

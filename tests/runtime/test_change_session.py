@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from msgspec import UNSET
+from msgspec import UNSET, structs
 
 from midstride.errors import BackendError
 from midstride.model.component import FunctionalityRef
@@ -25,7 +25,7 @@ from midstride.runtime.reports import Outcome
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.state_store import StateStore
 from midstride.testing.clock import run
-from midstride.verify.verdict import Answer, Verdict, VerdictForm
+from midstride.verify.verdict import Answer, Verdict
 from midstride.wire import commands
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, ModesCommand, RecordCommand, RecordsCommand
 from tests.runtime.scripted import REFUSED, TIMEOUT, ReconcilingBench, reported
@@ -129,12 +129,12 @@ def test_nothing_is_begun_that_could_not_be_written_down(tmp_path: Path, monkeyp
     session(tmp_path, body)
 
 
-@pytest.mark.parametrize("verdict", [UNKNOWN, changed(UNKNOWN, answer=Answer.VIOLATED)])
+@pytest.mark.parametrize("verdict", [UNKNOWN, structs.replace(UNKNOWN, answer=Answer.VIOLATED)])
 def test_nothing_is_begun_unless_the_plan_holds_where_that_is_asked_for(verdict: Verdict, tmp_path: Path) -> None:
     async def body(s: SessionBench) -> None:
         s.verifier.verdict = verdict
         outcome = await refused(s, verdict.words, verify=True)
-        assert outcome.verdict == VerdictForm.of(verdict)
+        assert outcome.verdict == verdict
         assert s.kinds() == ["verifying", "verified", "outcome"]
 
     session(tmp_path, body)
@@ -197,7 +197,7 @@ def test_a_verified_change_is_checked_after_each_step(tmp_path: Path) -> None:
 
     async def body(s: SessionBench) -> None:
         outcome = await s.session.change(REPLACEMENT, verify=True)
-        assert outcome.outcome == "done" and outcome.verdict == VerdictForm.of(HOLDS)
+        assert outcome.outcome == "done" and outcome.verdict == HOLDS
         assert outcome.plan is not None
         assert isinstance(s.verifier.judged[0], Plan) and len(s.verifier.judged) > 1
         assert all(isinstance(judged, Configuration) for judged in s.verifier.judged[1:])
@@ -258,7 +258,7 @@ def test_a_step_after_which_what_is_live_does_not_hold_is_taken_back(tmp_path: P
         s.client.reply("talker_2", AwaitWriteCommand, lambda _: _unless(s))
         outcome = await s.session.change(REPLACEMENT, verify=True)
         assert outcome.outcome == "rolled_back" and "there is no Java here" in str(outcome.because), outcome.because
-        assert outcome.verdict == VerdictForm.of(HOLDS), "the plan's"
+        assert outcome.verdict == HOLDS, "the plan's"
         assert s.system.configuration == initial(TALKER)
 
     session(tmp_path, body)

@@ -10,10 +10,12 @@ from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification, structure
 from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between
 from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES, planner
 from midstride.runtime.degradation_timer import DegradationTimer
+from tests.plan.cases import replacing
 from tests.runtime.systems import example
 
 
@@ -71,7 +73,7 @@ def test_a_replacement_and_its_roll_back_at_any_step(name: str, role: str, strat
     node = specification.nodes[role]
     others = [other for other in sorted(specification.components) if _fits(specification, role, other)]
     assert others, node
-    plan = planner(strategy)(Change.replacing(running, specification, role, others[0]))
+    plan = planner(strategy)(replacing(running, specification, role, others[0]))
     found = [carried_out(plan, steps) for steps in range(len(plan.steps) + 1)]
     assert all(timed == expected for timed, expected in found)
     if strategy == "paper":
@@ -82,7 +84,7 @@ def test_what_has_been_lowered_before_is_counted_from_the_start() -> None:
     specification = example("talker")
     running = best(structure(specification))
     lowered = running.with_modes({ref: 1 for ref in running.modes if ref.instance == "listener"})
-    change = Change.between(lowered, specification, specification)
+    change = change_between(lowered, specification, specification)
     plan = planner("minimal")(change)
     timed, expected = carried_out(plan, len(plan.steps))
     assert timed == expected != {}

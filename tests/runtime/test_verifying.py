@@ -24,7 +24,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.reports import Event, LiveConfiguration, Outcome
 from midstride.runtime.runtime_verification import Verifier
 from midstride.verify.checking import AlloyOptions
-from midstride.verify.verdict import Answer, Finding, Verdict, VerdictForm
+from midstride.verify.verdict import Answer, Finding, Verdict
 from midstride.wire.state import ComponentState
 from tests.runtime.systems import managed, replace, snapshot
 
@@ -34,7 +34,7 @@ VIOLATED = Verdict(
     "the live configuration",
     "exact",
     "Alloy",
-    (Finding("cap", None, "the configuration", "/cmd", "too many"),),
+    findings=(Finding("cap", None, "the configuration", "/cmd", "too many"),),
 )
 
 
@@ -100,8 +100,8 @@ def changed(
 def test_a_plan_that_holds_is_carried_out_and_alloy_is_asked_once(tmp_path: Path, strategy: str) -> None:
     verifier = Scripted()
     outcome, _, after, events = changed(tmp_path, verifier, strategy=strategy)
-    assert isinstance(outcome.verdict, VerdictForm)
-    assert (outcome.outcome, outcome.verdict.verdict) == ("done", "holds")
+    assert isinstance(outcome.verdict, Verdict)
+    assert (outcome.outcome, outcome.verdict.answer) == ("done", Answer.HOLDS)
     assert [step.describe() for plan in verifier.plans for step in plan.steps] != []
     assert verifier.seen == []  # what was live after each step had been judged with the plan
     assert "talker_2" in after["components"]
@@ -113,7 +113,7 @@ def test_a_plan_that_holds_is_carried_out_and_alloy_is_asked_once(tmp_path: Path
 def test_nothing_is_begun_unless_the_plan_holds(tmp_path: Path, verdict: Verdict) -> None:
     outcome, before, after, events = changed(tmp_path, Scripted(of_plan=verdict))
     assert (outcome.outcome, outcome.because) == ("refused", verdict.words)
-    assert outcome.verdict == VerdictForm.of(verdict)
+    assert outcome.verdict == verdict
     assert after == before
     assert not any(event.kind in {"plan", "step"} for event in events)
     assert events[-1].kind == "outcome"
@@ -226,7 +226,7 @@ def test_the_loop_goes_on_while_alloy_is_asked_and_who_is_cancelled_stops_it(mon
 def test_alloy_itself_lets_a_hand_over_pass(tmp_path: Path) -> None:
     outcome, _, after, events = changed(tmp_path, Verifier(), strategy="minimal")
     assert (outcome.outcome, outcome.because) == ("done", None)
-    assert isinstance(outcome.verdict, VerdictForm)
+    assert isinstance(outcome.verdict, Verdict)
     assert outcome.verdict.by == "Alloy 6.2.0"
     assert "talker_2" in after["components"]
     assert [event.words for event in events if event.kind == "verified"] == [

@@ -18,7 +18,6 @@ from midstride.backends.simulator import Simulator
 from midstride.codec.form import encode
 from midstride.codec.specification import SpecificationForm
 from midstride.model.specification import initial
-from midstride.plan.change import Change
 from midstride.plan.forms import encode_plan
 from midstride.plan.registry import STRATEGIES
 from midstride.runtime.manager import Manager
@@ -26,6 +25,7 @@ from midstride.runtime.reports import PlannedChange
 from midstride.server.app import create_app
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import FORMS
+from tests.plan.cases import replacing
 from tests.runtime.systems import managed, replace
 from tests.server.scripted import ScriptedManager
 
@@ -167,7 +167,7 @@ def test_the_specification_is_the_running_one() -> None:
 
 def test_a_plan_comes_with_the_revision_it_was_made_for() -> None:
     async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
-        change = Change.replacing(initial(manager.specification), manager.specification, "talker", "NewTalker")
+        change = replacing(initial(manager.specification), manager.specification, "talker", "NewTalker")
         manager.answers["plan"] = plan = STRATEGIES["paper"](change)
         response = await client.post("/plan", json={"replace": [["talker", "NewTalker"]], "strategy": "paper"})
         assert response.json() == {**encode_plan(plan), "revision": 7}

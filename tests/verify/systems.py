@@ -8,7 +8,7 @@ from typing import Any
 
 from midstride.lang import load
 from midstride.model.specification import Specification, initial
-from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
@@ -30,7 +30,7 @@ def plan(start: Specification, strategy: str = "paper", /, **components: str | N
         replace=tuple((role, name) for role, name in components.items() if name is not None),
         remove=tuple(role for role, name in components.items() if name is None),
     )
-    return planner(strategy)(Change.between(initial(start), start, request.target(start)))
+    return planner(strategy)(change_between(initial(start), start, request.target(start)))
 
 
 def loop(renewed: tuple[str, ...]) -> Plan:

@@ -11,18 +11,19 @@ import pytest
 from immutables import Map
 
 from midstride.codec.configuration import decode_configuration, encode_configuration
+from midstride.codec.form import encode
 from midstride.lang import load_text
 from midstride.model.component import ComponentSpec, FunctionalityRef, InputAlternatives, PortRef, Resource
 from midstride.model.configuration import Configuration
 from midstride.model.rules import capacity_violation
 from midstride.model.specification import Node, Specification, initial, structure
-from midstride.verify.alloy_names import Names
+from midstride.verify.alloy_atoms import Names
 from midstride.verify.chain import chain
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
 from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
 from midstride.verify.export import dump_configuration, dump_plan
 from midstride.verify.library import bundled
-from midstride.verify.verdict import Answer, Finding, Verdict, VerdictForm
+from midstride.verify.verdict import Answer, Finding, Verdict
 from tests.verify.systems import EXAMPLES, ROVER, TALKER, plan, specification
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "alloy"
@@ -130,7 +131,7 @@ def test_violations_are_named(how: str, kind: str, words: str) -> None:
     assert verdict.answer is Answer.VIOLATED
     assert [finding.kind for finding in verdict.findings] == [kind]
     assert words in str(verdict.findings[0])
-    assert VerdictForm.of(verdict).verdict == "violated"
+    assert encode(verdict)["verdict"] == "violated"
 
 
 HOSTILE = """
@@ -204,7 +205,7 @@ def test_the_chain_is_shown_and_drawn() -> None:
     configuration = broken(initial(specification(ROVER)), "mode")
     causes = chain(configuration, FunctionalityRef("motor", "drive"), InputAlternatives(("in",)))
     finding = Finding("assumption", None, "the configuration", "motor.drive", "it assumes in", "in", causes)
-    verdict = Verdict(Answer.VIOLATED, "the configuration", "exact", "Alloy", (finding,))
+    verdict = Verdict(Answer.VIOLATED, "the configuration", "exact", "Alloy", findings=(finding,))
     assert list(chain_lines(causes)) == [
         "motor.drive (in mode normal): not satisfied",
         "  assumes in: not satisfied",

@@ -50,7 +50,7 @@ def test_a_long_plan_of_a_real_system_holds(alloy: Alloy) -> None:
 
 def test_a_hand_over_within_a_cap_and_a_capacity_holds(alloy: Alloy) -> None:
     found = plan(specification(ROVER), "minimal", planner="SmallPlanner", left="NewCamera")
-    assert any(isinstance(action, Handover) for action in found.actions)
+    assert any(isinstance(step.action, Handover) for step in found.steps)
     assert judged(encode_plan(found), alloy).holds
 
 

@@ -9,7 +9,8 @@ import pytest
 
 from midstride.errors import PlanRefused
 from midstride.model.specification import initial
-from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between
+from midstride.plan.disruption import Levels
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.validate import replay
@@ -30,7 +31,7 @@ def drawn(rng: Random) -> Plan:
     while True:
         try:
             start, target = systems.change(rng, systems.system(rng, 4, 4), 5)
-            plan = STRATEGIES[rng.choice(sorted(STRATEGIES))](Change.between(initial(start), start, target))
+            plan = STRATEGIES[rng.choice(sorted(STRATEGIES))](change_between(initial(start), start, target))
         except PlanRefused:
             continue
         if len(plan.steps) > 1:
@@ -58,7 +59,7 @@ def expected(plan: Plan) -> tuple[bool, int | None]:
         if step.action.check(configuration) or not modes_agree:
             return False, number
         configuration = step.action.effect(configuration)
-    whole = Plan.of(plan.strategy, plan.change, plan.steps)
+    whole = Plan.of(plan.strategy, plan.steps, Levels(plan.change))
     return replay(whole).holds, None
 
 

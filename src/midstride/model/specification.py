@@ -6,7 +6,7 @@ the planners lead from a running configuration to another specification.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -147,7 +147,7 @@ class Specification:
 
     def without_node(self, role: str) -> Specification:
         """Without the role, and without the constraints that name it. Raises KeyError for an unknown one."""
-        constraints = tuple(c for c in self.constraints if role not in _roles_of(c))
+        constraints = tuple(c for c in self.constraints if role not in roles_of(c))
         return self._with(nodes=self.nodes.delete(role), constraints=constraints)
 
     def _with(self, **changes: Any) -> Specification:
@@ -164,7 +164,8 @@ class Specification:
         return self.with_node(replace(self.nodes[role], component=component))
 
 
-def _roles_of(constraint: Constraint) -> Iterable[str]:
+def roles_of(constraint: Constraint) -> tuple[str, ...]:
+    """The roles that a constraint names."""
     if isinstance(constraint, Order):
         return (constraint.first, constraint.then)
     return (constraint.functionality.instance,)

@@ -8,22 +8,16 @@ contract differs is a new topic, which during the plan has a separate identity b
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
 
 from immutables import Map
 
 from midstride.model.action import Swap
 from midstride.model.component import ComponentSpec, FunctionalityRef, ParameterValue, PortRef
 from midstride.model.configuration import Configuration, Instance, SystemContext
-from midstride.model.specification import DEFAULT_SECONDS, Node, Specification
-from midstride.plan.change_builder import ChangeBuilder, between, of_roles
-from midstride.plan.request import PlanRequest
+from midstride.model.specification import DEFAULT_SECONDS, Specification
 
 Attachment = tuple[PortRef, str]
-
-_SECONDS: Final[Mapping[str, float]] = DEFAULT_SECONDS
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,107 +49,6 @@ class Change:
     renamed: tuple[Instance, ...] = ()
     measured: Map[str, float] = field(default_factory=Map)
 
-    # -- making one ----------------------------------------------------------------------------------
-
-    @classmethod
-    def between(
-        cls,
-        configuration: Configuration,
-        specification: Specification,
-        target: Specification,
-        measured: Mapping[str, float] | None = None,
-    ) -> Change:
-        """The change of the whole system to ``target``. Linear in the system.
-
-        A role that has no live instance comes; an instance of no role leaves. Raises PlanRefused
-        where either end does not meet the target's caps, capacities, environment or contracts.
-        """
-        return cls._of(configuration, specification, target, between(configuration, specification, target), measured)
-
-    @classmethod
-    def of_roles(
-        cls,
-        configuration: Configuration,
-        specification: Specification,
-        target: Specification,
-        roles: Iterable[str],
-        measured: Mapping[str, float] | None = None,
-    ) -> Change:
-        """The change where ``target`` differs from ``specification`` only in the nodes ``roles``.
-
-        The cost follows the roles and their forward cone, not the size of the system. ``configuration`` must be in
-        its best modes. Raises PlanRefused as :meth:`between` does.
-        """
-        difference = of_roles(configuration, specification, target, roles)
-        return cls._of(configuration, specification, target, difference, measured)
-
-    @classmethod
-    def of_request(
-        cls,
-        configuration: Configuration,
-        specification: Specification,
-        request: PlanRequest,
-        target: Specification,
-        measured: Mapping[str, float] | None = None,
-    ) -> Change:
-        """The change that a request asks for; ``target`` is the specification that it leads to.
-
-        The cost follows the change, unless the request names a whole specification.
-        """
-        if request.to is not None:
-            return cls.between(configuration, specification, target, measured)
-        roles = [role for role, _ in request.replace] + [node.role for node in request.add] + list(request.remove)
-        return cls.of_roles(configuration, specification, target, roles, measured)
-
-    @classmethod
-    def replacing(cls, configuration: Configuration, specification: Specification, role: str, component: str) -> Change:
-        """``role`` replaced with ``component``. The cost follows the change. Raises PlanRefused."""
-        request = PlanRequest(replace=((role, component),))
-        return cls.of_request(configuration, specification, request, request.target(specification))
-
-    @classmethod
-    def adding(cls, configuration: Configuration, specification: Specification, node: Node) -> Change:
-        """A further node. The cost follows the change. Raises PlanRefused."""
-        request = PlanRequest(add=(node,))
-        return cls.of_request(configuration, specification, request, request.target(specification))
-
-    @classmethod
-    def removing(cls, configuration: Configuration, specification: Specification, role: str) -> Change:
-        """One node less. The cost follows the change. Raises PlanRefused."""
-        request = PlanRequest(remove=(role,))
-        return cls.of_request(configuration, specification, request, request.target(specification))
-
-    @classmethod
-    def _of(
-        cls,
-        configuration: Configuration,
-        specification: Specification,
-        target: Specification,
-        difference: ChangeBuilder,
-        measured: Mapping[str, float] | None,
-    ) -> Change:
-        return cls(
-            specification=specification,
-            target=target,
-            origin=configuration,
-            start=difference.start,
-            baseline=difference.baseline,
-            final=difference.final,
-            leaving=tuple(difference.leaving),
-            coming=tuple(difference.coming),
-            replaced=Map(difference.replaced),
-            detached=tuple(difference.detached),
-            attached=tuple(difference.attached),
-            parameters=tuple(difference.parameters),
-            pending=tuple(difference.pending),
-            lowered=tuple(difference.lowered),
-            identities=Map(difference.identities),
-            renamed=tuple(difference.renamed),
-            measured=Map(measured or {}),
-        )
-
-    # -- reading -------------------------------------------------------------------------------------
-
     @property
     def end_context(self) -> SystemContext:
         """The context once the plan is done: the target's own."""
@@ -166,6 +59,11 @@ class Change:
         """Whether nothing differs."""
         structural = self.leaving or self.coming or self.detached or self.attached
         return not (structural or self.parameters or self.pending)
+
+    def instances(self) -> list[str]:
+        """The instances with structural changes."""
+        ports = [port.instance for port, _ in (*self.detached, *self.attached)]
+        return list(dict.fromkeys([*self.leaving, *(instance.name for instance in self.coming), *ports]))
 
     def role_of(self, instance: str) -> str:
         """The role of an instance that runs at the start or comes. Raises KeyError for another."""
@@ -189,7 +87,7 @@ class Change:
             return self.target.timing[kind]
         if component is not None and f"{kind} {component.name}" in self.measured:
             return self.measured[f"{kind} {component.name}"]
-        return self.measured.get(kind, _SECONDS[kind])
+        return self.measured.get(kind, DEFAULT_SECONDS[kind])
 
     def sibling(self, connector: str) -> str | None:
         """The old connector of a topic whose contract changes, given the new one; else None."""

@@ -1,13 +1,14 @@
-"""The comparison of what runs with the target: the work behind :class:`~midstride.plan.change.Change`.
+"""The comparison of what runs with the target, which makes a :class:`~midstride.plan.change.Change`.
 
-Two ways to the same result: :func:`between` walks the whole system, :func:`of_roles` only the given roles, so that its
-cost follows the change.
+Two ways to the same result: :func:`change_between` walks the whole system, :func:`change_of_roles` only the given
+roles, so that its cost follows the change.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from itertools import count
 
 from immutables import Map
 
@@ -19,28 +20,90 @@ from midstride.model.configuration import Configuration, Instance, SystemContext
 from midstride.model.name_checks import node_names
 from midstride.model.rules import Violation, cap_violation, capacity_violation, violations
 from midstride.model.specification import Specification
+from midstride.plan.change import Attachment, Change
+from midstride.plan.request import PlanRequest
 
 
-@dataclass(slots=True)
+def change_between(
+    configuration: Configuration,
+    specification: Specification,
+    target: Specification,
+    measured: Mapping[str, float] | None = None,
+) -> Change:
+    """The change of the whole system to ``target``. Linear in the system.
+
+    A role that has no live instance comes; an instance of no role leaves. Raises PlanRefused
+    where either end does not meet the target's caps, capacities, environment or contracts.
+    """
+    connectors, identities = _connectors(configuration, target)
+    resources = configuration.context.resources.update(target.resources)
+    start = configuration.with_context(SystemContext(connectors, target.environment, resources))
+    _check_limits("the running system", start, sorted(start.publishers), sorted(start.held))
+    for violation in violations(start):
+        raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
+    raised = best(start)
+    baseline = raised if start.context == configuration.context else best(configuration)
+    builder = ChangeBuilder(specification, target, start, identities)
+    for role in sorted({*target.nodes, *start.instances_by_role}):
+        builder.compare(role)
+    pending = tuple(sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index))
+    lowered = tuple(sorted(ref for ref, index in baseline.modes.items() if start.modes[ref] != index))
+    final = builder.final(pending)
+    _check_limits("the target", final, sorted(final.publishers), sorted(final.held))
+    return replace(
+        builder.change(final, measured), origin=configuration, baseline=baseline, pending=pending, lowered=lowered
+    )
+
+
+def requested_change(
+    configuration: Configuration,
+    specification: Specification,
+    request: PlanRequest,
+    target: Specification,
+    measured: Mapping[str, float] | None = None,
+) -> Change:
+    """The change that a request asks for; ``target`` is the specification that it leads to.
+
+    The cost follows the change, unless the request names a whole specification. Raises PlanRefused.
+    """
+    if request.to is not None:
+        return change_between(configuration, specification, target, measured)
+    roles = [*request.remove, *(role for role, _ in request.replace), *(node.role for node in request.add)]
+    return change_of_roles(configuration, specification, target, roles, measured)
+
+
+def change_of_roles(
+    configuration: Configuration,
+    specification: Specification,
+    target: Specification,
+    roles: Iterable[str],
+    measured: Mapping[str, float] | None = None,
+) -> Change:
+    """The change where ``target`` differs from ``specification`` only in the nodes ``roles``.
+
+    The cost follows the roles and their forward cone, not the size of the system. ``configuration`` must be in its
+    best modes. Raises PlanRefused as :func:`change_between` does.
+    """
+    builder = ChangeBuilder(specification, target, configuration, {})
+    for role in sorted(set(roles)):
+        builder.compare(role)
+    return builder.change(builder.final(()), measured)
+
+
 class ChangeBuilder:
-    """A :class:`~midstride.plan.change.Change` in the making."""
+    """A change in the making, role by role."""
 
-    specification: Specification
-    target: Specification
-    start: Configuration
-    baseline: Configuration
-    final: Configuration
-    identities: dict[str, str] = field(default_factory=dict)
-    leaving: list[str] = field(default_factory=list)
-    coming: list[Instance] = field(default_factory=list)
-    replaced: dict[str, str] = field(default_factory=dict)
-    detached: list[tuple[PortRef, str]] = field(default_factory=list)
-    attached: list[tuple[PortRef, str]] = field(default_factory=list)
-    parameters: list[tuple[str, Map[str, ParameterValue]]] = field(default_factory=list)
-    pending: list[FunctionalityRef] = field(default_factory=list)
-    lowered: list[FunctionalityRef] = field(default_factory=list)
-    renamed: list[Instance] = field(default_factory=list)
-    _names: set[str] = field(default_factory=set)
+    def __init__(
+        self, specification: Specification, target: Specification, start: Configuration, identities: dict[str, str]
+    ) -> None:
+        self.specification, self.target, self.start, self.identities = specification, target, start, identities
+        self.leaving: list[str] = []
+        self.coming: dict[str, Instance] = {}
+        self.replaced: dict[str, str] = {}
+        self.detached: list[Attachment] = []
+        self.attached: list[Attachment] = []
+        self.parameters: list[tuple[str, Map[str, ParameterValue]]] = []
+        self.renamed: list[Instance] = []
 
     # -- one role --------------------------------------------------------------------------------------
 
@@ -68,13 +131,13 @@ class ChangeBuilder:
 
     def _come(self, role: str, running: list[Instance]) -> None:
         name = self._fresh(role, bare=not running)
-        self.coming.append(self.target.instance(role, name))
+        self.coming[name] = self.target.instance(role, name)
         self.attached.extend(self._wanted(role, name))
         if running:
             self.replaced[running[0].name] = name
 
     def _keep(self, instance: Instance, wanted: Instance) -> None:
-        current = _values(instance)
+        current = instance.parameters
         changed = {key: value for key, value in wanted.parameters.items() if current.get(key) != value}
         if changed:
             self.parameters.append((instance.name, Map(changed)))
@@ -85,34 +148,33 @@ class ChangeBuilder:
         self.detached.extend(pair for pair in have if pair not in want)
         self.attached.extend(pair for pair in want if pair not in have)
 
-    def _wanted(self, role: str, instance: str) -> list[tuple[PortRef, str]]:
+    def _wanted(self, role: str, instance: str) -> list[Attachment]:
         pairs = self.target.attachments_of(role, instance)
         return [(port, self.identities.get(connector, connector)) for port, connector in pairs]
 
     def _fresh(self, role: str, bare: bool) -> str:
         """The name of a new instance (docs/semantics.md section 6). Only a first instance gets the role's own."""
-        nodes = (self.specification.nodes, self.target.nodes)
-        number = 1 if bare else 2
-        while True:
-            name = role if number == 1 else f"{role}_{number}"
-            taken = name in self.start.instances or name in self._names
-            if not taken and (number == 1 or not any(name in known for known in nodes)):
-                self._names.add(name)
-                return name
-            number += 1
+        if bare and role not in self.start.instances and role not in self.coming:
+            return role
+        known = (self.start.instances, self.coming, self.specification.nodes, self.target.nodes)
+        names = (f"{role}_{number}" for number in count(2))
+        return next(name for name in names if not any(name in some for some in known))
 
     # -- all roles together ----------------------------------------------------------------------------
 
-    def conclude(self) -> None:
-        """Find the final configuration. Raises PlanRefused for a target that is impossible."""
+    def final(self, pending: Iterable[FunctionalityRef]) -> Configuration:
+        """The final configuration, in its best modes, given that ``pending`` could be in better modes at the start.
+
+        Raises PlanRefused for a target that is impossible.
+        """
         configuration = self.start
-        seeds: dict[FunctionalityRef, None] = dict.fromkeys(self.pending)
+        seeds: dict[FunctionalityRef, None] = dict.fromkeys(pending)
         for port, connector in self.detached:
             _add_users(configuration, port, seeds)
             configuration = configuration.without_attachment(port, connector)
         for name in self.leaving:
             configuration = configuration.without_instance(name)
-        for instance in self.coming:
+        for instance in self.coming.values():
             configuration = configuration.with_instance(instance)
             seeds.update(dict.fromkeys(instance.functionality_refs()))
         for port, connector in self.attached:
@@ -125,10 +187,31 @@ class ChangeBuilder:
         for connector in dict.fromkeys(connector for _, connector in [*self.detached, *self.attached]):
             seeds.update(dict.fromkeys(configuration.consumers(connector)))
         live = (ref for ref in seeds if ref.instance in configuration.instances)
-        self.final = configuration.with_modes(rebalanced(configuration, live))
-        resources = dict.fromkeys(r for instance in self.coming for r in instance.component.resource_usage)
+        final = configuration.with_modes(rebalanced(configuration, live))
+        resources = dict.fromkeys(r for instance in self.coming.values() for r in instance.component.resource_usage)
         connectors = dict.fromkeys(connector for _, connector in self.attached)
-        _check_limits("the target", self.final, connectors, resources)
+        _check_limits("the target", final, connectors, resources)
+        return final
+
+    def change(self, final: Configuration, measured: Mapping[str, float] | None) -> Change:
+        """The change, from a start in its best modes and its original context."""
+        return Change(
+            specification=self.specification,
+            target=self.target,
+            origin=self.start,
+            start=self.start,
+            baseline=self.start,
+            final=final,
+            leaving=tuple(self.leaving),
+            coming=tuple(self.coming.values()),
+            replaced=Map(self.replaced),
+            detached=tuple(self.detached),
+            attached=tuple(self.attached),
+            parameters=tuple(self.parameters),
+            identities=Map(self.identities),
+            renamed=tuple(self.renamed),
+            measured=Map(measured or {}),
+        )
 
 
 def _add_users(configuration: Configuration, port: PortRef, seeds: dict[FunctionalityRef, None]) -> None:
@@ -137,18 +220,11 @@ def _add_users(configuration: Configuration, port: PortRef, seeds: dict[Function
         seeds.update(dict.fromkeys(configuration.users(port)))
 
 
-def _values(instance: Instance) -> dict[str, ParameterValue]:
-    """The parameter values of an instance: its own, and its component's for the rest."""
-    values = {name: parameter.value for name, parameter in instance.component.parameters.items()}
-    values.update(instance.parameters)
-    return values
-
-
 def _differs(instance: Instance, wanted: Instance) -> bool:
     """Whether ``instance`` must be replaced to become ``wanted`` (docs/semantics.md section 6)."""
     if instance.component is not wanted.component and not instance.component.same_body(wanted.component):
         return True
-    current = _values(instance)
+    current = instance.parameters
     if set(current) != set(wanted.parameters):
         return True
     declared, asked = instance.component.parameters, wanted.component.parameters
@@ -172,40 +248,6 @@ def _check_limits(end: str, configuration: Configuration, connectors: Iterable[s
     for violation in found:
         if violation is not None:
             raise PlanRefused(f"{end} exceeds a limit: {violation}")
-
-
-# -- the two ways --------------------------------------------------------------------------------------
-
-
-def of_roles(
-    configuration: Configuration, specification: Specification, target: Specification, roles: Iterable[str]
-) -> ChangeBuilder:
-    """The difference where only the nodes ``roles`` differ. ``configuration`` must be in its best modes."""
-    difference = ChangeBuilder(specification, target, configuration, configuration, configuration)
-    for role in sorted(set(roles)):
-        difference.compare(role)
-    difference.conclude()
-    return difference
-
-
-def between(configuration: Configuration, specification: Specification, target: Specification) -> ChangeBuilder:
-    """The difference of whole systems, their contexts included."""
-    connectors, identities = _connectors(configuration, target)
-    resources = configuration.context.resources.update(target.resources)
-    start = configuration.with_context(SystemContext(connectors, target.environment, resources))
-    _check_limits("the running system", start, sorted(start.publishers), sorted(start.held))
-    for violation in violations(start):
-        raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
-    raised = best(start)
-    baseline = raised if start.context == configuration.context else best(configuration)
-    difference = ChangeBuilder(specification, target, start, baseline, start, identities)
-    difference.pending = sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index)
-    difference.lowered = sorted(ref for ref, index in baseline.modes.items() if start.modes[ref] != index)
-    for role in sorted({*target.nodes, *start.instances_by_role}):
-        difference.compare(role)
-    difference.conclude()
-    _check_limits("the target", difference.final, sorted(difference.final.publishers), sorted(difference.final.held))
-    return difference
 
 
 def _connectors(configuration: Configuration, target: Specification) -> tuple[Map[str, Connector], dict[str, str]]:

@@ -10,11 +10,10 @@ from typing import Final
 from immutables import Map
 
 from midstride.errors import PlanRefused
-from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Constraint, Keep, Limit, Order
 from midstride.plan.change import Change
-from midstride.plan.disruption import DisruptionMeter, Levels
+from midstride.plan.disruption import DisruptionMeter, Levels, follow
 from midstride.plan.step import Step
 
 # Up to this many constraints, a smallest conflicting set is searched for; beyond, one that contains no smaller one.
@@ -47,7 +46,7 @@ def in_force(change: Change) -> tuple[Constraint, ...]:
     return (*target.constraints, *kept)
 
 
-def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints: Iterable[Constraint]) -> list[Breach]:
+def breaches(steps: Sequence[Step], levels: Levels, constraints: Iterable[Constraint]) -> list[Breach]:
     """The constraints that a plan of these steps does not meet, in the order given.
 
     A functionality that is already below its ``keep`` when the plan begins may stay there, but not degrade further.
@@ -56,17 +55,14 @@ def breaches(change: Change, steps: Sequence[Step], levels: Levels, constraints:
     asked = tuple(constraints)
     if not asked:
         return []
-    meter, monitor = DisruptionMeter.at_start(levels), ConstraintMonitor.of(change, levels, asked)
-    configuration = change.start
+    monitor, track = ConstraintMonitor.of(levels, asked), list(follow(levels, steps))
     for number, step in enumerate(steps, start=1):
-        configuration = step.action.effect(configuration)
-        meter = meter.after(step.action, step.seconds, configuration)
-        monitor = monitor.after(number, step, configuration)
+        monitor = monitor.after(number, step, track[number][0])
     found: dict[Constraint, str] = dict(monitor.broken)
     for constraint in asked:
         if isinstance(constraint, Limit):
-            if _exceeds(constraint, meter):
-                seconds = meter.seconds(constraint.functionality)
+            if _exceeds(constraint, track[-1][1]):
+                seconds = track[-1][1].seconds(constraint.functionality)
                 found[constraint] = f"it would be below its baseline for {seconds:g} s"
         elif isinstance(constraint, Order):
             late = _out_of_order(constraint, steps)
@@ -83,16 +79,28 @@ class ConstraintMonitor:
     """
 
     levels: Levels
-    keeps: tuple[tuple[Keep, str, int], ...]
+    keeps: tuple[tuple[Keep, str, int], ...]  # with the role concerned and the worst level allowed
     limits: tuple[Limit, ...]
     broken: Map[Constraint, str] = field(default_factory=Map)
 
     @classmethod
-    def of(cls, change: Change, levels: Levels, constraints: Iterable[Constraint]) -> ConstraintMonitor:
+    def of(cls, levels: Levels, constraints: Iterable[Constraint]) -> ConstraintMonitor:
         """The monitor before the first step. Raises PlanRefused for a ``keep`` at a mode that does not exist."""
-        asked = tuple(constraints)
-        keeps = _thresholds(change, levels, [constraint for constraint in asked if isinstance(constraint, Keep)])
-        return cls(levels, tuple(keeps), tuple(constraint for constraint in asked if isinstance(constraint, Limit)))
+        keeps: list[tuple[Keep, str, int]] = []
+        limits: list[Limit] = []
+        for constraint in constraints:
+            if isinstance(constraint, Limit):
+                limits.append(constraint)
+            elif isinstance(constraint, Keep) and levels.find(ref := constraint.functionality) is not None:
+                chain = levels.change.target.component_of(ref.instance).functionalities[ref.functionality]
+                try:
+                    asked = chain.mode_index(constraint.mode)
+                except KeyError:
+                    names = ", ".join(mode.name for mode in chain.modes)
+                    because = f"{ref} has no mode {constraint.mode}; it has {names}"
+                    raise PlanRefused(f"the constraint `{constraint}`: {because}") from None
+                keeps.append((constraint, ref.instance, max(asked, levels.level(levels.change.start, ref))))
+        return cls(levels, tuple(keeps), tuple(limits))
 
     def after(self, number: int, step: Step, configuration: Configuration) -> ConstraintMonitor:
         """The monitor after step ``number`` (from 1), which leads to ``configuration``."""
@@ -111,23 +119,6 @@ class ConstraintMonitor:
 
 def _exceeds(limit: Limit, meter: DisruptionMeter) -> bool:
     return meter.seconds(limit.functionality) > limit.seconds + _EPSILON
-
-
-def _thresholds(change: Change, levels: Levels, keeps: Iterable[Keep]) -> list[tuple[Keep, str, int]]:
-    """For each constraint the role it concerns and the worst level it allows."""
-    found = []
-    for keep in keeps:
-        ref = keep.functionality
-        if levels.find(ref) is None:
-            continue
-        chain = change.target.component_of(ref.instance).functionalities[ref.functionality]
-        try:
-            asked = chain.mode_index(keep.mode)
-        except KeyError:
-            names = ", ".join(mode.name for mode in chain.modes)
-            raise PlanRefused(f"the constraint `{keep}`: {ref} has no mode {keep.mode}; it has {names}") from None
-        found.append((keep, ref.instance, max(asked, levels.level(change.start, ref))))
-    return found
 
 
 def _out_of_order(order: Order, steps: Sequence[Step]) -> str | None:
@@ -182,11 +173,3 @@ def refusal(conflicting: Sequence[Constraint], breaches: Iterable[Breach], scarc
     which = f"the constraint {words[0]}" if len(words) == 1 else f"these constraints together: {'; '.join(words)}"
     because = "".join(f"; {why}" for why in scarce)
     return PlanRefused(f"no plan was found that meets {which}{because}")
-
-
-def roles_of(constraint: Constraint) -> tuple[str, ...]:
-    """The roles that a constraint names."""
-    if isinstance(constraint, Order):
-        return (constraint.first, constraint.then)
-    ref: FunctionalityRef = constraint.functionality
-    return (ref.instance,)

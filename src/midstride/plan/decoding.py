@@ -30,6 +30,7 @@ from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import specification_names
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between
 from midstride.plan.forms import (
     AnyStep,
     AttachStep,
@@ -55,7 +56,7 @@ def decode_plan(document: object) -> Plan:
     form, start, target = decode(document, PlanForm, _parts, _names)
     standing = {} if form.standing is UNSET else form.standing
     origin = _started(start, {} if form.running is UNSET else form.running, standing)
-    change = Change.between(origin, start, target)
+    change = change_between(origin, start, target)
     known = dict(change.start.instances)
     return Plan(
         strategy=form.strategy,

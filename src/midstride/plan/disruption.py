@@ -7,7 +7,7 @@ effort follows the plan, not the system.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 from immutables import Map
@@ -16,6 +16,7 @@ from midstride.model.action import Action, Create, Remove
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.plan.change import Change
+from midstride.plan.step import Step
 
 # Durations and sums are rounded to this many digits, so that equal plans have equal figures.
 DIGITS = 9
@@ -90,13 +91,6 @@ class Levels:
         if counted is None:
             raise KeyError(ref)
         return self._level(configuration, ref, counted.outputs, counted.worst)
-
-    def baseline(self, ref: FunctionalityRef) -> int:
-        """The worse of the levels in ``best`` of start and of target. Raises KeyError if not counted."""
-        counted = self.find(ref)
-        if counted is None:
-            raise KeyError(ref)
-        return counted.baseline
 
     def below(self, configuration: Configuration, role: str) -> dict[FunctionalityRef, int]:
         """How many levels below the baseline the functionalities of ``role`` are, where they are below."""
@@ -200,3 +194,13 @@ class DisruptionMeter:
         """How long a functionality has been below its baseline (s), including the steps that took it there and back."""
         open_since = self.since.get(ref, self.clock)
         return round(self.spent.get(ref, 0.0) + self.clock - open_since, DIGITS)
+
+
+def follow(levels: Levels, steps: Iterable[Step]) -> Iterator[tuple[Configuration, DisruptionMeter]]:
+    """The configuration and the meter at the start, and then after each step."""
+    configuration, meter = levels.change.start, DisruptionMeter.at_start(levels)
+    yield configuration, meter
+    for step in steps:
+        configuration = step.action.effect(configuration)
+        meter = meter.after(step.action, step.seconds, configuration)
+        yield configuration, meter

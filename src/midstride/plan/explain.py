@@ -3,51 +3,45 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Annotated
 
+import msgspec
+
+from midstride.codec.form import Form, field
 from midstride.model.action import Degrade
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator
 from midstride.model.specification import Specification
 from midstride.plan.change import Change
-from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
+from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels, follow
 from midstride.plan.step import Step
 
 
-@dataclass(frozen=True, slots=True)
-class Degradation:
-    """A role's functionality below its baseline: the steps (from 1) that take it there and back, and why.
+class Degradation(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """A functionality of a role below its baseline: the steps that take it there and back, how long, and why.
 
-    ``seconds`` counts every step of the sequence during which it is below, by the steps'
-    estimates. ``since`` is 0 where the plan begins below, ``until`` is None where it ends below. ``unserved`` is the
-    step from which on no instance serves the functionality, None where one always does.
+    Steps count from 1; from step 0: the plan begins below; to step null: it ends below. ``seconds`` adds up the
+    estimates of the steps during which it is below.
     """
 
-    functionality: FunctionalityRef
-    since: int
-    until: int | None
+    functionality: str
+    since: int = msgspec.field(name="from_step")
+    until: int | None = msgspec.field(name="to_step")
     seconds: float
     because: str
-    unserved: int | None = None
-
-    def __str__(self) -> str:
-        back = "" if self.until is None else f" to step {self.until}"
-        stretch = f"from step {self.since}{back} ({self.seconds:g} s)"
-        return f"{self.functionality} is below its baseline {stretch}: {self.because}"
+    unserved: Annotated[
+        int | None, field("a step", "from which on no instance serves it; null where one always does")
+    ] = msgspec.field(name="unserved_from_step")
 
 
-@dataclass(frozen=True, slots=True)
-class LevelShift:
-    """A role's functionality that is in another mode at the end of a plan than at its beginning.
+class LevelShift(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
+    """A functionality of a role that ends in another mode than it began in; null: no instance serves it."""
 
-    ``before`` and ``after`` are modes; None where no instance serves it. ``levels`` says by how many it ends lower.
-    """
-
-    functionality: FunctionalityRef
-    before: str | None
-    after: str | None
-    levels: int
+    functionality: str
+    before: str | None = msgspec.field(name="from")
+    after: str | None = msgspec.field(name="to")
+    levels: Annotated[int, field("a number of levels", "by how many it ends lower")]
 
 
 def level_shifts(change: Change, steps: Sequence[Step]) -> tuple[LevelShift, ...]:
@@ -64,7 +58,7 @@ def level_shifts(change: Change, steps: Sequence[Step]) -> tuple[LevelShift, ...
             was, will = levels.level(change.start, counted.ref), levels.level(end, counted.ref)
             if was != will:
                 before, after = _mode(change.specification, counted.ref, was), _mode(change.target, counted.ref, will)
-                found.append(LevelShift(counted.ref, before, after, will - was))
+                found.append(LevelShift(str(counted.ref), before, after, will - was))
     return tuple(sorted(found, key=lambda shift: (-shift.levels, shift.functionality)))
 
 
@@ -76,19 +70,20 @@ def _mode(specification: Specification, ref: FunctionalityRef, level: int) -> st
 def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ...]:
     """One for each stretch of the plan in which a functionality is below its baseline, in the order they begin."""
     levels = Levels(change)
-    meter, configurations = DisruptionMeter.at_start(levels), [change.start]
-    begun: dict[FunctionalityRef, int] = dict.fromkeys(meter.below, 0)
-    spent: dict[FunctionalityRef, float] = dict.fromkeys(meter.below, 0.0)
+    track = list(follow(levels, steps))
+    configurations = [configuration for configuration, _ in track]
+    begun: dict[FunctionalityRef, int] = dict.fromkeys(track[0][1].below, 0)
+    spent: dict[FunctionalityRef, float] = dict.fromkeys(begun, 0.0)
     unserved: dict[FunctionalityRef, int] = {}
-    ends: list[tuple[FunctionalityRef, int, int | None, float, int | None]] = []
+    found: list[Degradation] = []
 
-    def close(ref: FunctionalityRef, until: int | None) -> None:
+    def close(ref: FunctionalityRef, meter: DisruptionMeter, until: int | None) -> None:
+        since = begun.pop(ref)
         seconds = round(meter.seconds(ref) - spent[ref], DIGITS)
-        ends.append((ref, begun.pop(ref), until, seconds, unserved.pop(ref, None)))
+        because = _because(steps, configurations, ref, since)
+        found.append(Degradation(str(ref), since, until, seconds, because, unserved.pop(ref, None)))
 
-    for number, step in enumerate(steps, start=1):
-        configurations.append(step.action.effect(configurations[-1]))
-        meter = meter.after(step.action, step.seconds, configurations[-1])
+    for number, (step, (_, meter)) in enumerate(zip(steps, track[1:], strict=True), start=1):
         for moved in meter.changes:
             counted = levels.find(moved.ref)
             if counted is not None and moved.after and counted.baseline + moved.after == counted.worst:
@@ -96,13 +91,9 @@ def degradations(change: Change, steps: Sequence[Step]) -> tuple[Degradation, ..
             if not moved.before:
                 begun[moved.ref], spent[moved.ref] = number, meter.seconds(moved.ref) - step.seconds
             elif not moved.after:
-                close(moved.ref, number)
+                close(moved.ref, meter, number)
     for ref in sorted(begun):
-        close(ref, None)
-    found = [
-        Degradation(ref, since, until, seconds, _because(steps, configurations, ref, since), unserved_from)
-        for ref, since, until, seconds, unserved_from in ends
-    ]
+        close(ref, track[-1][1], None)
     return tuple(sorted(found, key=lambda each: (each.since, each.functionality)))
 
 
@@ -113,7 +104,8 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
     step, before = steps[since - 1], configurations[since - 1]
     if not isinstance(step.action, Degrade):
         return f"after `{step.describe()}`, no instance of {ref.instance} serves it"
-    live = next((live for live in sorted(step.action.modes) if _by_role(before, live) == ref), None)
+    degraded = (live for live in sorted(step.action.modes) if live.functionality == ref.functionality)
+    live = next((live for live in degraded if before.instances[live.instance].role == ref.instance), None)
     for number, later in enumerate(steps[since:], start=since + 1):
         if later.is_structural:
             after = configurations[number]
@@ -129,7 +121,3 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
                 f"the strategy degrades it before step {number} (`{later.describe()}`), although it loses nothing there"
             )
     return "the strategy degrades it"
-
-
-def _by_role(configuration: Configuration, live: FunctionalityRef) -> FunctionalityRef:
-    return FunctionalityRef(configuration.instances[live.instance].role, live.functionality)

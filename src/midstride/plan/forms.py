@@ -13,16 +13,7 @@ from msgspec import UNSET, UnsetType
 from midstride.codec.form import Document, FiniteNumber, Form, encode, field
 from midstride.codec.parameter import Value, values_form
 from midstride.codec.specification import SpecificationForm
-from midstride.model.action import (
-    Attach,
-    Create,
-    Degrade,
-    Detach,
-    Handover,
-    Remove,
-    SetParameters,
-    Upgrade,
-)
+from midstride.model.action import Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.best import best
 from midstride.model.configuration import Configuration
 from midstride.plan.change import Change
@@ -159,43 +150,6 @@ def step_form(step: Step) -> AnyStep:
     raise TypeError(f"a {action.kind} has no JSON form")
 
 
-class DegradationForm(PlanPart, frozen=True):
-    """A functionality of a role below its baseline: from which step to which (null: to the end), how long, and why."""
-
-    functionality: str
-    from_step: int
-    to_step: int | None
-    seconds: float
-    because: str
-    unserved_from_step: Annotated[
-        int | None, field("a step", "from which on no instance serves it; null where one always does")
-    ]
-
-    @classmethod
-    def of(cls, found: Degradation) -> DegradationForm:
-        return cls(
-            functionality=str(found.functionality),
-            from_step=found.since,
-            to_step=found.until,
-            seconds=found.seconds,
-            because=found.because,
-            unserved_from_step=found.unserved,
-        )
-
-
-class LevelShiftForm(PlanPart, frozen=True):
-    """A functionality of a role that ends in another mode than it began in; null: no instance serves it."""
-
-    functionality: str
-    before: str | None = msgspec.field(name="from")
-    after: str | None = msgspec.field(name="to")
-    levels: Annotated[int, field("a number of levels", "by how many it ends lower")]
-
-    @classmethod
-    def of(cls, shift: LevelShift) -> LevelShiftForm:
-        return cls(functionality=str(shift.functionality), before=shift.before, after=shift.after, levels=shift.levels)
-
-
 Steps: TypeAlias = Annotated[list[AnyStep], field("a list of steps")]
 Running: TypeAlias = Annotated[
     dict[str, str | None],
@@ -218,8 +172,8 @@ class PlanCosts(PlanPart, frozen=True, kw_only=True):
     makespan: Annotated[FiniteNumber, field("a makespan", "the critical path of the steps, in seconds")]
     seconds: Annotated[FiniteNumber, field("a number of seconds", "one step after another")]
     fallen: Annotated[list[str], field("a list of functionalities", "of roles, ever below their baseline")]
-    falls: Annotated[list[DegradationForm], field("a list", "why each functionality falls")] = []
-    afterwards: Annotated[list[LevelShiftForm], field("a list", "what is in another mode for good")] = []
+    falls: Annotated[list[Degradation], field("a list", "why each functionality falls")] = []
+    afterwards: Annotated[list[LevelShift], field("a list", "what is in another mode for good")] = []
 
 
 class PlanPreview(PlanCosts, frozen=True, kw_only=True):
@@ -259,8 +213,8 @@ def _costs(plan: Plan) -> dict[str, Any]:
         "makespan": plan.makespan,
         "seconds": plan.seconds,
         "fallen": [str(ref) for ref in plan.fallen],
-        "falls": [DegradationForm.of(found) for found in plan.degradations],
-        "afterwards": [LevelShiftForm.of(shift) for shift in plan.level_shifts],
+        "falls": list(plan.degradations),
+        "afterwards": list(plan.level_shifts),
     }
 
 

@@ -5,8 +5,7 @@ Both lead to the same modes: ``best`` of what remains (docs/semantics.md section
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterable
 
 import msgspec
 
@@ -19,16 +18,14 @@ from midstride.model.specification import Specification, initial
 from midstride.plan.request import require
 
 
-@dataclass(frozen=True, slots=True)
-class ImpactedFunctionality:
+class ImpactedFunctionality(Form, frozen=True, omit_defaults=False):
     """A functionality that degrades by ``levels`` modes, and why."""
 
-    functionality: FunctionalityRef
-    before: str
-    after: str
+    functionality: str
+    before: str = msgspec.field(name="from")
+    after: str = msgspec.field(name="to")
     levels: int
     weight: float
-    is_last: bool
     because: tuple[str, ...]
 
     @property
@@ -36,67 +33,19 @@ class ImpactedFunctionality:
         return self.levels * self.weight
 
 
-@dataclass(frozen=True, slots=True)
-class Impact:
-    """What degrades without ``role``. ``own`` are its own functionalities, which are lost with it."""
+class Impact(Form, frozen=True, omit_defaults=False):
+    """What degrades without a node (`midstride impact --json`). ``own`` are its functionalities, lost with it.
 
-    role: str
-    component: str
-    impacted: tuple[ImpactedFunctionality, ...]
-    own: tuple[str, ...]
+    ``loss`` adds up the levels that others lose, times their weight. The node is a single point of failure if a
+    functionality of another node degrades to its last mode.
+    """
 
-    @property
-    def loss(self) -> float:
-        """The levels that others lose, times their weight."""
-        return sum(each.loss for each in self.impacted)
-
-    @property
-    def single_point_of_failure(self) -> bool:
-        """Whether a functionality of another component degrades to its last mode."""
-        return any(each.is_last for each in self.impacted)
-
-
-class ImpactedForm(Form, frozen=True, omit_defaults=False):
-    """A functionality that falls, in JSON."""
-
-    functionality: str
-    before: str = msgspec.field(name="from")
-    after: str = msgspec.field(name="to")
-    levels: int
-    weight: float
-    because: list[str]
-
-
-class ImpactForm(Form, frozen=True, omit_defaults=False):
-    """What falls if a node is gone, in JSON (`midstride impact --json`)."""
-
-    node: str
+    role: str = msgspec.field(name="node")
     component: str
     single_point_of_failure: bool
     loss: float
-    own: list[str]
-    falls: list[ImpactedForm]
-
-    @classmethod
-    def of(cls, impact: Impact) -> ImpactForm:
-        return cls(
-            node=impact.role,
-            component=impact.component,
-            single_point_of_failure=impact.single_point_of_failure,
-            loss=impact.loss,
-            own=list(impact.own),
-            falls=[
-                ImpactedForm(
-                    functionality=str(each.functionality),
-                    before=each.before,
-                    after=each.after,
-                    levels=each.levels,
-                    weight=each.weight,
-                    because=list(each.because),
-                )
-                for each in impact.impacted
-            ],
-        )
+    own: tuple[str, ...]
+    impacted: tuple[ImpactedFunctionality, ...] = msgspec.field(name="falls")
 
 
 def impacts(specification: Specification, roles: Iterable[str] = ()) -> list[Impact]:
@@ -113,32 +62,27 @@ def impacts(specification: Specification, roles: Iterable[str] = ()) -> list[Imp
 
 
 def _impact(specification: Specification, configuration: Configuration, role: str) -> Impact:
-    instance = configuration.instances[role]
+    component = configuration.component(role)
     users: dict[FunctionalityRef, None] = {}
     for port, connector in configuration.attached_ports(role):
         if configuration.is_output(port):
             users.update(dict.fromkeys(configuration.consumers(connector)))
     without = configuration.without_instance(role)
     modes = lowered(without, [ref for ref in users if ref.instance != role])
-    after = without.with_modes(modes)
-    impacted = sorted(_impacted(configuration, after, modes), key=lambda each: (-each.loss, each.functionality))
-    own = tuple(name for name in instance.component.functionality_order)
-    return Impact(role, specification.nodes[role].component, tuple(impacted), own)
-
-
-def _impacted(
-    before: Configuration, after: Configuration, modes: dict[FunctionalityRef, int]
-) -> Iterator[ImpactedFunctionality]:
-    diagnosis = Diagnosis(after)
-    for ref, index in modes.items():
-        functionality = before.functionality(ref)
-        held = before.modes[ref]
-        yield ImpactedFunctionality(
-            ref,
-            functionality.modes[held].name,
-            functionality.modes[index].name,
-            index - held,
-            functionality.weight,
-            index == functionality.last_mode,
-            diagnosis.chain(ref, held),
-        )
+    diagnosis = Diagnosis(without.with_modes(modes))
+    impacted = []
+    for ref, index in sorted(modes.items()):
+        functionality, held = configuration.functionality(ref), configuration.modes[ref]
+        before, after = functionality.modes[held].name, functionality.modes[index].name
+        because = diagnosis.chain(ref, held)
+        impacted.append(ImpactedFunctionality(str(ref), before, after, index - held, functionality.weight, because))
+    return Impact(
+        role=role,
+        component=specification.nodes[role].component,
+        single_point_of_failure=any(
+            index == configuration.functionality(ref).last_mode for ref, index in modes.items()
+        ),
+        loss=sum(each.loss for each in impacted),
+        own=component.functionality_order,
+        impacted=tuple(sorted(impacted, key=lambda each: -each.loss)),
+    )

@@ -16,9 +16,9 @@ from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import to_fraction
 from midstride.model.contract import format_number
-from midstride.model.specification import Constraint, Order
+from midstride.model.specification import Constraint, Order, roles_of
 from midstride.plan.change import Change
-from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal, roles_of
+from midstride.plan.constraints import Breach, ConstraintMonitor, breaches, conflict, in_force, refusal
 from midstride.plan.disruption import Levels
 from midstride.plan.moves import moves, play
 from midstride.plan.plan import Plan
@@ -52,19 +52,19 @@ def minimal(change: Change) -> Plan:
     """The best plan found. Raises PlanRefused, with the constraints in conflict, where it does not meet all of them."""
     levels = Levels(change)
     constraints = in_force(change)
-    found = _find(change, levels, constraints)
+    found = _find(levels, constraints)
     if found is None or found.breaches:
         broken = () if found is None else found.breaches
         relevant = _relevant(change, found, constraints)
 
         def can_meet(some: tuple[Constraint, ...]) -> bool:
-            trial = _find(change, levels, some)
+            trial = _find(levels, some)
             return trial is not None and not trial.breaches
 
         if can_meet(()):
             raise refusal(conflict(relevant, can_meet), broken, _no_room(change))
         raise PlanRefused("no order of the steps was found that respects all caps and capacities")
-    return Plan.of("minimal", change, found.steps, levels)
+    return Plan.of("minimal", found.steps, levels)
 
 
 def _no_room(change: Change) -> list[str]:
@@ -85,24 +85,22 @@ def _no_room(change: Change) -> list[str]:
 
 def _relevant(change: Change, found: Candidate | None, constraints: Iterable[Constraint]) -> list[Constraint]:
     """The constraints that concern the roles that the plan touches."""
-    ports = [port for port, _ in (*change.detached, *change.attached)]
-    names = [*change.leaving, *(instance.name for instance in change.coming), *(port.instance for port in ports)]
-    touched = {change.role_of(name) for name in names}
+    touched = {change.role_of(name) for name in change.instances()}
     if found is not None:
         touched.update(role for step in found.steps for role in step.roles)
     return [constraint for constraint in constraints if touched.intersection(roles_of(constraint))]
 
 
-def _find(change: Change, levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
+def _find(levels: Levels, constraints: Sequence[Constraint]) -> Candidate | None:
     """The best plan found under ``constraints``, perhaps one that breaks some; None where the orders leave none."""
     # Raising a functionality above its modes at both ends costs steps, and helps others only in a conflict.
-    found = _search(change, levels, constraints, _no_higher_than_the_ends(change), None)
+    found = _search(levels, constraints, _no_higher_than_the_ends(levels.change), None)
     if found is not None and found.is_free:
         return found
-    found = _search(change, levels, constraints, None, found)
-    if (found is not None and found.is_free) or not _shares_a_capped_topic(change):
+    found = _search(levels, constraints, None, found)
+    if (found is not None and found.is_free) or not _shares_a_capped_topic(levels.change):
         return found
-    return _search(change, levels, constraints, None, found, eager=False)
+    return _search(levels, constraints, None, found, eager=False)
 
 
 def _shares_a_capped_topic(change: Change) -> bool:
@@ -126,7 +124,6 @@ def _no_higher_than_the_ends(change: Change) -> Ceiling:
 
 
 def _search(
-    change: Change,
     levels: Levels,
     constraints: Sequence[Constraint],
     ceiling: Ceiling | None,
@@ -139,8 +136,8 @@ def _search(
     ``best`` is the best plan found before; it is returned where no better one is found.
     """
     orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
-    monitor = ConstraintMonitor.of(change, levels, constraints) if constraints else None
-    start = SearchState.at_start(PlanBuilder.at_start(change, levels, ceiling, monitor), orders, eager=eager)
+    monitor = ConstraintMonitor.of(levels, constraints) if constraints else None
+    start = SearchState.at_start(PlanBuilder.at_start(levels, ceiling, monitor), orders, eager=eager)
     if start.layers() is None:
         return best
     trials = _TRIALS
@@ -151,7 +148,7 @@ def _search(
         if best is not None and (trials <= 0 or doomed or _cannot_beat(state, best)):
             continue
         if state.only_removals_left:
-            found = _candidate(change, levels, constraints, state.finish())
+            found = _candidate(levels, constraints, state.finish())
             if best is None or found.key < best.key:
                 best = found
             if best.is_free:
@@ -179,8 +176,8 @@ def _cannot_beat(state: SearchState, best: Candidate) -> bool:
     return not best.breaches and (meter.disruption, len(meter.fallen)) > best.key[1:3]
 
 
-def _candidate(change: Change, levels: Levels, constraints: Sequence[Constraint], builder: PlanBuilder) -> Candidate:
+def _candidate(levels: Levels, constraints: Sequence[Constraint], builder: PlanBuilder) -> Candidate:
     steps, meter = builder.steps, builder.meter
-    broken = tuple(breaches(change, steps, levels, constraints))
-    key = (bool(broken), meter.disruption, len(meter.fallen), makespan(change, steps, levels), len(steps))
+    broken = tuple(breaches(steps, levels, constraints))
+    key = (bool(broken), meter.disruption, len(meter.fallen), makespan(steps, levels), len(steps))
     return Candidate(key, steps, broken)

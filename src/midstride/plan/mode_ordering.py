@@ -11,9 +11,9 @@ degradations are upgrades in reverse; a degrade is valid wherever its undo is.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import Final, Protocol, TypeAlias
+from typing import Final, TypeAlias
 
 from immutables import Map
 
@@ -24,13 +24,7 @@ from midstride.model.rules import Evaluator
 from midstride.plan.strongly_connected import strongly_connected
 
 Modes: TypeAlias = dict[FunctionalityRef, int]
-
-
-class Support(Protocol):
-    """Whether each of ``asked`` (by default the whole group) is satisfied once the group is upgraded."""
-
-    def __call__(self, group: Sequence[FunctionalityRef], asked: Sequence[FunctionalityRef] | None = None) -> bool: ...
-
+Refs: TypeAlias = Sequence[FunctionalityRef]
 
 # Up to this size of a cycle with alternatives, the smallest group is searched for; beyond, a minimal one.
 _ENUMERABLE: Final = 12
@@ -112,9 +106,10 @@ def _part_way(evaluator: Evaluator, wanted: Modes, ordered: list[FunctionalityRe
 def _group(configuration: Configuration, overlay: Modes, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
     """A smallest group of ``wanted`` that can be upgraded together, where none can be upgraded alone."""
 
-    def supports_itself(group: Sequence[FunctionalityRef], asked: Sequence[FunctionalityRef] | None = None) -> bool:
+    def supports(group: Refs, asked: Refs) -> bool:
+        """Whether each of ``asked`` is satisfied once the group is upgraded."""
         evaluator = Evaluator(configuration, {**overlay, **{ref: wanted[ref] for ref in group}})
-        return all(evaluator.mode_satisfied(ref, wanted[ref]) for ref in (group if asked is None else asked))
+        return all(evaluator.mode_satisfied(ref, wanted[ref]) for ref in asked)
 
     # The suppliers that each one cannot do without, even if all others are upgraded: a cycle of these is one group.
     raised = {**overlay, **wanted}
@@ -134,29 +129,29 @@ def _group(configuration: Configuration, overlay: Modes, wanted: Modes, ordered:
     cycles = [
         cycle
         for cycle in strongly_connected(needed)
-        if {supplier for ref in cycle for supplier in needed[ref]} <= set(cycle) and supports_itself(cycle)
+        if {supplier for ref in cycle for supplier in needed[ref]} <= set(cycle) and supports(cycle, cycle)
     ]
     if cycles:
         return {ref: wanted[ref] for ref in min(cycles, key=len)}
 
     # Some are alternatives to each other: search within a cycle that depends on no other.
     cycle = strongly_connected(suppliers)[0]
-    if supports_itself(cycle):
-        cycle = _least(cycle, supports_itself)
+    if supports(cycle, cycle):
+        cycle = _least(cycle, supports)
     return {ref: wanted[ref] for ref in cycle}
 
 
-def _least(cycle: list[FunctionalityRef], supports_itself: Support) -> list[FunctionalityRef]:
+def _least(cycle: list[FunctionalityRef], supports: Callable[[Refs, Refs], bool]) -> list[FunctionalityRef]:
     """A smallest part of the cycle that supports itself; of a large cycle, a part that contains no smaller one."""
     if len(cycle) <= _ENUMERABLE:
         for size in range(2, len(cycle)):
             for group in combinations(cycle, size):
-                if supports_itself(group):
+                if supports(group, group):
                     return list(group)
         return cycle
     for ref in list(cycle):
         rest = [other for other in cycle if other != ref]
-        while rest and not supports_itself(rest):
-            rest = [other for other in rest if supports_itself(rest, (other,))]
+        while rest and not supports(rest, rest):
+            rest = [other for other in rest if supports(rest, (other,))]
         cycle = rest or cycle
     return cycle

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import combinations, permutations
+from itertools import chain, combinations, permutations
 from typing import Final, Literal, TypeAlias
 
 from midstride.model.action import Swap
@@ -29,8 +29,13 @@ MoveKind: TypeAlias = Literal["create", "remove", "attach", "detach", "exchange"
 
 @dataclass(frozen=True, slots=True)
 class Move:
-    """A way to go on from a state where nothing can be done at once."""
+    """A way to go on from a state where nothing can be done at once.
 
+    ``priority`` says how late it is tried: first what restores a role, then what costs nothing, last what breaks
+    something.
+    """
+
+    priority: int
     kind: MoveKind
     names: tuple[str, ...] = ()
     attachment: Attachment | None = None
@@ -40,17 +45,9 @@ class Move:
 def moves(state: SearchState) -> list[Move]:
     """The ways to go on, the least of each kind, in a stable order; empty where the user's orders leave none."""
     gate = state.order_gate()
-    found = dict.fromkeys(
-        [
-            *_hand_overs(state, gate),
-            *_creations(state, gate),
-            *_attachments(state, gate),
-            *_finishes(state, gate),
-            *_splits(state, gate),
-        ]
-    )
-    fallen = {ref.instance for ref in state.builder.meter.below}
-    return sorted(found, key=lambda move: _priority(state, move, fallen))
+    kinds = (_hand_overs, _creations, _attachments, _finishes, _splits)
+    found = chain.from_iterable(kind(state, gate) for kind in kinds)
+    return sorted(dict.fromkeys(found), key=lambda move: move.priority)
 
 
 def play(state: SearchState, move: Move) -> SearchState:
@@ -93,11 +90,12 @@ def _removed_early(state: SearchState, name: str) -> SearchState:
 def _hand_overs(state: SearchState, gate: OrderGate) -> Iterator[Move]:
     for new, swaps in state.swaps.items():
         if state.can_hand_over(new, swaps, gate):
-            yield Move("hand over", (new,))
+            yield Move(3, "hand over", (new,))
 
 
 def _creations(state: SearchState, gate: OrderGate) -> Iterator[Move]:
     known: dict[Need, list[tuple[str, ...]]] = {}
+    fallen = {ref.instance for ref in state.builder.meter.below}
     for name, instance in state.creates.items():
         if instance.role not in gate:
             continue
@@ -105,13 +103,14 @@ def _creations(state: SearchState, gate: OrderGate) -> Iterator[Move]:
         shortages = ((resource, state.shortage(resource, to_fraction(usage[resource]))) for resource in sorted(usage))
         need: Need = tuple((resource, shortage) for resource, shortage in shortages if shortage > 0)
         if not need:
-            yield Move("create", (name,))
+            yield Move(0 if instance.role in fallen else 2, "create", (name,))
             continue
         if need not in known:  # the same need is met in the same ways
             known[need] = _making_room(state, need, gate)
             for names in known[need]:  # a small set in every order, since the first to be removed is absent longest
                 orders = permutations(names) if len(names) <= _SET_SIZE else (names,)
-                yield from (Move("remove", order) for order in orders)
+                priority = 1 if all(state.is_superseded(name) for name in names) else 3 + len(names)
+                yield from (Move(priority, "remove", order) for order in orders)
 
 
 def _making_room(state: SearchState, need: Need, gate: OrderGate) -> list[tuple[str, ...]]:
@@ -153,15 +152,15 @@ def _attachments(state: SearchState, gate: OrderGate) -> Iterator[Move]:
         if not state.may_attach(port, gate):
             continue
         if state.free_slots(connector) >= 1:
-            yield Move("attach", attachment=(port, connector))
+            yield Move(1, "attach", attachment=(port, connector))
         for other, on in state.detaches:
             if on not in (connector, change.sibling(connector)) or not configuration.is_output(other):
                 continue
             if change.role_of(other.instance) not in gate:
                 continue
             if on == connector and state.satisfies_topic(port, connector):
-                yield Move("exchange", swap=Swap(connector, other, port))
-            yield Move("detach", attachment=(other, on))
+                yield Move(1, "exchange", swap=Swap(connector, other, port))
+            yield Move(2, "detach", attachment=(other, on))
 
 
 def _finishes(state: SearchState, gate: OrderGate) -> Iterator[Move]:
@@ -171,7 +170,7 @@ def _finishes(state: SearchState, gate: OrderGate) -> Iterator[Move]:
     coming |= {role_of(port.instance) for port, _ in state.attaches}
     for role in sorted({order.first for order in state.orders} & state.unfinished_roles()):
         if role in gate and role not in coming:
-            yield Move("finish", (role,))
+            yield Move(2, "finish", (role,))
 
 
 def _splits(state: SearchState, gate: OrderGate) -> Iterator[Move]:
@@ -187,18 +186,4 @@ def _splits(state: SearchState, gate: OrderGate) -> Iterator[Move]:
         if state.is_contended(swaps) or (
             live and (not state.can_hand_over(new, swaps, gate) or state.lowers_role(swaps))
         ):
-            yield Move("split", (new,))
-
-
-def _priority(state: SearchState, move: Move, fallen: set[str]) -> int:
-    """How late a move is tried: first what restores a role, then what costs nothing, last what breaks something."""
-    match move.kind:
-        case "create":
-            return 0 if state.creates[move.names[0]].role in fallen else 2
-        case "remove":
-            return 1 if all(state.is_superseded(name) for name in move.names) else 3 + len(move.names)
-        case "attach" | "exchange":
-            return 1
-        case "finish" | "detach":
-            return 2
-    return 3
+            yield Move(3, "split", (new,))

@@ -44,24 +44,18 @@ def six_steps(strategy: str, change: Change, lowered_first: Iterable[Functionali
     """
     levels = Levels(change)
     constraints = in_force(change)
-    roles = [change.role_of(name) for name in _instances(change)]
+    roles = [change.role_of(name) for name in change.instances()]
     layered = layers(roles, constraints)
     if layered is None:
         orders = [constraint for constraint in constraints if isinstance(constraint, Order)]
         raise refusal(conflict(orders, lambda some: layers(roles, some) is not None), ())
-    plan = _lower_to_last(PlanBuilder.at_start(change, levels), lowered_first)
+    plan = _lower_to_last(PlanBuilder.at_start(levels), lowered_first)
     for layer in layered:
         plan = _bring(_take_away(plan, set(layer)), set(layer))
     plan = plan.raise_touched().set_parameters(change.parameters)
-    if broken := breaches(change, plan.steps, levels, constraints):
+    if broken := breaches(plan.steps, levels, constraints):
         raise refusal([broken[0].constraint], broken)
-    return Plan.of(strategy, change, plan.steps, levels)
-
-
-def _instances(change: Change) -> list[str]:
-    """The instances with structural changes."""
-    ports = [port.instance for port, _ in (*change.detached, *change.attached)]
-    return list(dict.fromkeys([*change.leaving, *(instance.name for instance in change.coming), *ports]))
+    return Plan.of(strategy, plan.steps, levels)
 
 
 # -- steps 1 and 2 -------------------------------------------------------------------------------------

@@ -6,13 +6,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from midstride.model.action import Action
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
-from midstride.model.specification import Specification
 from midstride.plan import explain
 from midstride.plan.change import Change
-from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
+from midstride.plan.disruption import DIGITS, Levels, follow
 from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.schedule import dependencies, makespan
 from midstride.plan.step import Step
@@ -38,39 +36,23 @@ class Plan:
     fallen: tuple[FunctionalityRef, ...]
 
     @classmethod
-    def of(cls, strategy: str, change: Change, steps: Sequence[Step], levels: Levels | None = None) -> Plan:
+    def of(cls, strategy: str, steps: Sequence[Step], levels: Levels) -> Plan:
         """The plan that consists of ``steps``, with its costs.
 
         No disruption is less than 0, so a plan without disruption is minimal; of any other, nothing is claimed.
         """
-        meter = DisruptionMeter.at_start(levels or Levels(change))
-        configuration = change.start
-        for step in steps:
-            configuration = step.action.effect(configuration)
-            meter = meter.after(step.action, step.seconds, configuration)
+        *_, (_, meter) = follow(levels, steps)
         return cls(
             strategy=strategy,
-            change=change,
+            change=levels.change,
             steps=tuple(steps),
             disruption=meter.disruption,
             lower_bound=0.0,
             proved_minimal=meter.disruption == 0.0,
-            makespan=makespan(change, steps, meter.levels),
+            makespan=makespan(steps, levels),
             seconds=round(sum(step.seconds for step in steps), DIGITS),
             fallen=tuple(sorted(meter.fallen)),
         )
-
-    @property
-    def start(self) -> Specification:
-        return self.change.specification
-
-    @property
-    def target(self) -> Specification:
-        return self.change.target
-
-    @property
-    def actions(self) -> tuple[Action, ...]:
-        return tuple(step.action for step in self.steps)
 
     def configurations(self) -> Iterator[Configuration]:
         """The configurations on the way: the start, and then one after each step."""
@@ -93,4 +75,4 @@ class Plan:
     @cached_property
     def dependencies(self) -> tuple[tuple[int, ...], ...]:
         """For each step, the earlier ones with which it does not commute, and for which it must wait."""
-        return dependencies(self.change, self.steps, Levels(self.change))
+        return dependencies(self.steps, Levels(self.change))

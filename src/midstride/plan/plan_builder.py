@@ -44,9 +44,10 @@ class PlanBuilder:
 
     @classmethod
     def at_start(
-        cls, change: Change, levels: Levels, ceiling: Ceiling | None = None, monitor: ConstraintMonitor | None = None
+        cls, levels: Levels, ceiling: Ceiling | None = None, monitor: ConstraintMonitor | None = None
     ) -> PlanBuilder:
         """The plan without a step."""
+        change = levels.change
         touched: Map[FunctionalityRef, None] = Map((ref, None) for ref in change.pending)
         return cls(change, change.start, DisruptionMeter.at_start(levels), touched, ceiling, monitor)
 

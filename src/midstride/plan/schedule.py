@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Hashable, Iterable, Iterator, Sequence
 from enum import Enum, auto
+from itertools import islice
 from typing import Final
 
 from midstride.model.action import Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
@@ -22,7 +23,7 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.specification import Order
 from midstride.plan.change import Change
 from midstride.plan.constraints import in_force
-from midstride.plan.disruption import DIGITS, DisruptionMeter, Levels
+from midstride.plan.disruption import DIGITS, Levels, follow
 from midstride.plan.step import Step
 
 
@@ -59,7 +60,7 @@ _WAITS_FOR: Final[dict[Claim, tuple[Claim, ...]]] = {
 Mark = tuple[Hashable, Claim]
 
 
-class _Marks:
+class _Marker:
     """The marks of the steps of one plan."""
 
     def __init__(self, change: Change) -> None:
@@ -163,52 +164,41 @@ class _Marks:
         return known
 
 
-def _degrading(change: Change, steps: Sequence[Step], levels: Levels) -> set[int]:
-    """The steps by which a functionality falls below its baseline, or further below it."""
-    meter, configuration, found = DisruptionMeter.at_start(levels), change.start, set()
-    for index, step in enumerate(steps):
-        configuration = step.action.effect(configuration)
-        meter = meter.after(step.action, step.seconds, configuration)
-        if any(moved.after > moved.before for moved in meter.changes):
-            found.add(index)
-    return found
-
-
-def dependencies(change: Change, steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...], ...]:
-    """For each step the earlier ones that it must wait for; the others it commutes with."""
-    marks, degrading = _Marks(change), _degrading(change, steps, levels)
-    left: dict[Mark, list[int]] = defaultdict(list)
-    structural_steps: list[int] = []
-    found: list[tuple[int, ...]] = []
-    for index, step in enumerate(steps):
-        own = list(dict.fromkeys(marks.of(step)))
-        waits: set[int] = set(structural_steps) if index in degrading else set()
-        for thing, claim in own:
-            for earlier in _WAITS_FOR[claim]:
-                waits.update(left.get((thing, earlier), ()))
-        found.append(tuple(sorted(waits)))
-        for mark in own:
-            left[mark].append(index)
+def _marks(steps: Sequence[Step], levels: Levels) -> Iterator[Iterable[Mark]]:
+    """The marks of each step."""
+    marker = _Marker(levels.change)
+    for step, (_, meter) in zip(steps, islice(follow(levels, steps), 1, None), strict=True):
+        marks = dict.fromkeys(marker.of(step))
         if isinstance(step.action, (Create, Remove)):
-            structural_steps.append(index)
+            marks["creation or removal", Claim.BEFORE] = None
+        if any(moved.after > moved.before for moved in meter.changes):
+            marks["creation or removal", Claim.AFTER] = None
+        yield marks
+
+
+def dependencies(steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...], ...]:
+    """For each step the earlier ones that it must wait for; the others it commutes with."""
+    earlier: dict[Mark, list[int]] = defaultdict(list)
+    found: list[tuple[int, ...]] = []
+    for index, marks in enumerate(_marks(steps, levels)):
+        waits: set[int] = set()
+        for thing, claim in marks:
+            for awaited in _WAITS_FOR[claim]:
+                waits.update(earlier.get((thing, awaited), ()))
+        found.append(tuple(sorted(waits)))
+        for mark in marks:
+            earlier[mark].append(index)
     return tuple(found)
 
 
-def makespan(change: Change, steps: Sequence[Step], levels: Levels) -> float:
+def makespan(steps: Sequence[Step], levels: Levels) -> float:
     """The critical path (s): each step begins as soon as all those it waits for are done."""
-    marks, degrading = _Marks(change), _degrading(change, steps, levels)
     ends: dict[Mark, float] = defaultdict(float)
-    structural_steps = last = 0.0
-    for index, step in enumerate(steps):
-        own = list(dict.fromkeys(marks.of(step)))
-        begin = structural_steps if index in degrading else 0.0
-        for thing, claim in own:
-            for earlier in _WAITS_FOR[claim]:
-                begin = max(begin, ends.get((thing, earlier), 0.0))
-        end = begin + step.seconds
-        for mark in own:
-            ends[mark] = max(ends[mark], end)
-        if isinstance(step.action, (Create, Remove)):
-            structural_steps = max(structural_steps, end)
-        last = max(last, end)
-    return round(last, DIGITS)
+    for step, marks in zip(steps, _marks(steps, levels), strict=True):
+        begin = 0.0
+        for thing, claim in marks:
+            for awaited in _WAITS_FOR[claim]:
+                begin = max(begin, ends.get((thing, awaited), 0.0))
+        for mark in marks:
+            ends[mark] = max(ends[mark], begin + step.seconds)
+    return round(max(ends.values(), default=0.0), DIGITS)

@@ -144,8 +144,9 @@ class SearchState:
     def _attach_what_fits(self, gate: OrderGate) -> SearchState:
         """Attach what fits beside every other publisher that is, or may have to be, attached to the same topic."""
         wanted: dict[str, int] = {}
+        is_output = self.builder.change.is_output
         for port, connector in self.attaches:
-            if not self._is_input(port):
+            if is_output(port):
                 wanted[connector] = wanted.get(connector, 0) + 1
         for swap in (swap for swaps in self.swaps.values() for swap in swaps):
             if swap.connector in wanted and not self.can_take_over(swap):
@@ -153,7 +154,7 @@ class SearchState:
         ready = [
             (port, connector)
             for port, connector in self.attaches
-            if self.may_attach(port, gate) and (self._is_input(port) or self.free_slots(connector) >= wanted[connector])
+            if self.may_attach(port, gate) and (not is_output(port) or self.free_slots(connector) >= wanted[connector])
         ]
         return self.attach(*ready) if ready else self
 
@@ -161,9 +162,6 @@ class SearchState:
         return replace(
             self, builder=self.builder.attach(*attachments), attaches=_minus(self.attaches, set(attachments))
         )
-
-    def _is_input(self, port: PortRef) -> bool:
-        return port.port in self.builder.change.component_of(port.instance).inputs
 
     def may_attach(self, port: PortRef, gate: OrderGate) -> bool:
         builder = self.builder
@@ -209,7 +207,8 @@ class SearchState:
         others = [other for swaps in self.swaps.values() for other in swaps if other.connector == swap.connector]
         if any(other != swap and not self.can_take_over(other) for other in others):
             return True
-        return any(connector == swap.connector and not self._is_input(port) for port, connector in self.attaches)
+        is_output = self.builder.change.is_output
+        return any(connector == swap.connector and is_output(port) for port, connector in self.attaches)
 
     def _is_capped(self, connector: str) -> bool:
         return self.builder.configuration.context.connectors[connector].max_publishers is not None

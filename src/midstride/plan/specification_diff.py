@@ -6,15 +6,17 @@ in place.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from typing import Any, Literal
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Literal, TypeVar
 
 from midstride.codec.form import Form
-from midstride.model.component import ComponentSpec, Connector, ParameterSpec
+from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, Resource
 from midstride.model.contract import NOTHING, Contract, format_number
 from midstride.model.specification import Node, Specification
 
 Kind = Literal["added", "removed", "changed", "replaced", "rewired", "set"]
+
+T = TypeVar("T")
 
 
 class Difference(Form, frozen=True, omit_defaults=False):
@@ -30,25 +32,39 @@ class Difference(Form, frozen=True, omit_defaults=False):
 
 def differences(old: Specification, new: Specification) -> list[Difference]:
     """Every difference, topics first; empty iff the two are equivalent."""
+    was, will = ({offer.name: offer for offer in specification.environment} for specification in (old, new))
     return [
-        *_topics(old, new),
-        *_resources(old, new),
-        *_environment(old, new),
-        *_components(old, new),
+        *_compared("topic", old.connectors, new.connectors, lambda topic: (str(topic.guarantee),), _topic),
+        *_compared(
+            "resource",
+            old.resources,
+            new.resources,
+            lambda resource: (f"capacity {format_number(resource.capacity)}",),
+            _resource,
+        ),
+        *_compared("environment", was, will, lambda offer: (str(offer.guarantee),), _offer),
+        *_compared("component", old.components, new.components, lambda _: (), component_differences),
         *_nodes(old, new),
         *_rest(old, new),
     ]
 
 
-def _topics(old: Specification, new: Specification) -> Iterator[Difference]:
-    for name in sorted({*old.connectors, *new.connectors}):
-        before, after = old.connectors.get(name), new.connectors.get(name)
-        if before is None and after is not None:
-            yield Difference(f"topic {name}", "added", (str(after.guarantee),))
-        elif before is not None and after is None:
-            yield Difference(f"topic {name}", "removed")
-        elif before is not None and after is not None and (details := tuple(_topic(before, after))):
-            yield Difference(f"topic {name}", "changed", details)
+def _compared(
+    kind: str,
+    old: Mapping[str, T],
+    new: Mapping[str, T],
+    details: Callable[[T], tuple[str, ...]],
+    changes: Callable[[T, T], Iterable[str]],
+) -> Iterator[Difference]:
+    """What is added (with ``details``), removed and changed."""
+    for name in sorted({*old, *new}):
+        subject = f"{kind} {name}"
+        if name not in old:
+            yield Difference(subject, "added", details(new[name]))
+        elif name not in new:
+            yield Difference(subject, "removed")
+        elif found := tuple(changes(old[name], new[name])):
+            yield Difference(subject, "changed", found)
 
 
 def _topic(before: Connector, after: Connector) -> Iterator[str]:
@@ -62,48 +78,19 @@ def _topic(before: Connector, after: Connector) -> Iterator[str]:
         yield _became("publishers", *allowed)
 
 
-def _resources(old: Specification, new: Specification) -> Iterator[Difference]:
-    for name in sorted({*old.resources, *new.resources}):
-        before, after = old.resources.get(name), new.resources.get(name)
-        if before is None and after is not None:
-            yield Difference(f"resource {name}", "added", (f"capacity {format_number(after.capacity)}",))
-        elif after is None:
-            yield Difference(f"resource {name}", "removed")
-        elif before is not None and before.capacity != after.capacity:
-            detail = _became("capacity", format_number(before.capacity), format_number(after.capacity))
-            yield Difference(f"resource {name}", "changed", (detail,))
+def _resource(before: Resource, after: Resource) -> Iterator[str]:
+    if before.capacity != after.capacity:
+        yield _became("capacity", format_number(before.capacity), format_number(after.capacity))
 
 
-def _environment(old: Specification, new: Specification) -> Iterator[Difference]:
-    before = {offer.name: offer for offer in old.environment}
-    after = {offer.name: offer for offer in new.environment}
-    for name in sorted({*before, *after}):
-        subject = f"environment {name}"
-        if name not in before:
-            yield Difference(subject, "added", (str(after[name].guarantee),))
-        elif name not in after:
-            yield Difference(subject, "removed")
-        elif before[name] != after[name]:
-            details = []
-            if before[name].guarantee != after[name].guarantee:
-                details.append(_became("guarantee", before[name].guarantee, after[name].guarantee))
-            if before[name].topic != after[name].topic:
-                details.append(_became("topic", before[name].topic, after[name].topic))
-            yield Difference(subject, "changed", tuple(details))
+def _offer(before: EnvironmentGuarantee, after: EnvironmentGuarantee) -> Iterator[str]:
+    if before.guarantee != after.guarantee:
+        yield _became("guarantee", before.guarantee, after.guarantee)
+    if before.topic != after.topic:
+        yield _became("topic", before.topic, after.topic)
 
 
 # -- components ------------------------------------------------------------------------------------------
-
-
-def _components(old: Specification, new: Specification) -> Iterator[Difference]:
-    for name in sorted({*old.components, *new.components}):
-        before, after = old.components.get(name), new.components.get(name)
-        if before is None:
-            yield Difference(f"component {name}", "added")
-        elif after is None:
-            yield Difference(f"component {name}", "removed")
-        elif details := tuple(component_differences(before, after)):
-            yield Difference(f"component {name}", "changed", details)
 
 
 def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
@@ -111,21 +98,21 @@ def component_differences(before: ComponentSpec, after: ComponentSpec) -> Iterat
     for what, old, new in (("run", before.run, after.run), ("takes", before.startup_seconds, after.startup_seconds)):
         if old != new:
             yield _became(what, old, new)
-    yield from _named("input", dict(before.inputs), dict(after.inputs))
+    yield from _named("input", before.inputs, after.inputs)
     yield from _named("output", dict.fromkeys(before.outputs, ""), dict.fromkeys(after.outputs, ""))
-    yield from _named("holds", dict(before.resource_usage), dict(after.resource_usage))
+    yield from _named("holds", before.resource_usage, after.resource_usage)
     yield from _named("parameter", _parameters(before), _parameters(after))
     allowed = [{str(endpoint): "" for endpoint in component.allows} for component in (before, after)]
-    yield from _named("allows", allowed[0], allowed[1])
+    yield from _named("allows", *allowed)
     for name in dict.fromkeys([*before.functionality_order, *after.functionality_order]):
         yield from _functionality(name, before, after)
 
 
 def _parameters(component: ComponentSpec) -> dict[str, str]:
-    def in_words(parameter: ParameterSpec) -> str:
-        return f"{'changeable ' if parameter.changeable else ''}{parameter.value!r}"
-
-    return {name: in_words(parameter) for name, parameter in component.parameters.items()}
+    return {
+        name: f"{'changeable ' if parameter.changeable else ''}{parameter.value!r}"
+        for name, parameter in component.parameters.items()
+    }
 
 
 def _functionality(name: str, before: ComponentSpec, after: ComponentSpec) -> Iterator[str]:
@@ -216,19 +203,18 @@ def _wiring(before: Node, after: Node) -> Iterator[str]:
 
 
 def _rest(old: Specification, new: Specification) -> Iterator[Difference]:
-    before, after = [str(c) for c in old.constraints], [str(c) for c in new.constraints]
-    for constraint in before:
-        if constraint not in after:
+    for constraint in old.constraints:
+        if constraint not in new.constraints:
             yield Difference(f"constraint `{constraint}`", "removed")
-    for constraint in after:
-        if constraint not in before:
+    for constraint in new.constraints:
+        if constraint not in old.constraints:
             yield Difference(f"constraint `{constraint}`", "added")
-    if details := tuple(_named("step", dict(old.timing), dict(new.timing))):
+    if details := tuple(_named("step", old.timing, new.timing)):
         yield Difference("timing", "changed", details)
 
 
-def _named(what: str, before: dict[str, Any], after: dict[str, Any]) -> Iterator[str]:
-    for name in dict.fromkeys([*before, *after]):
+def _named(what: str, before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[str]:
+    for name in sorted({*before, *after}):
         if name not in before:
             yield f"{what} {name}: added" + (f", {after[name]}" if after[name] != "" else "")
         elif name not in after:

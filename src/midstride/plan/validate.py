@@ -7,19 +7,17 @@ from the definition. The result is data.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final, Literal
 
-from midstride.errors import MidstrideError
-from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
+from midstride.model.action import Action, Create, Remove
 from midstride.model.best import best
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import violations
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
 from midstride.plan.constraints import in_force
-from midstride.plan.decoding import decode_plan
 from midstride.plan.plan import Plan
 
 _EPSILON: Final = 1e-6
@@ -56,22 +54,10 @@ class ReplayResult:
         return "the plan does not hold: " + "; ".join(str(finding) for finding in self.findings)
 
 
-def replay_document(document: object) -> ReplayResult:
-    """The result for a plan in its JSON form. A document that cannot be read is a finding."""
-    try:
-        plan = decode_plan(document)
-    except MidstrideError as error:
-        return ReplayResult("violated", (ReplayFinding(None, str(error)),), 0)
-    return replay(plan)
-
-
 def replay(plan: Plan) -> ReplayResult:
     """The result for a plan. The replay stops at the first refused step, since what follows has no meaning."""
-    findings: list[ReplayFinding] = []
     configuration = plan.change.start
-    findings.extend(
-        ReplayFinding(None, f"the start is not valid: {violation}") for violation in violations(configuration)
-    )
+    findings = [ReplayFinding(None, f"the start is not valid: {each}") for each in violations(configuration)]
     ledger = _Ledger(plan)
     for number, step in enumerate(plan.steps, start=1):
         reasons = [str(reason) for reason in step.action.check(configuration)] or list(
@@ -174,23 +160,6 @@ def _counted(start: Specification, target: Specification) -> Iterator[_Counted]:
             yield _Counted(FunctionalityRef(role, name), needed, max(len(was.modes), len(will.modes)))
 
 
-def _levels(configuration: Configuration, every: Iterable[_Counted]) -> Levels:
-    """The level of every functionality that both ends have, literally as section 6 defines it."""
-    found: Levels = {}
-    for counted in every:
-        role, name = counted.ref
-        found[counted.ref] = min(
-            (
-                configuration.modes[FunctionalityRef(instance.name, name)]
-                for instance in configuration.instances_of(role)
-                if name in instance.component.functionalities
-                and all(configuration.attached_to(PortRef(instance.name, output)) for output in counted.needed)
-            ),
-            default=counted.worst,
-        )
-    return found
-
-
 class _Ledger:
     """The costs of a plan, entered step by step."""
 
@@ -213,7 +182,20 @@ class _Ledger:
         self.broken: dict[str, None] = {}
 
     def _now(self, configuration: Configuration) -> Levels:
-        return _levels(configuration, self.counted)
+        """The level of every functionality that both ends have, literally as section 6 defines it."""
+        found: Levels = {}
+        for counted in self.counted:
+            role, name = counted.ref
+            found[counted.ref] = min(
+                (
+                    configuration.modes[FunctionalityRef(instance.name, name)]
+                    for instance in configuration.instances_of(role)
+                    if name in instance.component.functionalities
+                    and all(configuration.attached_to(PortRef(instance.name, output)) for output in counted.needed)
+                ),
+                default=counted.worst,
+            )
+        return found
 
     def _below(self, ref: FunctionalityRef, levels: Levels) -> int:
         return max(0, levels[ref] - self.baseline[ref])
@@ -235,8 +217,7 @@ class _Ledger:
         for keep, threshold in self.keeps.items():
             if self.levels[keep.functionality] > threshold:
                 self.broken[f"`{keep}` does not hold after `{action.describe(start)}`"] = None
-        structural = isinstance(action, (Create, Remove, Attach, Detach, Handover))
-        named = _names(action) if structural else []
+        named = action.instances() if action.is_structural else ()
         self.roles.append({(start.instances.get(name) or after.instances[name]).role for name in named})
 
     def differences(self) -> Iterator[str]:
@@ -266,18 +247,3 @@ class _Ledger:
                 first = [index for index, roles in enumerate(self.roles) if constraint.then in roles]
                 if last and first and last[-1] > first[0]:
                     yield f"`{constraint}` is broken by step {last[-1] + 1}"
-
-
-def _names(action: Action) -> list[str]:
-    match action:
-        case Create():
-            return [action.instance.name]
-        case Remove() | SetParameters():
-            return [action.instance]
-        case Attach() | Detach():
-            return [action.port.instance]
-        case Handover():
-            return [port.instance for swap in action.swaps for port in (swap.old, swap.new)]
-        case Degrade() | Upgrade():
-            return [ref.instance for ref in action.modes]
-    return []

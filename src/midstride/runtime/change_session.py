@@ -15,7 +15,7 @@ from msgspec import UNSET, UnsetType, structs
 from midstride.errors import ManagerError, PlanRefused, StepFailed
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
-from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between, requested_change
 from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
@@ -32,7 +32,7 @@ from midstride.runtime.reports import Outcome, OutcomeKind
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.state_store import StateStore
-from midstride.verify.verdict import Verdict, VerdictForm
+from midstride.verify.verdict import Verdict
 
 
 class ChangeSession:
@@ -85,18 +85,18 @@ class ChangeSession:
         verdict = await self._verifier.plan(plan)
         self._verified(verdict)
         if not verdict.holds:
-            return self._refuse(verdict.words, VerdictForm.of(verdict))
+            return self._refuse(verdict.words, verdict)
         step_verifier = StepVerifier(self._verifier, tuple(plan.configurations()), self._observe, self._verified)
         outcome = await self.carry_out(plan, target, step_verifier)
-        return structs.replace(outcome, verdict=VerdictForm.of(verdict))
+        return structs.replace(outcome, verdict=verdict)
 
     def _observe(self, configuration: Configuration) -> ObservedConfiguration:
         return observe(configuration, self._client, self._reconciler.crashes.unreconciled)
 
     def _verified(self, verdict: Verdict) -> None:
-        self._events.add("verified", str(verdict), verdict=VerdictForm.of(verdict))
+        self._events.add("verified", str(verdict), verdict=verdict)
 
-    def _refuse(self, because: str, verdict: VerdictForm | UnsetType = UNSET) -> Outcome:
+    def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
         self._events.add("outcome", f"refused: {because}", outcome="refused")
         return Outcome(outcome="refused", because=because, verdict=verdict)
 
@@ -173,9 +173,9 @@ def _plan(
 ) -> tuple[Plan, Specification]:
     target = request.target(specification)
     if request.to is None and len(request.replace) + len(request.remove) + len(request.add) == 1:
-        change = Change.of_request(configuration, specification, request, target)
+        change = requested_change(configuration, specification, request, target)
     else:
-        change = Change.between(configuration, specification, target)
+        change = change_between(configuration, specification, target)
     return planner(request.strategy)(change), target
 
 

@@ -22,7 +22,7 @@ from midstride.codec.configuration import ConfigurationForm
 from midstride.errors import ManagerError, MidstrideError, StepFailed
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
-from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
@@ -147,7 +147,7 @@ class Manager:
 
     async def _complete(self) -> None:
         """Bring up the part of the specification that does not run. Raises StepFailed after a roll-back."""
-        change = Change.between(self.configuration, self.specification, self.specification)
+        change = change_between(self.configuration, self.specification, self.specification)
         plan = await asyncio.to_thread(planner("minimal"), change)
         # Before any component has the token.
         self._store.begin(self._backend.name, self._token, self.specification)

@@ -14,7 +14,7 @@ from midstride.codec.configuration import ConfigurationForm
 from midstride.codec.form import Form
 from midstride.plan.forms import AnyStep, PlanForm, PlanPreview
 from midstride.runtime.measure import SwapReport
-from midstride.verify.verdict import VerdictForm
+from midstride.verify.verdict import Verdict
 
 OutcomeKind: TypeAlias = Literal["done", "refused", "rolled_back", "failed"]
 
@@ -50,7 +50,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     because: str | None = None
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
     degraded: Annotated[list[str], Meta(description="functionalities that degraded by themselves meanwhile")] = []
-    verdict: Annotated[VerdictForm | UnsetType, Meta(description="what Alloy found, where it was asked")] = UNSET
+    verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where it was asked")] = UNSET
 
 
 class PlannedChange(PlanForm, frozen=True, kw_only=True):
@@ -171,7 +171,7 @@ class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
     step: Annotated[AnyStep | UnsetType, Meta(description="step…: the step of the plan")] = UNSET
     plan: Annotated[PlanPreview | UnsetType, Meta(description="plan: what will be done")] = UNSET
     swaps: Annotated[list[SwapReport] | UnsetType, Meta(description="measured: what each subscriber saw")] = UNSET
-    verdict: Annotated[VerdictForm | UnsetType, Meta(description="verified: what Alloy found")] = UNSET
+    verdict: Annotated[Verdict | UnsetType, Meta(description="verified: what Alloy found")] = UNSET
     outcome: Annotated[OutcomeKind | UnsetType, Meta(description="outcome: how the change ended")] = UNSET
     functionality: Annotated[str | UnsetType, Meta(description="degraded: which functionality")] = UNSET
     log: Annotated[str | UnsetType, Meta(description="exited: the last of the instance's output")] = UNSET

@@ -1,4 +1,4 @@
-"""Hypothesis strategies over actions: what may be tried on a configuration, possible or not."""
+"""Hypothesis strategies over actions on a configuration, allowed or not."""
 
 from __future__ import annotations
 
@@ -37,63 +37,48 @@ _SETTINGS: Final[tuple[tuple[str, ParameterValue], ...]] = (
 
 @st.composite
 def actions(draw: st.DrawFn, scene: GeneratedSystem, *, kinds: tuple[str, ...] = _KINDS) -> Action:
-    """Actions that speak of what there is, and now and then of what there is not. Many, not all, may be taken."""
+    """Actions that mostly refer to what exists, and sometimes to what does not. Many are allowed, not all."""
     configuration = scene.configuration
-    kind = draw(st.sampled_from(kinds))
-    names = [*sorted(configuration.instances), "nobody"]
-    if kind == "create":
-        name = draw(st.sampled_from(("fresh", names[0])))
-        return Create(Instance(name, name, draw(st.sampled_from(scene.components))))
-    if kind == "remove":
-        isolated = [name for name in names[:-1] if not configuration.attached_ports(name)]
-        return Remove(draw(st.sampled_from(isolated * 3 + names)))
-    if kind == "set":
-        return SetParameters(draw(st.sampled_from(names)), Map([draw(st.sampled_from(_SETTINGS))]))
-    if kind == "degrade":
-        return Degrade(Map(_moved(draw, configuration, better=False)))
-    if kind == "upgrade":
-        return Upgrade(Map(_moved(draw, configuration, better=True)))
-    attached = sorted(configuration.attachments())
-    ports = [PortRef(name, port) for name in names[:-1] for port in configuration.component(name).ports()]
-    topics = sorted(configuration.context.connectors)
-    if kind == "attach":
-        free = [(port, topic) for port in ports for topic in topics if not configuration.is_attached(port, topic)]
-        fit = [
-            pair
-            for pair in free
-            if not contract_reasons(configuration, pair[0], configuration.context.connectors[pair[1]])
-        ]
-        strange = [
-            (PortRef("nobody", "out0"), topics[0]),
-            (PortRef(names[0], "in0"), "/none"),
-            (PortRef(names[0], "x"), topics[0]),
-        ]
-        return Attach(*draw(st.sampled_from(fit * 3 + free + attached[:1] + strange)))
-    if kind == "detach":
-        return Detach(
-            *draw(
-                st.sampled_from(
-                    attached * 2 + [(port, topics[0]) for port in ports] + [(PortRef("nobody", "x"), "/t0")]
-                )
-            )
-        )
-    return Handover(_swaps(draw, configuration, ports, attached))
+    live, context = sorted(configuration.instances), configuration.context
+    names, topics, attached = [*live, "unknown"], sorted(context.connectors), sorted(configuration.attachments())
+    ports = [PortRef(name, port) for name in live for port in configuration.component(name).ports()]
+    match draw(st.sampled_from(kinds)):
+        case "create":
+            name = draw(st.sampled_from(("fresh", names[0])))
+            return Create(Instance(name, name, draw(st.sampled_from(scene.components))))
+        case "remove":
+            isolated = [name for name in live if not configuration.attached_ports(name)]
+            return Remove(draw(st.sampled_from(isolated * 3 + names)))
+        case "set":
+            return SetParameters(draw(st.sampled_from(names)), Map([draw(st.sampled_from(_SETTINGS))]))
+        case "degrade":
+            return Degrade(Map(_moved(draw, configuration, better=False)))
+        case "upgrade":
+            return Upgrade(Map(_moved(draw, configuration, better=True)))
+        case "attach":
+            free = [(port, topic) for port in ports for topic in topics if not configuration.is_attached(port, topic)]
+            fit = [
+                (port, topic)
+                for port, topic in free
+                if not contract_reasons(configuration, port, context.connectors[topic])
+            ]
+            ports_and_topics = ("unknown", "out0", topics[0]), (names[0], "in0", "/none"), (names[0], "x", topics[0])
+            strange = [(PortRef(name, port), topic) for name, port, topic in ports_and_topics]
+            return Attach(*draw(st.sampled_from(fit * 3 + free + attached[:1] + strange)))
+        case "detach":
+            unattached = [(port, topics[0]) for port in [*ports, PortRef("unknown", "x")]]
+            return Detach(*draw(st.sampled_from(attached * 2 + unattached)))
+        case _:
+            return Handover(_swaps(draw, configuration, ports, attached))
 
 
 def _moved(draw: st.DrawFn, configuration: Configuration, *, better: bool) -> dict[FunctionalityRef, int]:
-    """New modes for one functionality or a group; now and then one that is not better (worse) at all."""
+    """New modes for one functionality or a group; sometimes one that is not better (worse)."""
     refs = sorted(configuration.modes)
-    movable = [
-        ref
-        for ref in refs
-        if (
-            configuration.modes[ref] > 0
-            if better
-            else configuration.modes[ref] < configuration.functionality(ref).last_mode
-        )
-    ]
     if not refs:
         return {}
+    limits = {ref: 0 if better else configuration.functionality(ref).last_mode for ref in refs}
+    movable = [ref for ref in refs if configuration.modes[ref] != limits[ref]]
     count = draw(st.sampled_from((1, 1, 1, 2, 3, 0)))
     chosen = [draw(st.sampled_from(movable * 4 + refs)) for _ in range(count)]
     modes = {}

@@ -1,9 +1,8 @@
 """Hypothesis strategies over the model: contracts, components, specifications, configurations.
 
-Everything is drawn from small alphabets, so that things meet: few types, few rates, few topics.
-What is drawn is well formed (M1 to M3; every output owned) and every attachment fits, as ``attach``
-asks. Cycles, several publishers of a topic, one input on several topics, caps, resources, the
-environment and both forms of assumption come of themselves.
+Everything is drawn from few types, rates and topics, so that contracts often match. The results are well formed (M1
+to M3; every output is owned) and every attachment fits, as ``attach`` requires. They include cycles, topics with
+several publishers, inputs on several topics, caps, resources, the environment and both forms of assumption.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ TOPICS: Final = ("/t0", "/t1", "/t2", "/t3", "/t4")
 _A, _B = TYPES
 _LOSSY: Final = QoS(reliability="best_effort")
 _WIDE: Final = (("width", Interval(low=1)),)
-# What ports and topics of drawn systems speak of: few enough to meet, different in every clause.
+# The contracts of ports and topics: few enough to match often, different in every clause.
 NEEDS: Final = (Predicate(_A, 5.0), Predicate(_A, 1.0), Predicate(_A), Predicate(_A, 1.0, _LOSSY), Predicate(_B, 1.0))
 _USUAL: Final = (*NEEDS[:2] * 3, *NEEDS)
 OFFERS: Final = (
@@ -224,7 +223,7 @@ def _assumptions(inputs: dict[str, Predicate], used: tuple[str, ...]) -> st.Sear
 
 @dataclass(frozen=True, slots=True)
 class GeneratedSystem:
-    """A valid configuration, and components and topics that actions on it may speak of."""
+    """A valid configuration, and the components that actions on it may create."""
 
     configuration: Configuration
     components: tuple[ComponentSpec, ...]
@@ -234,10 +233,10 @@ class GeneratedSystem:
 def specifications(draw: st.DrawFn, *, most: int = 6) -> Specification:
     """Well-formed specifications of up to ``most`` nodes, whose attachments fit and whose caps and capacities hold.
 
-    Some are motley, made of components that know nothing of each other; in the others, networks, what
-    befalls one functionality is felt by the next, round in circles as often as not.
+    In some, components are drawn independently of each other. The others are networks, often with cycles, in which
+    each functionality depends on the ones before it.
     """
-    bare = draw(st.one_of(_networks(most), _networks(most), _motley(most)))
+    bare = draw(st.one_of(_networks(most), _networks(most), _independent(most)))
     configuration = structure(bare)
     connectors = dict(bare.connectors)
     capped = draw(st.sampled_from((None, *sorted(connectors))))
@@ -273,7 +272,7 @@ def _specification(
 
 
 @st.composite
-def _motley(draw: st.DrawFn, most: int) -> Specification:
+def _independent(draw: st.DrawFn, most: int) -> Specification:
     types = [draw(components(f"C{number}")) for number in range(draw(st.sampled_from((3, 2, 1))))]
     names = TOPICS[: draw(st.sampled_from((4, 3, 2, 1)))]
     topics = {name: draw(st.sampled_from(_USUAL)) for name in names}
@@ -305,10 +304,7 @@ def _networks(draw: st.DrawFn, most: int) -> Specification:
         ]
         inputs = {f"in{index}": topics[name] for index, name in enumerate(read)}
         cast[f"n{number}"] = ComponentSpec.of(
-            f"C{number}",
-            inputs=inputs,
-            outputs=("out0",),
-            functionalities=(draw(_links(inputs)),),
+            f"C{number}", inputs=inputs, outputs=("out0",), functionalities=(draw(_links(inputs)),)
         )
         also = draw(st.sampled_from((*[own] * count, *names)))
         wiring[f"n{number}"] = {"out0": tuple(dict.fromkeys((own, also)))}
@@ -318,7 +314,7 @@ def _networks(draw: st.DrawFn, most: int) -> Specification:
 
 @st.composite
 def _links(draw: st.DrawFn, inputs: dict[str, Predicate]) -> FunctionalitySpec:
-    """One that passes on what it is given; a source either stands or lacks what it needs."""
+    """A functionality that passes on what it receives; a source has what it needs, or lacks it."""
     used = tuple(inputs)
     forms: list[tuple[Assumption, ...]] = [(), (NEEDS[4],)]
     if used:
@@ -408,22 +404,3 @@ def endpoints() -> st.SearchStrategy[NodeEndpoint]:
 
 def worlds() -> st.SearchStrategy[SystemContext]:
     return specifications().map(lambda specification: specification.context)
-
-
-__all__ = [
-    "RESOURCES",
-    "TOPICS",
-    "TYPES",
-    "GeneratedSystem",
-    "components",
-    "configurations",
-    "contracts",
-    "endpoints",
-    "intervals",
-    "predicates",
-    "qos_profiles",
-    "scenes",
-    "specifications",
-    "value_sets",
-    "worlds",
-]

@@ -7,19 +7,26 @@ that the relation is a preorder. Several systems may share one set of atoms.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
 
 from midstride.model.component import FunctionalityRef
 from midstride.model.contract import Predicate, satisfies
-from midstride.verify.alloy_names import Names
+from midstride.verify.library import declared_names
 
 # Alloy multiplies the atoms of a relation's columns, and Kodkod counts the result in 32 bits.
 MAX_ATOMS: Final = 1290
 _WIDTH: Final = 116
 _TERMS_PER_UNION: Final = 6
 _MIN_COUNT: Final = 2
+# Alloy's keywords, and the names that a dump declares beside the bundled specification.
+_RESERVED: Final = """abstract after all always and as assert before but check disj else enabled enum eventually exactly
+    expect extends fact for fun historically iden iff implies in Int int invariant let lone modifies module no none not
+    once one open or pred private releases run seq set sig since some steps String sum this triggered univ until var
+    Best better Capped Clause Findings findings Rules Step Verdict Verified"""
+_INVALID: Final = re.compile(r"[^A-Za-z0-9]+")
 
 Pair = tuple[str, ...]
 
@@ -50,14 +57,25 @@ class SystemName:
         return self.description
 
 
-@dataclass(frozen=True, slots=True)
-class Clause:
-    """A part of a precondition, or a rule, by its message if it is broken."""
+class Names:
+    """Identifiers of Alloy that read like the names of the file, and what each stands for."""
 
-    message: str
+    def __init__(self) -> None:
+        self._taken = set(_RESERVED.split()) | declared_names()
+        self.meanings: dict[str, object] = {}
 
-    def __str__(self) -> str:
-        return self.message
+    def assign(self, base: str, meaning: object) -> str:
+        """An identifier like ``base``, for ``meaning`` alone."""
+        stem = "_".join(_INVALID.sub("_", part).strip("_") for part in base.split("__")) or "x"
+        if not stem[0].isalpha():
+            stem = f"x{stem}"
+        name, number = stem, 1
+        while name in self._taken or name.endswith(("_may", "_holds")):  # names of the predicates of steps
+            number += 1
+            name = f"{stem}_{number}"
+        self._taken.add(name)
+        self.meanings[name] = meaning
+        return name
 
 
 class AlloyAtoms:
@@ -115,7 +133,7 @@ class AlloyAtoms:
     def clause(self, message: str) -> str:
         """The atom of a clause."""
         if message not in self.clauses:
-            self.clauses[message] = self.names.assign(message, Clause(message))
+            self.clauses[message] = self.names.assign(message, message)
         return self.clauses[message]
 
     def predicate(self, contract: Predicate) -> str:

@@ -91,9 +91,7 @@ def configuration_detail(system: str) -> dict[str, str]:
 
 def step_detail(atoms: AlloyAtoms, given: Formula) -> dict[str, str]:
     """Which part of a precondition fails, and for which functionality or port."""
-    parts = []
-    for message, condition in given.clauses:
-        parts.append(f"(({condition}) implies none else {atoms.clause(message)})")
+    parts = [f"(({condition}) implies none else {atoms.clause(message)})" for message, condition in given.clauses]
     return {"lacking": given.lacking, "attached": given.attached, "broken": " + ".join(parts) or "none"}
 
 
@@ -103,9 +101,7 @@ _HEAD = f"""\
  *   {RULES:<12} no counterexample: satisfaction is a preorder, and the declarations obey M1 and M2
  *   {VERDICT:<12} always has an instance: the fields of Findings list what does not hold
 """
-_HEAD_BEST = f"""\
- *   {BEST:<12} no counterexample: at the end no functionality could be in a better mode
-"""
+_HEAD_BEST = f" *   {BEST:<12} no counterexample: at the end no functionality could be in a better mode\n"
 
 
 def render(atoms: AlloyAtoms, title: str, obligations: Obligations) -> str:

@@ -53,7 +53,7 @@ def verify_plan(
         known = plan if isinstance(plan, Plan) else decode_plan(plan)
     except PlanRefused as error:  # it refers to something that does not exist, so it has no encoding
         return _invalid_plan(str(error))
-    if start is not None and (found := differences(start, known.start)):
+    if start is not None and (found := differences(start, known.change.specification)):
         first = "; ".join(line.strip() for line in str(found[0]).splitlines())
         more = f" (and {len(found) - 1} more)" if len(found) > 1 else ""
         return _invalid_plan(f"it starts from a specification that differs from {start.name}: {first}{more}")
@@ -113,7 +113,7 @@ def _solve(dump: Dump, alloy: Alloy, commands: str, limit: float, stop: Event | 
 
 def _invalid_plan(because: str) -> Verdict:
     finding = Finding("document", None, "the plan", "its document", because)
-    return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", (finding,))
+    return Verdict(Answer.VIOLATED, "the plan", "read, not executed", "Midstride", findings=(finding,))
 
 
 def _verified(subject: str, dump: Detail, options: AlloyOptions) -> Verdict:

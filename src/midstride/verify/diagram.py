@@ -12,7 +12,7 @@ from html import escape
 from textwrap import wrap
 from typing import Final, Literal
 
-from midstride.verify.verdict import CauseLink, Finding, Verdict
+from midstride.verify.verdict import CauseLink, Verdict
 
 _WIDTH: Final = 44
 _RED, _GREEN = "#fce8e6", "#e6f4ea"
@@ -80,14 +80,10 @@ def to_mermaid(verdict: Verdict) -> str:
 def _boxes(verdict: Verdict) -> Iterator[_Box]:
     for number, finding in enumerate(verdict.findings, start=1):
         name = f"f{number}"
-        yield _Box(name, None, "finding", tuple(_finding(finding)), False)
+        lines = (*wrap(finding.where, _WIDTH), *wrap(f"{finding.subject}: {finding.because}", _WIDTH))
+        yield _Box(name, None, "finding", lines, False)
         if finding.chain is not None:
             yield from _links(finding.chain, name, name)
-
-
-def _finding(finding: Finding) -> Iterator[str]:
-    yield from wrap(finding.where, _WIDTH)
-    yield from wrap(f"{finding.subject}: {finding.because}", _WIDTH)
 
 
 def _links(link: CauseLink, name: str, above: str) -> Iterator[_Box]:

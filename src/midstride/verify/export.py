@@ -33,16 +33,15 @@ class Unencodable:
 class Dump:
     """Alloy text, the meaning of its atoms, and the configurations that it encodes.
 
-    ``fields`` are those of the answer's Findings; where they are all empty, ``checks`` must hold. ``detail`` is the
-    step (0: the start) whose failure the dump explains; ``steps`` is None where the dump is not of a plan.
+    ``detail`` is the step (0: the start) whose failure the dump explains; ``steps`` is None where the dump is not of a
+    plan.
     """
 
     subject: str
     text: str
     meanings: dict[str, object]
     configurations: tuple[Configuration, ...]
-    fields: frozenset[str]
-    checks: tuple[str, ...]
+    obligations: Obligations
     steps: tuple[Step, ...] | None = None
     unencodable: tuple[Unencodable, ...] = ()
     atoms: int = 0
@@ -69,8 +68,7 @@ def dump_configuration(configuration: Configuration, name: str, subject: str = "
         text=render(atoms, f"{name}: {subject}", obligations),
         meanings=atoms.names.meanings,
         configurations=(configuration,),
-        fields=frozenset(obligations.fields),
-        checks=obligations.checks,
+        obligations=obligations,
         unencodable=unencodable,
         atoms=atoms.size,
         detail=0,
@@ -117,8 +115,7 @@ def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
         text=text,
         meanings=atoms.names.meanings,
         configurations=walk.configurations,
-        fields=frozenset(obligations.fields),
-        checks=obligations.checks,
+        obligations=obligations,
         steps=plan.steps,
         unencodable=(*walk.unencodable, *unencodable),
         atoms=atoms.size + len(steps),
@@ -163,11 +160,9 @@ class _PlanWalk:
 def _wrong_modes(configuration: Configuration, step: Step) -> Iterator[str]:
     """Functionalities that a step takes to be in another mode than they are."""
     for change in step.modes:
-        if (
-            change.functionality in configuration.modes
-            and configuration.mode(change.functionality).name != change.before
-        ):
-            now = configuration.mode(change.functionality).name
+        if change.functionality not in configuration.modes:
+            continue
+        if (now := configuration.mode(change.functionality).name) != change.before:
             yield f"it assumes that {change.functionality} is in mode {change.before}, but it is in mode {now}"
 
 

@@ -6,17 +6,7 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from midstride.model.action import (
-    Action,
-    Attach,
-    Create,
-    Degrade,
-    Detach,
-    Handover,
-    Remove,
-    SetParameters,
-    Upgrade,
-)
+from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.verify.world_encoder import WorldEncoder
 
@@ -49,88 +39,73 @@ def formula(encoder: WorldEncoder, action: Action, before: str, after: str) -> F
     s, t = before, after
     match action:
         case Create():
-            return _create(_component(encoder, action.instance.name), s, t)
+            c = _component(encoder, action.instance.name)
+            return Formula(
+                f"can_create_within[{s}, {c}]",
+                f"can_create_within[{s}, {c}] and create[{s}, {t}, {c}]",
+                (
+                    ("it is already live", f"{c} not in {s}.comps"),
+                    ("a resource would be exceeded", f"capacities_hold[{s}.comps + {c}]"),
+                ),
+            )
         case Remove():
-            return _remove(_component(encoder, action.instance), s, t)
+            c = _component(encoder, action.instance)
+            return Formula(
+                f"can_remove[{s}, {c}]",
+                f"remove[{s}, {t}, {c}]",
+                (("it is not live", f"{c} in {s}.comps"),),
+                attached=f"{s}.roles & Connector -> ports[{c}]",
+            )
         case Attach():
-            return _attach(_port(encoder, action.port), _connector(encoder, action.connector), s, t)
+            p, k = _port(encoder, action.port), _connector(encoder, action.connector)
+            return Formula(
+                f"can_attach_within[{s}, {k}, {p}]",
+                f"can_attach_within[{s}, {k}, {p}] and attach[{s}, {t}, {k}, {p}]",
+                (
+                    ("its component is not live", f"{p} in ports[{s}.comps]"),
+                    ("it is already attached there", f"{k} -> {p} not in {s}.roles"),
+                    ("the contracts do not fit", f"fits[{k}, {p}]"),
+                    ("the cap on publishers would be exceeded", f"cap_holds[{s}, {s}.roles + {k} -> {p}, {k}]"),
+                ),
+            )
         case Detach():
-            return _detach(_port(encoder, action.port), _connector(encoder, action.connector), s, t)
-        case Degrade():
-            return _modes(encoder, action.modes, s, t, "degrade_all")
-        case Upgrade():
-            return _modes(encoder, action.modes, s, t, "upgrade_all")
+            p, k = _port(encoder, action.port), _connector(encoder, action.connector)
+            return Formula(
+                f"can_detach[{s}, {k}, {p}]",
+                f"detach[{s}, {t}, {k}, {p}]",
+                (("it is not attached there", f"{k} -> {p} in {s}.roles"),),
+                lacking=f"unsatisfied[{s}, {s}.comps.funcs, {s}.roles - {k} -> {p}, {s}.cur_mode]",
+            )
+        case Degrade() | Upgrade():
+            return _modes(encoder, action, s, t)
         case Handover():
             return _handover(encoder, action, s, t)
-        case SetParameters():
-            return _set(_component(encoder, action.instance), s, t)
+        case SetParameters():  # the specification has no parameters: the model checks whether they are changeable
+            live = f"{_component(encoder, action.instance)} in {s}.comps"
+            return Formula(live, f"{live} and unchanged[{s}, {t}]", (("it is not live", live),))
     raise TypeError(f"no formula for {action!r}")
 
 
-def _create(c: str, s: str, t: str) -> Formula:
+def _modes(encoder: WorldEncoder, action: Degrade | Upgrade, s: str, t: str) -> Formula:
+    atoms = [
+        (_lookup(encoder.functionalities, ref, "functionality"), _mode(encoder, ref, index))
+        for ref, index in sorted(action.modes.items())
+    ]
+    to = " + ".join(f"{functionality} -> {mode}" for functionality, mode in atoms) or "none -> none"
+    fs = " + ".join(functionality for functionality, _ in atoms) or "none"
+    if isinstance(action, Degrade):
+        among, worse, direction = f"{s}.comps.funcs", "worse", f"({to})[f] in {s}.cur_mode[f].worse"
+    else:
+        among, worse, direction = f"({fs})", "better", f"{s}.cur_mode[f] in ({to})[f].worse"
     return Formula(
-        f"can_create_within[{s}, {c}]",
-        f"can_create_within[{s}, {c}] and create[{s}, {t}, {c}]",
-        (
-            ("it is already live", f"{c} not in {s}.comps"),
-            ("a resource would be exceeded", f"capacities_hold[{s}.comps + {c}]"),
-        ),
-    )
-
-
-def _remove(c: str, s: str, t: str) -> Formula:
-    return Formula(
-        f"can_remove[{s}, {c}]",
-        f"remove[{s}, {t}, {c}]",
-        (("it is not live", f"{c} in {s}.comps"),),
-        attached=f"{s}.roles & Connector -> ports[{c}]",
-    )
-
-
-def _attach(p: str, k: str, s: str, t: str) -> Formula:
-    return Formula(
-        f"can_attach_within[{s}, {k}, {p}]",
-        f"can_attach_within[{s}, {k}, {p}] and attach[{s}, {t}, {k}, {p}]",
-        (
-            ("its component is not live", f"{p} in ports[{s}.comps]"),
-            ("it is already attached there", f"{k} -> {p} not in {s}.roles"),
-            ("the contracts do not fit", f"fits[{k}, {p}]"),
-            ("the cap on publishers would be exceeded", f"cap_holds[{s}, {s}.roles + {k} -> {p}, {k}]"),
-        ),
-    )
-
-
-def _detach(p: str, k: str, s: str, t: str) -> Formula:
-    roles = f"{s}.roles - {k} -> {p}"
-    return Formula(
-        f"can_detach[{s}, {k}, {p}]",
-        f"detach[{s}, {t}, {k}, {p}]",
-        (("it is not attached there", f"{k} -> {p} in {s}.roles"),),
-        lacking=_unsatisfied(s, f"{s}.comps.funcs", roles, f"{s}.cur_mode"),
-    )
-
-
-def _modes(encoder: WorldEncoder, modes: Mapping[FunctionalityRef, int], s: str, t: str, name: str) -> Formula:
-    pairs = sorted(modes.items())
-    to = " + ".join(f"{_functionality(encoder, ref)} -> {_mode(encoder, ref, index)}" for ref, index in pairs)
-    to = to or "none -> none"
-    fs = " + ".join(_functionality(encoder, ref) for ref, _ in pairs) or "none"
-    worse = name == "degrade_all"
-    among = f"{s}.comps.funcs" if worse else f"({fs})"
-    direction = (
-        f"all f: {fs} | ({to})[f] in {s}.cur_mode[f].worse"
-        if worse
-        else f"all f: {fs} | {s}.cur_mode[f] in ({to})[f].worse"
-    )
-    return Formula(
-        f"can_{name}[{s}, {to}]",
-        f"{name}[{s}, {t}, {to}]",
+        f"can_{action.kind}_all[{s}, {to}]",
+        f"{action.kind}_all[{s}, {t}, {to}]",
         (
             ("no functionality is named", f"some {fs}"),
             ("a functionality named is not live", f"{fs} in {s}.comps.funcs"),
-            (f"a mode named is not {'worse' if worse else 'better'} than the current one", direction),
+            (f"a mode named is not {worse} than the current one", f"all f: {fs} | {direction}"),
         ),
-        lacking=_unsatisfied(s, among, f"{s}.roles", f"({s}.cur_mode ++ ({to}))"),
+        lacking=f"unsatisfied[{s}, {among}, {s}.roles, ({s}.cur_mode ++ ({to}))]",
     )
 
 
@@ -142,16 +117,18 @@ def _handover(encoder: WorldEncoder, action: Handover, s: str, t: str) -> Formul
     # Checked here because the specification cannot express it: a repeated swap is the same tuple, an input is in none.
     outputs = [each for each in swaps if all(port in encoder.atoms.sigs["Output"] for port in each[1:])]
     swap = " + ".join(" -> ".join(each) for each in outputs) or "none -> none -> none"
+    ports = " + ".join(dict.fromkeys(port for each in outputs for port in each[1:])) or "none"
     new = " and ".join(f"satisfies_now[{s}, {k}, {n}]" for k, _, n in outputs) or "some univ"
     once = "some univ" if len(set(swaps)) == len(swaps) else "some none"
     only = "some univ" if len(outputs) == len(swaps) else "some none"
+    may = f"{once} and {only} and can_handover_within[{s}, {swap}]"
     return Formula(
-        f"{once} and {only} and can_handover_within[{s}, {swap}]",
-        f"{once} and {only} and can_handover_within[{s}, {swap}] and handover[{s}, {t}, {swap}]",
+        may,
+        f"{may} and handover[{s}, {t}, {swap}]",
         (
             ("no swap is named", "some univ" if swaps else "some none"),
             ("a port occurs twice on one topic", f"{once} and each_once[{swap}]"),
-            ("a port is not an output of a live component", f"{only} and ({_ports(outputs)}) in {s}.comps.outputs"),
+            ("a port is not an output of a live component", f"{only} and ({ports}) in {s}.comps.outputs"),
             ("the old output is not attached", f"leaving[{swap}] in {s}.roles"),
             ("the new output is already attached", f"no coming[{swap}] & {s}.roles"),
             ("the new output does not satisfy the topic in its current mode", new),
@@ -161,21 +138,6 @@ def _handover(encoder: WorldEncoder, action: Handover, s: str, t: str) -> Formul
             ),
         ),
     )
-
-
-def _ports(swaps: list[tuple[str, str, str]]) -> str:
-    return " + ".join(dict.fromkeys(port for _, old, new in swaps for port in (old, new))) or "none"
-
-
-def _set(c: str, s: str, t: str) -> Formula:
-    """The model checks whether a parameter is changeable, since the specification has no parameters."""
-    return Formula(
-        f"{c} in {s}.comps", f"{c} in {s}.comps and unchanged[{s}, {t}]", (("it is not live", f"{c} in {s}.comps"),)
-    )
-
-
-def _unsatisfied(s: str, among: str, roles: str, mode: str) -> str:
-    return f"unsatisfied[{s}, {among}, {roles}, {mode}]"
 
 
 def _lookup(table: Mapping[_Key, str], key: _Key, kind: str) -> str:
@@ -202,10 +164,6 @@ def _output(encoder: WorldEncoder, ref: PortRef) -> str:
 
 def _connector(encoder: WorldEncoder, name: str) -> str:
     return _lookup(encoder.connectors, name, "topic")
-
-
-def _functionality(encoder: WorldEncoder, ref: FunctionalityRef) -> str:
-    return _lookup(encoder.functionalities, ref, "functionality")
 
 
 def _mode(encoder: WorldEncoder, ref: FunctionalityRef, index: int) -> str:

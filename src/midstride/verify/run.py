@@ -81,7 +81,15 @@ class Alloy:
             options = [*(["-XX:TieredStopAtLevel=1"] if quick else []), *([f"-Xmx{memory}m"] if memory else [])]
             output = Path(folder) / "out"
             line = [*self._java(folder, *options), "exec", "-q", "-f", "-t", "json", "-s", solver, "-o", str(output)]
-            return self._execute([*line, "-c", commands, str(source)], output, limit, stop)
+            ended = run([*line, "-c", commands, str(source)], limit, stop)
+            receipt = output / "receipt.json"
+            if ended.code != 0 or not receipt.is_file():
+                raise AlloyFailed(_reason(ended.text))
+            try:
+                document = json.loads(receipt.read_text(encoding="utf-8"))
+                return {name: _outcome(entry) for name, entry in document["commands"].items()}
+            except (ValueError, KeyError, TypeError, OSError) as error:
+                raise AlloyFailed(f"cannot read Alloy's answer ({type(error).__name__}: {error})") from error
 
     def solvers(self) -> list[str]:
         """The solvers available on this machine. Raises AlloyFailed where there is no answer."""
@@ -92,17 +100,6 @@ class Alloy:
         """The start of a command line of the Analyzer, with ``folder`` for its temporary files."""
         headless = "-Djava.awt.headless=true"
         return [self.java, f"-Djava.io.tmpdir={folder}", headless, "-XX:+UseSerialGC", *options, "-jar", str(self.jar)]
-
-    def _execute(self, line: Sequence[str], output: Path, limit: float, stop: Event | None) -> dict[str, SolverOutcome]:
-        ended = run(line, limit, stop)
-        receipt = output / "receipt.json"
-        if ended.code != 0 or not receipt.is_file():
-            raise AlloyFailed(_reason(ended.text))
-        try:
-            document = json.loads(receipt.read_text(encoding="utf-8"))
-            return {name: _outcome(entry) for name, entry in document["commands"].items()}
-        except (ValueError, KeyError, TypeError, OSError) as error:
-            raise AlloyFailed(f"cannot read Alloy's answer ({type(error).__name__}: {error})") from error
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,7 @@ since one of the two must be wrong.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping, Set
 
 from midstride.errors import AlloyFailed
 from midstride.model.action import Action
@@ -19,7 +19,7 @@ from midstride.verify.alloy_text import BEST, VERDICT, StepName
 from midstride.verify.chain import chain
 from midstride.verify.export import Dump
 from midstride.verify.run import SolverOutcome
-from midstride.verify.verdict import Finding
+from midstride.verify.verdict import Finding, Kind
 
 _FINDINGS = "Findings$0"
 _DISAGREE = "according to Alloy; Midstride's model finds no reason, so one of the two is wrong: please report this"
@@ -28,7 +28,7 @@ _DISAGREE = "according to Alloy; Midstride's model finds no reason, so one of th
 class AlloyInstance:
     """The fields of an Alloy instance, with the meanings of its atoms."""
 
-    def __init__(self, outcome: SolverOutcome, meanings: Mapping[str, object], fields: frozenset[str]) -> None:
+    def __init__(self, outcome: SolverOutcome, meanings: Mapping[str, object], fields: Set[str]) -> None:
         self._values = outcome.values.get(_FINDINGS, {})
         self._bearers = meanings
         if missing := sorted(fields - self._values.keys()):
@@ -60,12 +60,12 @@ def instance(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> AlloyInstance
     verdict = outcomes.get(VERDICT)
     if verdict is None or not verdict.satisfiable:
         raise AlloyFailed("the dump contradicts itself: Alloy finds no instance of it")
-    return AlloyInstance(verdict, dump.meanings, dump.fields)
+    return AlloyInstance(verdict, dump.meanings, dump.obligations.fields.keys())
 
 
 def confirm(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> None:
     """Confirm with the checks that nothing was found. Raises AlloyFailed where one does not hold."""
-    for check in dump.checks:
+    for check in dump.obligations.checks:
         if check not in outcomes or outcomes[check].satisfiable:
             raise AlloyFailed(f"Alloy contradicts itself: it finds no violation, but the check {check} does not hold")
 
@@ -93,16 +93,9 @@ def findings(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> list[Finding]
     The reasons for a failed step are in the answer to its detailed dump. Raises AlloyFailed for an invalid answer.
     """
     tracer = _Tracer(dump, instance(dump, outcomes))
-    parts: tuple[Callable[[], Iterator[Finding]], ...] = (
-        tracer.rules,
-        tracer.start,
-        tracer.steps,
-        lambda: tracer.end(outcomes.get(BEST)),
-    )
-    for part in parts:
-        if found := list(part()):
-            return found
-    return []
+    # Generators: a part is not looked at where one before it found something.
+    parts = (tracer.rules(), tracer.start(), tracer.steps(), tracer.end(outcomes.get(BEST)))
+    return next((found for part in parts if (found := list(part))), [])
 
 
 class _Tracer:
@@ -142,14 +135,12 @@ class _Tracer:
         for each in self.dump.unencodable:
             if each.step is None:
                 yield Finding("end", None, where, "target", each.reason.removeprefix("at the end "))
-        for connector, port in self._tuples("missing"):
-            yield Finding("end", None, where, str(port), f"it should be attached to {connector}")
-        for connector, port in self._tuples("extra"):
-            yield Finding("end", None, where, str(port), f"it should not be attached to {connector}")
-        for (component,) in self._tuples("absent"):
-            yield Finding("end", None, where, str(component), "it should be live")
-        for (component,) in self._tuples("left"):
-            yield Finding("end", None, where, str(component), "it should not be live")
+        for field, verb in (("missing", "should"), ("extra", "should not")):
+            for connector, port in self._tuples(field):
+                yield Finding("end", None, where, str(port), f"it {verb} be attached to {connector}")
+        for field, verb in (("absent", "should"), ("left", "should not")):
+            for (component,) in self._tuples(field):
+                yield Finding("end", None, where, str(component), f"it {verb} be live")
         if best is not None and best.satisfiable:
             yield from self._better(best, where)
 
@@ -170,44 +161,34 @@ class _Tracer:
 
     def _refused(self, number: int, action: Action, where: str) -> Iterator[Finding]:
         before, after = self.dump.configurations[number - 1 : number + 1]
-        found = False
         for ref, assumption in self._tuples("lacking"):
-            found = True
             yield self._lacking(after, ref, assumption, number, where, "precondition")
         for connector, port in self._tuples("attached"):
-            found = True
             yield Finding("precondition", number, where, str(port), f"it is still attached to {connector}")
-        reasons = [str(reason) for reason in action.check(before)]
-        for (clause,) in self._tuples("broken"):
-            found = True
-            because = "; ".join(reasons) or _DISAGREE
+        because = "; ".join(str(reason) for reason in action.check(before)) or _DISAGREE
+        broken = [str(clause) for (clause,) in self._tuples("broken")]
+        if not (broken or self._tuples("lacking") or self._tuples("attached")):
+            broken = ["its precondition does not hold"]
+        for clause in broken:
             yield Finding("precondition", number, where, action.kind, f"{clause} ({because})")
-        if not found:
-            because = "; ".join(reasons) or _DISAGREE
-            yield Finding("precondition", number, where, action.kind, f"its precondition does not hold ({because})")
 
     def _configuration(self, at: int, where: str) -> Iterator[Finding]:
         configuration, number = self.dump.configurations[at], at or None
-        found = False
         for ref, assumption in self._tuples("unsatisfied"):
-            found = True
             yield self._lacking(configuration, ref, assumption, number, where, "assumption")
         for (connector,) in self._tuples("crowded"):
-            found = True
             violation = cap_violation(configuration, str(connector))
             because = _DISAGREE if violation is None else violation.because
             yield Finding("cap", number, where, str(connector), because)
         for (group,) in self._tuples("overloaded"):
-            found = True
             together = ", ".join(str(name) for name in group) if isinstance(group, tuple) else str(group)
             yield Finding("capacity", number, where, together, "together they exceed a resource")
-        if not found:
-            yield Finding(
-                "attachment", number, where, "structure", "a mode or an attachment belongs to no live component"
-            )
+        if not any(self._tuples(field) for field in ("unsatisfied", "crowded", "overloaded")):
+            because = "a mode or an attachment belongs to no live component"
+            yield Finding("attachment", number, where, "structure", because)
 
     def _lacking(
-        self, configuration: Configuration, ref: object, assumption: object, number: int | None, where: str, kind: str
+        self, configuration: Configuration, ref: object, assumption: object, number: int | None, where: str, kind: Kind
     ) -> Finding:
         assert isinstance(ref, FunctionalityRef)
         model: Assumption = assumption  # type: ignore[assignment]
@@ -216,10 +197,7 @@ class _Tracer:
         agreed = not evaluator.assumption_satisfied(ref, functionality, model)
         because = evaluator.why_assumption_unsatisfied(ref, model) if agreed else f"assumes {model}: {_DISAGREE}"
         subject = f"{ref} in mode {configuration.mode(ref).name}"
-        causes = chain(configuration, ref, model)
-        if kind == "precondition":
-            return Finding("precondition", number, where, subject, because, str(model), causes)
-        return Finding("assumption", number, where, subject, because, str(model), causes)
+        return Finding(kind, number, where, subject, because, str(model), chain(configuration, ref, model))
 
     def _better(self, best: SolverOutcome, where: str) -> Iterator[Finding]:
         raised = [entry for name, tuples in best.skolems.items() if name.endswith("_to") for entry in tuples]

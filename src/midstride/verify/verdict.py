@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from enum import Enum
 from typing import Literal
+
+import msgspec
 
 from midstride.codec.form import Form
 
@@ -53,18 +54,22 @@ class Finding(Form, frozen=True, omit_defaults=False):
         return f"{self.where}: {self.subject}: {self.because}"
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
     """The answer to one question. ``steps`` are a plan's; ``failed`` is the first that fails."""
 
-    answer: Answer
+    answer: Answer = msgspec.field(name="verdict")
     subject: str
     scope: str
     by: str
-    findings: tuple[Finding, ...] = ()
     because: str | None = None
+    findings: tuple[Finding, ...] = ()
+    steps: tuple[str, ...] = ()
+    failed: int | None = None
     seconds: float = 0.0
-    steps: tuple[str, ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        failed = min((finding.step for finding in self.findings if finding.step is not None), default=None)
+        msgspec.structs.force_setattr(self, "failed", failed)
 
     @property
     def holds(self) -> bool:
@@ -81,38 +86,6 @@ class Verdict:
         reasons = [str(finding) for finding in self.findings] or [self.because or self.scope]
         return f"{self.headline}: {'; '.join(reasons)}"
 
-    @property
-    def failed(self) -> int | None:
-        return min((finding.step for finding in self.findings if finding.step is not None), default=None)
-
     def __str__(self) -> str:
         text = f"{self.headline} ({self.scope}; {self.by})"
         return text if self.because is None else f"{text}: {self.because}"
-
-
-class VerdictForm(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
-    """A verdict in JSON."""
-
-    verdict: Literal["holds", "violated", "unknown"]
-    subject: str
-    scope: str
-    by: str
-    because: str | None
-    findings: list[Finding]
-    steps: list[str]
-    failed: int | None
-    seconds: float
-
-    @classmethod
-    def of(cls, verdict: Verdict) -> VerdictForm:
-        return cls(
-            verdict=verdict.answer.value,
-            subject=verdict.subject,
-            scope=verdict.scope,
-            by=verdict.by,
-            because=verdict.because,
-            findings=list(verdict.findings),
-            steps=list(verdict.steps),
-            failed=verdict.failed,
-            seconds=verdict.seconds,
-        )

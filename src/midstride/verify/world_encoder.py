@@ -70,15 +70,11 @@ class WorldEncoder:
 
     # -- declarations -----------------------------------------------------------------------------------
 
-    def knows(self, instance: Instance) -> bool:
-        return self.declared.get(instance.name) == instance.component
-
     def instance(self, instance: Instance) -> None:
         """Add the declaration of an instance. Raises ValueError if the name stands for another component."""
         name, component = instance.name, instance.component
-        if name in self.declared:
-            if not self.knows(instance):
-                known = self.declared[name]
+        if (known := self.declared.get(name)) is not None:
+            if known != component:
                 raise ValueError(f"{name} already exists, with component {known.name} instead of {component.name}")
             return
         atoms = self.atoms

@@ -53,11 +53,11 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first."""
     from midstride.cli.files import load
-    from midstride.plan.impact import ImpactForm, impacts
+    from midstride.plan.impact import impacts
 
     found = impacts(load(file), nodes)
     if wants_json():
-        print_json({"impacts": [ImpactForm.of(impact) for impact in found]})
+        print_json({"impacts": found})
         return 0
     for impact in found:
         mark = "single point of failure: " if impact.single_point_of_failure else ""

@@ -45,7 +45,7 @@ def plan_command(
     """
     from midstride.cli.files import load
     from midstride.model.specification import initial
-    from midstride.plan.change import Change
+    from midstride.plan.change_builder import change_between
     from midstride.plan.forms import encode_plan
     from midstride.plan.registry import planner
     from midstride.plan.request_form import decode_request
@@ -67,7 +67,7 @@ def plan_command(
         target = load(to)
     else:
         target = request.target(specification)
-    document = encode_plan(planner(strategy)(Change.between(initial(specification), specification, target)))
+    document = encode_plan(planner(strategy)(change_between(initial(specification), specification, target)))
     if wants_json():
         print_json(document)
     else:

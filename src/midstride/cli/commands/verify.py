@@ -72,9 +72,7 @@ def verify_command(
         else:
             click.echo(f"No violations to draw; {picture} was not written.", err=True)
     if wants_json():
-        from midstride.verify.verdict import VerdictForm
-
-        print_json(VerdictForm.of(verdict))
+        print_json(verdict)
     else:
         for text, style in lines(verdict):
             console().print(text, style=style, markup=False)
@@ -106,7 +104,7 @@ def _plan(path: Path) -> dict[str, Any]:
 
 
 def _verify_live(system: str | None, options: AlloyOptions) -> Verdict:
-    from dataclasses import replace
+    from msgspec.structs import replace
 
     from midstride.cli.systems import find
     from midstride.codec.configuration import decode_configuration

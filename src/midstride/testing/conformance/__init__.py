@@ -9,17 +9,8 @@ latencies and the time that discovery takes. The tests of a back end run each ch
         simulator.run(check(simulator, tmp_path))
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Coroutine
-from pathlib import Path
-from typing import Any, Final, TypeAlias
-
-from midstride.runtime.backend import Backend
-from midstride.testing.conformance import calls, handovers, life, ports, walks
-
-Check: TypeAlias = Callable[[Backend, Path], Coroutine[Any, Any, None]]
-
-CHECKS: Final[tuple[Check, ...]] = (*life.CHECKS, *ports.CHECKS, *calls.CHECKS, *handovers.CHECKS, *walks.CHECKS)
+# Each of these modules adds its checks to the list.
+from midstride.testing.conformance import calls, handovers, life, ports, walks  # noqa: F401
+from midstride.testing.conformance.lab import CHECKS, Check
 
 __all__ = ["CHECKS", "Check"]

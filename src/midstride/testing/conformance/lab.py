@@ -1,4 +1,4 @@
-"""A back end opened for one check: starts puppets, sends them commands, and ends them."""
+"""The checks, and the back end opened for one of them: starts puppets, sends them commands, and ends them."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import base64
 import contextlib
 import json
 import sys
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Coroutine
+from functools import wraps
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import msgspec
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
-from midstride.testing.conformance.puppets import Description, command_of
+from midstride.testing.conformance.puppets import Description, command_of, sink
 from midstride.wire.channel import Channel, Report
 from midstride.wire.frames import Greeting, Registration, Reply, Request
 
@@ -175,6 +176,12 @@ class Lab:
 
     # -- common steps of checks ----- --------------------------------------------------------------
 
+    async def listen(self, topic: str = "/chatter") -> None:
+        """Start ``sink``, attached and in its normal mode."""
+        await self.start("sink", sink())
+        await self.attach("sink", "in", topic)
+        await self.mode("sink", "hear", "normal")
+
     async def attach(self, instance: str, port: str, topic: str, peers: int = 0, gate: str = "open") -> None:
         await self.change(instance, "attach", port=port, topic=topic, gate=gate, peers=peers, timeout=PATIENCE)
 
@@ -191,6 +198,11 @@ class Lab:
         words: list[str] = (await self.exported(instance))["received"].get(port, [])
         return words
 
+    async def calls(self, instance: str, mode: str) -> int:
+        """How often a puppet's mode was called, given as ``talk.normal``."""
+        calls: int = (await self.exported(instance))["calls"].get(mode, 0)
+        return calls
+
     async def rows(self, instance: str, port: str = "in") -> list[list[Any]]:
         rows: list[list[Any]] = (await self.read(instance, "records", input=port))["rows"]
         return rows
@@ -203,6 +215,9 @@ class Lab:
     async def functionality(self, instance: str, name: str) -> dict[str, Any]:
         state: dict[str, Any] = (await self.read(instance, "observe"))["functionalities"][name]
         return state
+
+    async def in_mode(self, instance: str, functionality: str, mode: str) -> bool:
+        return bool((await self.functionality(instance, functionality))["mode"] == mode)
 
     async def sleep(self, seconds: float) -> None:
         await self.clock.sleep(seconds)
@@ -225,6 +240,23 @@ class Lab:
             await self.send(instance, "ping", {}, timeout=1.0)
             return False
         return True
+
+
+Check: TypeAlias = Callable[[Backend, Path], Coroutine[Any, Any, None]]
+
+CHECKS: Final[list[Check]] = []
+
+
+def check(body: Callable[[Lab], Coroutine[Any, Any, None]]) -> Check:
+    """Adds to ``CHECKS`` what ``body`` does in a laboratory."""
+
+    @wraps(body)
+    async def opened(backend: Backend, workspace: Path) -> None:
+        async with Lab(backend, workspace) as lab:
+            await body(lab)
+
+    CHECKS.append(opened)
+    return opened
 
 
 def settled(state: dict[str, Any]) -> dict[str, Any]:

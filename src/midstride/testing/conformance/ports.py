@@ -3,160 +3,151 @@
 from __future__ import annotations
 
 import base64
-from pathlib import Path
-from typing import Final
 
-from midstride.runtime.backend import Backend
 from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import Lab
+from midstride.testing.conformance.lab import Lab, check
 
 
-async def attaches_and_detaches(backend: Backend, workspace: Path) -> None:
+@check
+async def attaches_and_detaches(lab: Lab) -> None:
     """Messages pass while both ends are attached; the first after an attach and the last before a detach included."""
-    async with Lab(backend, workspace) as lab:
-        await lab.start("sink", puppets.sink())
-        await lab.start("talker", puppets.talker(rate=50))
-        await lab.mode("sink", "hear", "normal")
-        await lab.mode("talker", "talk", "normal")
-        await lab.sleep(0.3)
-        await lab.attach("sink", "in", "/chatter")
-        assert await lab.received("sink") == []
-        await lab.attach("talker", "out", "/chatter", peers=1)
-        await lab.eventually("messages pass", lambda: _count(lab, 10))
-        graph = await lab.backend.endpoints()
-        assert ("/talker", "/chatter") in graph.publishers and ("/sink", "/chatter") in graph.subscribers, graph
-        detached = await lab.change("talker", "detach", port="out", topic="/chatter", timeout=5.0)
-        assert detached["acknowledged"] is not False, detached
-        assert (await lab.read("talker", "observe"))["ports"] == {"out": {}}
-        await lab.sleep(0.3)
-        numbers = [row[2] for row in await lab.rows("sink")]
-        words = await lab.received("sink")
-        known = [number for number in numbers if number is not None]
-        assert known == list(range(1, len(words) + 1))[-len(known) :] if known else True, numbers
-        await lab.sleep(0.3)
-        assert await lab.received("sink") == words, "something came after the detach was acknowledged"
-        graph = await lab.backend.endpoints()
-        assert ("/talker", "/chatter") not in graph.publishers, graph
-        # The puppet numbers its calls: without a hole, whatever the middleware tells.
-        spoken = [int(word.rsplit(" ", 1)[1]) for word in words]
-        assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), spoken
+    await lab.start("sink", puppets.sink())
+    await lab.start("talker", puppets.talker(rate=50))
+    await lab.mode("sink", "hear", "normal")
+    await lab.mode("talker", "talk", "normal")
+    await lab.sleep(0.3)
+    await lab.attach("sink", "in", "/chatter")
+    assert await lab.received("sink") == []
+    await lab.attach("talker", "out", "/chatter", peers=1)
+    await lab.eventually("messages pass", lambda: _count(lab, 10))
+    graph = await lab.backend.endpoints()
+    assert ("/talker", "/chatter") in graph.publishers and ("/sink", "/chatter") in graph.subscribers, graph
+    detached = await lab.change("talker", "detach", port="out", topic="/chatter", timeout=5.0)
+    assert detached["acknowledged"] is not False, detached
+    assert (await lab.read("talker", "observe"))["ports"] == {"out": {}}
+    await lab.sleep(0.3)
+    numbers = [row[2] for row in await lab.rows("sink")]
+    words = await lab.received("sink")
+    known = [number for number in numbers if number is not None]
+    assert known == list(range(1, len(words) + 1))[-len(known) :] if known else True, numbers
+    await lab.sleep(0.3)
+    assert await lab.received("sink") == words, "something came after the detach was acknowledged"
+    graph = await lab.backend.endpoints()
+    assert ("/talker", "/chatter") not in graph.publishers, graph
+    # The puppet numbers its calls: without a hole, whatever the middleware tells.
+    spoken = [int(word.rsplit(" ", 1)[1]) for word in words]
+    assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), spoken
 
 
 async def _count(lab: Lab, least: int) -> bool:
     return len(await lab.received("sink")) >= least
 
 
-async def counts_behind_a_closed_gate(backend: Backend, workspace: Path) -> None:
+@check
+async def counts_behind_a_closed_gate(lab: Lab) -> None:
     """Behind a closed gate everything is counted and nothing passes; opening it lets the next one pass."""
-    async with Lab(backend, workspace) as lab:
-        await lab.start("sink", puppets.sink())
-        await lab.start("talker", puppets.talker(rate=50))
-        await lab.attach("sink", "in", "/chatter")
-        await lab.mode("sink", "hear", "normal")
-        await lab.attach("talker", "out", "/chatter", peers=1, gate="closed")
-        seen = await lab.read("talker", "await_write", port="out", topic="/chatter", timeout=0.2)
-        assert seen == {"gated": 0, "wrong_type": None}
-        await lab.mode("talker", "talk", "normal")
-        seen = await lab.read("talker", "await_write", port="out", topic="/chatter", timeout=5.0)
-        assert seen["gated"] >= 1 and seen["wrong_type"] is None
-        await lab.sleep(0.3)
-        link = await lab.port("talker", "out", "/chatter")
-        assert link["gate"] == "closed" and link["count"] == 0 and link["gated"] >= 10, link
-        assert await lab.received("sink") == []
-        assert ("/talker", "/chatter") in (await lab.backend.endpoints()).publishers, (
-            "a gated publisher is in the graph"
-        )
-        await lab.change("talker", "gate", port="out", topic="/chatter", gate="open")
-        await lab.eventually("messages pass", lambda: _count(lab, 5))
-        link = await lab.port("talker", "out", "/chatter")
-        assert link["gate"] == "open" and link["count"] >= 5, link
-        await lab.change("talker", "gate", port="out", topic="/chatter", gate="closed")
-        await lab.sleep(0.2)
-        words = await lab.received("sink")
-        await lab.sleep(0.2)
-        assert await lab.received("sink") == words
+    await lab.start("sink", puppets.sink())
+    await lab.start("talker", puppets.talker(rate=50))
+    await lab.attach("sink", "in", "/chatter")
+    await lab.mode("sink", "hear", "normal")
+    await lab.attach("talker", "out", "/chatter", peers=1, gate="closed")
+    seen = await lab.read("talker", "await_write", port="out", topic="/chatter", timeout=0.2)
+    assert seen == {"gated": 0, "wrong_type": None}
+    await lab.mode("talker", "talk", "normal")
+    seen = await lab.read("talker", "await_write", port="out", topic="/chatter", timeout=5.0)
+    assert seen["gated"] >= 1 and seen["wrong_type"] is None
+    await lab.sleep(0.3)
+    link = await lab.port("talker", "out", "/chatter")
+    assert link["gate"] == "closed" and link["count"] == 0 and link["gated"] >= 10, link
+    assert await lab.received("sink") == []
+    assert ("/talker", "/chatter") in (await lab.backend.endpoints()).publishers, "a gated publisher is in the graph"
+    await lab.change("talker", "gate", port="out", topic="/chatter", gate="open")
+    await lab.eventually("messages pass", lambda: _count(lab, 5))
+    link = await lab.port("talker", "out", "/chatter")
+    assert link["gate"] == "open" and link["count"] >= 5, link
+    await lab.change("talker", "gate", port="out", topic="/chatter", gate="closed")
+    await lab.sleep(0.2)
+    words = await lab.received("sink")
+    await lab.sleep(0.2)
+    assert await lab.received("sink") == words
 
 
-async def reports_a_wrong_type(backend: Backend, workspace: Path) -> None:
+@check
+async def reports_a_wrong_type(lab: Lab) -> None:
     """A write of another type never reaches the middleware; it is reported, and the functionality degrades."""
-    async with Lab(backend, workspace) as lab:
-        await lab.start("talker", puppets.talker(rate=50, wrong_type="out"))
-        await lab.attach("talker", "out", "/chatter", gate="closed")
-        await lab.mode("talker", "talk", "normal")
-        seen = await lab.read("talker", "await_write", port="out", topic="/chatter", timeout=5.0)
-        assert seen["gated"] == 0 and "std_msgs/msg/String" in seen["wrong_type"], seen
-        await lab.eventually("it degrades", lambda: _degraded(lab))
+    await lab.start("talker", puppets.talker(rate=50, wrong_type="out"))
+    await lab.attach("talker", "out", "/chatter", gate="closed")
+    await lab.mode("talker", "talk", "normal")
+    seen = await lab.read("talker", "await_write", port="out", topic="/chatter", timeout=5.0)
+    assert seen["gated"] == 0 and "std_msgs/msg/String" in seen["wrong_type"], seen
+    await lab.eventually("it degrades", lambda: lab.in_mode("talker", "talk", "degraded"))
 
 
-async def _degraded(lab: Lab) -> bool:
-    return bool((await lab.functionality("talker", "talk"))["mode"] == "degraded")
+@check
+async def refuses_impossible_attachments(lab: Lab) -> None:
+    """Twice, to a port that is not there, without the peers that must be: refused, and nothing is left behind."""
+    await lab.start("talker", puppets.talker())
+    assert "put" in await lab.refusal("talker", "attach", port="put", topic="/chatter")
+    words = await lab.refusal("talker", "attach", port="out", topic="/chatter", peers=1, timeout=0.5)
+    assert "0 of 1" in words, words
+    await lab.eventually("its publisher is gone", lambda: _publishes_nothing(lab, "/talker"))
+    assert "attached" in await lab.refusal("talker", "detach", port="out", topic="/chatter")
+    assert "attached" in await lab.refusal("talker", "gate", port="out", topic="/chatter", gate="open")
+    await lab.attach("talker", "out", "/chatter")
+    assert "already" in await lab.refusal("talker", "attach", port="out", topic="/chatter")
 
 
 async def _publishes_nothing(lab: Lab, node: str) -> bool:
-    return not [publisher for publisher, _ in (await lab.backend.endpoints()).publishers if publisher == node]
+    return all(publisher != node for publisher, _ in (await lab.backend.endpoints()).publishers)
 
 
-async def refuses_impossible_attachments(backend: Backend, workspace: Path) -> None:
-    """Twice, to a port that is not there, without the peers that must be: refused, and nothing is left behind."""
-    async with Lab(backend, workspace) as lab:
-        await lab.start("talker", puppets.talker())
-        assert "put" in await lab.refusal("talker", "attach", port="put", topic="/chatter")
-        words = await lab.refusal("talker", "attach", port="out", topic="/chatter", peers=1, timeout=0.5)
-        assert "0 of 1" in words, words
-        await lab.eventually("its publisher is gone", lambda: _publishes_nothing(lab, "/talker"))
-        assert "attached" in await lab.refusal("talker", "detach", port="out", topic="/chatter")
-        assert "attached" in await lab.refusal("talker", "gate", port="out", topic="/chatter", gate="open")
-        await lab.attach("talker", "out", "/chatter")
-        assert "already" in await lab.refusal("talker", "attach", port="out", topic="/chatter")
-
-
-async def counts_only_compatible_peers(backend: Backend, workspace: Path) -> None:
+@check
+async def counts_only_compatible_peers(lab: Lab) -> None:
     """A reader that asks for more than is offered is no peer."""
-    async with Lab(backend, workspace) as lab:
-        await lab.start("sink", puppets.sink(durability="transient_local"))
-        await lab.start("talker", puppets.talker())
-        await lab.attach("sink", "in", "/chatter")
-        words = await lab.refusal("talker", "attach", port="out", topic="/chatter", peers=1, timeout=1.0)
-        assert "0 of 1" in words, words
+    await lab.start("sink", puppets.sink(durability="transient_local"))
+    await lab.start("talker", puppets.talker())
+    await lab.attach("sink", "in", "/chatter")
+    words = await lab.refusal("talker", "attach", port="out", topic="/chatter", peers=1, timeout=1.0)
+    assert "0 of 1" in words, words
 
 
-async def records_what_comes(backend: Backend, workspace: Path) -> None:
+@check
+async def records_what_comes(lab: Lab) -> None:
     """An input knows its last receipts, and all of them while it records: in order, numbered, with their times."""
-    async with Lab(backend, workspace) as lab:
-        await lab.start("sink", puppets.sink())
-        await lab.start("talker", puppets.talker(rate=100))
-        await lab.attach("sink", "in", "/chatter")
-        await lab.attach("talker", "out", "/chatter", peers=1)
-        begun = await lab.change("sink", "record", inputs=["in"], on=True)
-        await lab.mode("talker", "talk", "normal")
-        await lab.sleep(1.5)
-        records = await lab.read("sink", "records", input="in")
-        rows = records["rows"]
-        assert len(rows) > 100, f"{len(rows)} of 150 receipts were recorded"
-        received = [row[0] for row in rows]
-        assert received == sorted(received) and begun["now"] < received[0] and received[-1] <= records["now"]
-        for column in (1, 2):  # source time and number
-            values = [row[column] for row in rows if row[column] is not None]
-            assert values == sorted(set(values)) and len(values) in (0, len(rows)), (column, values)
-        assert records["publisher_identity"] is (rows[0][3] is not None)
-        await lab.change("sink", "record", inputs=["in"], on=False)
-        assert 1 <= len(await lab.rows("sink")) <= 64
-        assert "nothing" in await lab.refusal("sink", "record", inputs=["nothing"], on=True)
+    await lab.start("sink", puppets.sink())
+    await lab.start("talker", puppets.talker(rate=100))
+    await lab.attach("sink", "in", "/chatter")
+    await lab.attach("talker", "out", "/chatter", peers=1)
+    begun = await lab.change("sink", "record", inputs=["in"], on=True)
+    await lab.mode("talker", "talk", "normal")
+    await lab.sleep(1.5)
+    records = await lab.read("sink", "records", input="in")
+    rows = records["rows"]
+    assert len(rows) > 100, f"{len(rows)} of 150 receipts were recorded"
+    received = [row[0] for row in rows]
+    assert received == sorted(received) and begun["now"] < received[0] and received[-1] <= records["now"]
+    for column in (1, 2):  # source time and number
+        values = [row[column] for row in rows if row[column] is not None]
+        assert values == sorted(set(values)) and len(values) in (0, len(rows)), (column, values)
+    assert records["publisher_identity"] is (rows[0][3] is not None)
+    await lab.change("sink", "record", inputs=["in"], on=False)
+    assert 1 <= len(await lab.rows("sink")) <= 64
+    assert "nothing" in await lab.refusal("sink", "record", inputs=["nothing"], on=True)
 
 
-async def keeps_the_latest_message(backend: Backend, workspace: Path) -> None:
+@check
+async def keeps_the_latest_message(lab: Lab) -> None:
     """`input.latest` is the newest message since the attach, in whatever mode; None after a detach."""
-    async with Lab(backend, workspace) as lab:
-        await lab.start("sink", puppets.sink(latest=["in"]))
-        await lab.start("talker", puppets.talker(rate=50))
-        await lab.mode("talker", "talk", "normal")
-        await lab.attach("talker", "out", "/chatter")
-        assert (await lab.exported("sink"))["latest"] == {"in": "NoneType"}
-        await lab.attach("sink", "in", "/chatter", peers=1)
-        await lab.eventually("it has heard something", lambda: _has_heard(lab))
-        assert await lab.received("sink") == [], "the degraded mode calls nothing"
-        await lab.change("sink", "detach", port="in", topic="/chatter")
-        assert (await lab.exported("sink"))["latest"] == {"in": "NoneType"}
+    await lab.start("sink", puppets.sink(latest=["in"]))
+    await lab.start("talker", puppets.talker(rate=50))
+    await lab.mode("talker", "talk", "normal")
+    await lab.attach("talker", "out", "/chatter")
+    assert (await lab.exported("sink"))["latest"] == {"in": "NoneType"}
+    await lab.attach("sink", "in", "/chatter", peers=1)
+    await lab.eventually("it has heard something", lambda: _has_heard(lab))
+    assert await lab.received("sink") == [], "the degraded mode calls nothing"
+    await lab.change("sink", "detach", port="in", topic="/chatter")
+    assert (await lab.exported("sink"))["latest"] == {"in": "NoneType"}
 
 
 async def _has_heard(lab: Lab) -> bool:
@@ -164,48 +155,31 @@ async def _has_heard(lab: Lab) -> bool:
     return latest.startswith("talker normal")
 
 
-async def sets_parameters_at_once_or_not_at_all(backend: Backend, workspace: Path) -> None:
-    async with Lab(backend, workspace) as lab:
-        await lab.start("steady", puppets.steady(speed=5, name="a"), speed=7)
-        assert (await lab.read("steady", "observe"))["parameters"] == {"speed": 7, "name": "a"}
-        changed = await lab.change("steady", "set", parameters={"speed": 8, "name": "b"})
-        assert changed["before"] == {"speed": 7, "name": "a"}
-        assert (await lab.read("steady", "observe"))["parameters"] == {"speed": 8, "name": "b"}
-        words = await lab.refusal("steady", "set", parameters={"name": "c", "speed": 13})
-        assert "speed cannot be 13" in words, words
-        assert "colour" in await lab.refusal("steady", "set", parameters={"name": "d", "colour": "red"})
-        await lab.refusal("steady", "set", parameters={"name": "e", "speed": "fast"})
+@check
+async def sets_parameters_at_once_or_not_at_all(lab: Lab) -> None:
+    await lab.start("steady", puppets.steady(speed=5, name="a"), speed=7)
+    assert (await lab.read("steady", "observe"))["parameters"] == {"speed": 7, "name": "a"}
+    changed = await lab.change("steady", "set", parameters={"speed": 8, "name": "b"})
+    assert changed["before"] == {"speed": 7, "name": "a"}
+    assert (await lab.read("steady", "observe"))["parameters"] == {"speed": 8, "name": "b"}
+    words = await lab.refusal("steady", "set", parameters={"name": "c", "speed": 13})
+    assert "speed cannot be 13" in words, words
+    assert "colour" in await lab.refusal("steady", "set", parameters={"name": "d", "colour": "red"})
+    await lab.refusal("steady", "set", parameters={"name": "e", "speed": "fast"})
 
 
-async def carries_state_over(backend: Backend, workspace: Path) -> None:
-    async with Lab(backend, workspace) as lab:
-        await lab.start("old", puppets.talker())
-        await lab.start("new", puppets.talker(keeps_state=True))
-        await lab.mode("old", "talk", "normal")
-        await lab.eventually("it has been called", lambda: _called(lab))
-        await lab.mode("old", "talk", "degraded")
-        state = (await lab.read("old", "export_state"))["state"]
-        await lab.change("new", "import_state", state=state)
-        assert (await lab.exported("new"))["imported"]["calls"] == (await lab.exported("old"))["calls"]
-        assert "on_import_state" in await lab.refusal("old", "import_state", state=state)
-        assert "state" in await lab.refusal("new", "import_state", state="{not base64}")
-        broken = base64.b64encode(b"{").decode()
-        assert "JSONDecodeError" in await lab.refusal("new", "import_state", state=broken)
-        assert "out" in await lab.read_refusal("old", "records", input="out")
-
-
-async def _called(lab: Lab) -> bool:
-    return bool((await lab.exported("old"))["calls"].get("talk.normal"))
-
-
-CHECKS: Final = (
-    attaches_and_detaches,
-    counts_behind_a_closed_gate,
-    reports_a_wrong_type,
-    refuses_impossible_attachments,
-    counts_only_compatible_peers,
-    records_what_comes,
-    keeps_the_latest_message,
-    sets_parameters_at_once_or_not_at_all,
-    carries_state_over,
-)
+@check
+async def carries_state_over(lab: Lab) -> None:
+    await lab.start("old", puppets.talker())
+    await lab.start("new", puppets.talker(keeps_state=True))
+    await lab.mode("old", "talk", "normal")
+    await lab.eventually("it has been called", lambda: lab.calls("old", "talk.normal"))
+    await lab.mode("old", "talk", "degraded")
+    state = (await lab.read("old", "export_state"))["state"]
+    await lab.change("new", "import_state", state=state)
+    assert (await lab.exported("new"))["imported"]["calls"] == (await lab.exported("old"))["calls"]
+    assert "on_import_state" in await lab.refusal("old", "import_state", state=state)
+    assert "state" in await lab.refusal("new", "import_state", state="{not base64}")
+    broken = base64.b64encode(b"{").decode()
+    assert "JSONDecodeError" in await lab.refusal("new", "import_state", state=broken)
+    assert "out" in await lab.read_refusal("old", "records", input="out")

@@ -10,57 +10,39 @@ STRING: Final = "std_msgs/msg/String"
 Description = dict[str, Any]
 
 
+def _of_one(name: str, functionality: str, normal: Description, ports: Description, **more: Any) -> Description:
+    """A component of one functionality, which uses and produces all of its ports in its normal mode."""
+    modes = {"normal": normal, "degraded": {}}
+    uses, produces = list(ports.get("inputs", ())), list(ports.get("outputs", ()))
+    functionalities = {functionality: {"uses": uses, "produces": produces, "modes": modes}}
+    return {"component": {"name": name, **ports, "functionalities": functionalities}, **more}
+
+
 def talker(rate: float = 20, mode: Description | None = None, **more: Any) -> Description:
     """Writes at ``rate`` in its normal mode, and nothing in its degraded one."""
-    modes = {"normal": {"guarantees": {"out": {"type": STRING, "rate": rate}}}, "degraded": {}}
-    return {
-        "component": {
-            "name": "talker",
-            "outputs": ["out"],
-            "functionalities": {"talk": {"produces": ["out"], "modes": modes}},
-        },
-        "modes": {"talk.normal": mode or {}},
-        **more,
-    }
+    normal = {"guarantees": {"out": {"type": STRING, "rate": rate}}}
+    return _of_one("talker", "talk", normal, {"outputs": ["out"]}, modes={"talk.normal": mode or {}}, **more)
 
 
 def latch(**more: Any) -> Description:
     """Writes once, on entry, on a transient-local topic."""
-    description = talker(1, **more)
     qos = {"durability": "transient_local", "depth": 1}
-    functionality = description["component"]["functionalities"]["talk"]
-    functionality["modes"]["normal"] = {"guarantees": {"out": {"type": STRING, "qos": qos}}}
-    return description
+    normal = {"guarantees": {"out": {"type": STRING, "qos": qos}}}
+    return _of_one("talker", "talk", normal, {"outputs": ["out"]}, **more)
 
 
 def relay(mode: Description | None = None, **more: Any) -> Description:
     """Answers every message with the same words."""
-    qos = {"depth": 100}
-    modes = {"normal": {"assumes": ["in"], "guarantees": {"out": {"type": STRING, "qos": qos}}}, "degraded": {}}
-    return {
-        "component": {
-            "name": "relay",
-            "inputs": {"in": {"type": STRING, "qos": qos}},
-            "outputs": ["out"],
-            "functionalities": {"answer": {"uses": ["in"], "produces": ["out"], "modes": modes}},
-        },
-        "modes": {"answer.normal": mode or {}},
-        **more,
-    }
+    topic = {"type": STRING, "qos": {"depth": 100}}
+    normal = {"assumes": ["in"], "guarantees": {"out": topic}}
+    ports = {"inputs": {"in": topic}, "outputs": ["out"]}
+    return _of_one("relay", "answer", normal, ports, modes={"answer.normal": mode or {}}, **more)
 
 
 def sink(durability: str = "volatile", **more: Any) -> Description:
     """Receives; what it has received is in its exported state."""
-    qos = {"durability": durability, "depth": 200}
-    modes = {"normal": {"assumes": ["in"]}, "degraded": {}}
-    return {
-        "component": {
-            "name": "sink",
-            "inputs": {"in": {"type": STRING, "qos": qos}},
-            "functionalities": {"hear": {"uses": ["in"], "modes": modes}},
-        },
-        **more,
-    }
+    topic = {"type": STRING, "qos": {"durability": durability, "depth": 200}}
+    return _of_one("sink", "hear", {"assumes": ["in"]}, {"inputs": {"in": topic}}, **more)
 
 
 def steady(**parameters: Any) -> Description:

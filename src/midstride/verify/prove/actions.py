@@ -9,16 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from midstride.verify.prove.terms import Term, and_, app, equal, if_, implies, not_, or_
-from midstride.verify.prove.theory import (
-    COMPONENT,
-    FUNCTIONALITY,
-    MODE,
-    PORT,
-    TOPIC,
-    Part,
-    State,
-    Theory,
-)
+from midstride.verify.prove.theory import COMPONENT, FUNCTIONALITY, MODE, PORT, TOPIC, Part, State, Theory
 
 # Names of conjuncts, as messages show them.
 NOT_LIVE, LIVE, ISOLATED, CAPACITY = "not live", "live", "isolated", "capacities hold"
@@ -98,10 +89,7 @@ def _satisfied(t: Theory, after: State, members: Group) -> Term:
 
 def degrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> ActionFormula:
     parts, after = _changed(t, s, group, to, better=False)
-    parts += [
-        Part(OUTSIDE, _satisfied(t, after, lambda f: not_(group(f)))),
-        Part(INSIDE, _satisfied(t, after, group)),
-    ]
+    parts += [Part(OUTSIDE, _satisfied(t, after, lambda f: not_(group(f)))), Part(INSIDE, _satisfied(t, after, group))]
     return ActionFormula(parts, after)
 
 
@@ -136,12 +124,7 @@ def handover(t: Theory, s: State, swaps: Swaps, tag: str = "after") -> ActionFor
             logic.all((PORT,) * 3, lambda o, p, n: not_(and_(swaps(k, o, p), swaps(k, p, n)))),
         )
 
-    after = t.state(
-        tag,
-        s.live,
-        lambda p, k: and_(or_(s.attached(p, k), is_new(p, k)), not_(is_old(p, k))),
-        s.mode,
-    )
+    after = t.state(tag, s.live, lambda p, k: and_(or_(s.attached(p, k), is_new(p, k)), not_(is_old(p, k))), s.mode)
     if not logic.bounded:
         logic.facts.append(
             logic.all(

@@ -7,8 +7,6 @@ It terminates because each lowering is strict and chains are finite, which first
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 from midstride.verify.prove.goals import Case, Goal, active
 from midstride.verify.prove.terms import Term, and_, equal, if_, implies, not_
 from midstride.verify.prove.theory import FUNCTIONALITY, MODE, PORT, TOPIC, Part, State, Theory
@@ -31,10 +29,7 @@ def _closed(t: Theory) -> Case:
     a = t.start("one")
     b = _assignment(t, a, "other")
     join = a.in_modes(lambda f: if_(t.at_least(a.mode(f), b.mode(f)), a.mode(f), b.mode(f)))
-    premises = [
-        Part("the first is satisfied", t.all_satisfied(a)),
-        Part("the second is satisfied", t.all_satisfied(b)),
-    ]
+    premises = [Part("the first is satisfied", t.all_satisfied(a)), Part("the second is satisfied", t.all_satisfied(b))]
     return Case(t.structure_valid(a), premises, t.valid(join), (a, b, join), active(t, join))
 
 
@@ -108,10 +103,7 @@ def _more(t: Theory) -> Case:
     after = t.state("after", s.live, attached, s.mode)
     f = t.logic.constant("the_functionality", FUNCTIONALITY)
     more = t.logic.all((PORT, TOPIC), lambda p, k: implies(s.attached(p, k), attached(p, k)))
-    premises = [
-        Part("no attachment is removed", more),
-        Part("it was satisfied", t.satisfied(s, f)),
-    ]
+    premises = [Part("no attachment is removed", more), Part("it was satisfied", t.satisfied(s, f))]
     t.logic.facts.append(s.live(t.host(f)))
     return Case([], premises, [Part("it is satisfied", t.satisfied(after, f))], (s, after), active(t, s))
 
@@ -135,19 +127,15 @@ def _grows(t: Theory) -> Case:
     return Case([], premises, conclusion, (a, b, join), active(t, join))
 
 
-def _goal(name: str, kind: str, claim: str, build: Callable[[Theory], Case], *rules: str) -> Goal:
-    return Goal(name, kind, claim, build, rules=rules)
-
-
 _CHAINS = "modes form chains"
 
 FACT_GOALS: tuple[Goal, ...] = (
-    _goal("better of two", "F2", "valid assignments are closed under the pointwise better of two", _closed, "M2"),
-    _goal("best: start", "F2", "all normal modes are above every valid assignment", _start, _CHAINS),
-    _goal("best: step", "F2", "one lowering stays above every valid assignment", _lowered, "M2"),
-    _goal("best: goes on", "F2", "an unsatisfied functionality has a worse mode that is satisfied", _goes_on, "M1"),
-    _goal("best: end", "F2", "its result is valid, and the greatest", _end),
-    _goal("best: unique", "F2", "there is only one greatest assignment", _unique, _CHAINS),
-    _goal("more attached", "F3", "more attachments never make a functionality unsatisfied", _more),
-    _goal("best grows", "F3", "valid with less, joined with valid with more, is valid with more", _grows, "M2"),
+    Goal("better of two", "F2", "valid assignments are closed under the pointwise better of two", _closed, ("M2",)),
+    Goal("best: start", "F2", "all normal modes are above every valid assignment", _start, (_CHAINS,)),
+    Goal("best: step", "F2", "one lowering stays above every valid assignment", _lowered, ("M2",)),
+    Goal("best: goes on", "F2", "an unsatisfied functionality has a worse mode that is satisfied", _goes_on, ("M1",)),
+    Goal("best: end", "F2", "its result is valid, and the greatest", _end),
+    Goal("best: unique", "F2", "there is only one greatest assignment", _unique, (_CHAINS,)),
+    Goal("more attached", "F3", "more attachments never make a functionality unsatisfied", _more),
+    Goal("best grows", "F3", "valid with less, joined with valid with more, is valid with more", _grows, ("M2",)),
 )

@@ -8,8 +8,9 @@ are in :mod:`.facts`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Set
+from dataclasses import dataclass
+from functools import partial
 
 from midstride.verify.prove import actions as act
 from midstride.verify.prove.terms import FALSE, TRUE, Term, and_, equal, if_, implies, not_, or_
@@ -45,8 +46,8 @@ class Goal:
     kind: str
     claim: str
     build: Callable[[Theory], Case]
-    spare: frozenset[str] = field(default_factory=frozenset)
     rules: tuple[str, ...] = ()
+    spare: Set[str] = frozenset()
     together: tuple[tuple[str, ...], ...] = ()
 
 
@@ -75,56 +76,45 @@ def _step(t: Theory, s: State, action: str) -> tuple[act.ActionFormula, Term]:
     return (act.attach if word == "attach" else act.detach)(t, s, port, topic), TRUE
 
 
-def _preserved(action: str) -> Callable[[Theory], Case]:
-    def build(t: Theory) -> Case:
-        s = t.start()
-        step, some = _step(t, s, action)
-        occurs = and_(some, active(t, s))
-        return Case(t.valid(s), step.precondition, t.valid(step.after), (s, step.after), occurs, action)
-
-    return build
+def _preserved(action: str, t: Theory) -> Case:
+    s = t.start()
+    step, some = _step(t, s, action)
+    occurs = and_(some, active(t, s))
+    return Case(t.valid(s), step.precondition, t.valid(step.after), (s, step.after), occurs, action)
 
 
-def _fitting(action: str) -> Callable[[Theory], Case]:
-    def build(t: Theory) -> Case:
-        s = t.start()
-        step, some = _step(t, s, action)
-        given = [Part(FITS, t.all_fit(s))]
-        return Case(given, step.precondition, [Part(FITS, t.all_fit(step.after))], (s, step.after), some, action)
-
-    return build
+def _fitting(action: str, t: Theory) -> Case:
+    s = t.start()
+    step, some = _step(t, s, action)
+    given = [Part(FITS, t.all_fit(s))]
+    return Case(given, step.precondition, [Part(FITS, t.all_fit(step.after))], (s, step.after), some, action)
 
 
-def _undone(action: str) -> Callable[[Theory], Case]:
-    def build(t: Theory) -> Case:
-        s = t.start()
-        given = [*t.valid(s), Part(FITS, t.all_fit(s))]
-        step, some = _step(t, s, action)
-        after, asked = step.after, list(step.precondition)
-        c, p, k = "the_component", "the_port", "the_topic"
-        if action == "create":
-            back = act.remove(t, after, c, "undone")
-        elif action.startswith("attach"):
-            back = act.detach(t, after, p, k, "undone")
-        elif action.startswith("detach"):
-            back = act.attach(t, after, p, k, "undone")
-        elif action == "handover":
-            old_meets = t.logic.all(
-                (TOPIC, PORT, PORT),
-                lambda k, old, new: implies(
-                    act.swap(k, old, new), t.satisfies(t.current(s, old), t.topic_guarantee(k))
-                ),
-            )
-            asked.append(Part("every old output still meets its topic", old_meets))
-            back = act.handover(t, after, lambda k, old, new: act.swap(k, new, old), "undone")
-        else:
-            other = act.upgrade if action == "degrade" else act.degrade
-            back = other(t, after, act.in_group, s.mode)
-        conclusion = [Part(f"the undo requires: {part.name}", part.formula) for part in back.precondition]
-        conclusion += [Part(f"after the undo, {part.name}", part.formula) for part in t.same(back.after, s)]
-        return Case(given, asked, conclusion, (s, after, back.after), and_(some, active(t, s)), action)
-
-    return build
+def _undone(action: str, t: Theory) -> Case:
+    s = t.start()
+    given = [*t.valid(s), Part(FITS, t.all_fit(s))]
+    step, some = _step(t, s, action)
+    after, asked = step.after, list(step.precondition)
+    c, p, k = "the_component", "the_port", "the_topic"
+    if action == "create":
+        back = act.remove(t, after, c, "undone")
+    elif action.startswith("attach"):
+        back = act.detach(t, after, p, k, "undone")
+    elif action.startswith("detach"):
+        back = act.attach(t, after, p, k, "undone")
+    elif action == "handover":
+        old_meets = t.logic.all(
+            (TOPIC, PORT, PORT),
+            lambda k, old, new: implies(act.swap(k, old, new), t.satisfies(t.current(s, old), t.topic_guarantee(k))),
+        )
+        asked.append(Part("every old output still meets its topic", old_meets))
+        back = act.handover(t, after, lambda k, old, new: act.swap(k, new, old), "undone")
+    else:
+        other = act.upgrade if action == "degrade" else act.degrade
+        back = other(t, after, act.in_group, s.mode)
+    conclusion = [Part(f"the undo requires: {part.name}", part.formula) for part in back.precondition]
+    conclusion += [Part(f"after the undo, {part.name}", part.formula) for part in t.same(back.after, s)]
+    return Case(given, asked, conclusion, (s, after, back.after), and_(some, active(t, s)), action)
 
 
 def _remove_undone(t: Theory) -> Case:
@@ -156,10 +146,7 @@ def _apart_undone(t: Theory) -> Case:
     kept = t.logic.all(
         (PORT, TOPIC),
         lambda p, k: implies(
-            and_(
-                s.attached(p, k),
-                or_(not_(t.is_output(p)), t.satisfies(t.current(s, p), t.topic_guarantee(k))),
-            ),
+            and_(s.attached(p, k), or_(not_(t.is_output(p)), t.satisfies(t.current(s, p), t.topic_guarantee(k)))),
             attached(p, k),
         ),
     )
@@ -174,82 +161,70 @@ def _consumes(t: Theory, s: State, f: Term, k: Term) -> Term:
     return t.logic.some((PORT,), lambda p: and_(t.uses(f, p), s.attached(p, k)))
 
 
-def _checked(action: str) -> Callable[[Theory], Case]:
+def _checked(action: str, t: Theory) -> Case:
     """Only the neighbours that ``check`` examines can become unsatisfied."""
+    s = t.start()
+    step, some = _step(t, s, action)
+    after = step.after
+    asked = [part for part in step.precondition if part.name not in (act.STAYS, act.OUTSIDE, act.INSIDE)]
+    required = [part for part in step.precondition if part not in asked]
+    affected: Callable[[Term], Term]
+    if action == "detach output":
+        k = "the_topic"
+        affected = lambda f: _consumes(t, after, f, k)  # noqa: E731
+        topic_kept = t.topic_satisfied(after, k)
+    elif action == "detach input":
+        affected = lambda f: t.uses(f, "the_port")  # noqa: E731
+        topic_kept = FALSE
+    else:
+        topic_kept = FALSE
 
-    def build(t: Theory) -> Case:
-        s = t.start()
-        step, some = _step(t, s, action)
-        after = step.after
-        asked = [part for part in step.precondition if part.name not in (act.STAYS, act.OUTSIDE, act.INSIDE)]
-        required = [part for part in step.precondition if part not in asked]
-        affected: Callable[[Term], Term]
-        if action == "detach output":
-            k = "the_topic"
-            affected = lambda f: _consumes(t, after, f, k)  # noqa: E731
-            topic_kept = t.topic_satisfied(after, k)
-        elif action == "detach input":
-            affected = lambda f: t.uses(f, "the_port")  # noqa: E731
-            topic_kept = FALSE
-        else:
-            topic_kept = FALSE
+        def lost(k: Term) -> Term:
+            fed = t.logic.some((PORT,), lambda p: and_(t.is_output(p), act.in_group(t.owner(p)), s.attached(p, k)))
+            return and_(fed, t.topic_satisfied(s, k), not_(t.topic_satisfied(after, k)))
 
-            def lost(k: Term) -> Term:
-                fed = t.logic.some((PORT,), lambda p: and_(t.is_output(p), act.in_group(t.owner(p)), s.attached(p, k)))
-                return and_(fed, t.topic_satisfied(s, k), not_(t.topic_satisfied(after, k)))
+        def affected(f: Term) -> Term:
+            return or_(act.in_group(f), t.logic.some((TOPIC,), lambda k: and_(lost(k), _consumes(t, s, f, k))))
 
-            def affected(f: Term) -> Term:
-                return or_(act.in_group(f), t.logic.some((TOPIC,), lambda k: and_(lost(k), _consumes(t, s, f, k))))
-
-        examined = t.logic.all(
-            (FUNCTIONALITY,),
-            lambda f: implies(and_(t.live_in(after, f), affected(f)), t.satisfied(after, f)),
-        )
-        asked.append(Part("every functionality that `check` examines is satisfied", or_(topic_kept, examined)))
-        return Case(t.valid(s), asked, required, (s, after), and_(some, active(t, s)), action)
-
-    return build
+    examined = t.logic.all(
+        (FUNCTIONALITY,), lambda f: implies(and_(t.live_in(after, f), affected(f)), t.satisfied(after, f))
+    )
+    asked.append(Part("every functionality that `check` examines is satisfied", or_(topic_kept, examined)))
+    return Case(t.valid(s), asked, required, (s, after), and_(some, active(t, s)), action)
 
 
 _NAMED = "an assumption names associated inputs"
 _DOWN = act.STRICTLY.format("worse")
-
-
-def _goal(name: str, kind: str, claim: str, build: Callable[[Theory], Case], *spare: str, rules: tuple[str, ...] = (),
-          together: tuple[tuple[str, ...], ...] = ()) -> Goal:  # fmt: skip
-    return Goal(name, kind, claim, build, frozenset(spare), rules, together)
-
-
 _VALID = "a valid configuration stays valid"
 _BACK = "the undo is allowed and restores the configuration"
 _LOCAL = "the functionalities that `check` examines are enough"
 
 ACTION_GOALS: tuple[Goal, ...] = (
-    _goal("create", "F1", _VALID, _preserved("create"), rules=("M1",)),
-    _goal("remove", "F1", _VALID, _preserved("remove"), act.LIVE),
-    _goal("attach output", "F1", _VALID, _preserved("attach output"), act.NOT_ATTACHED, act.CONTRACT),
-    _goal("attach input", "F1", _VALID, _preserved("attach input"), act.NOT_ATTACHED, act.CONTRACT, act.CAP),
-    _goal("detach output", "F1", _VALID, _preserved("detach output"), act.ATTACHED),
-    _goal("detach input", "F1", _VALID, _preserved("detach input"), act.ATTACHED),
-    _goal("degrade F", "F1", _VALID, _preserved("degrade"), act.LIVE, _DOWN),
-    _goal("upgrade F", "F1", _VALID, _preserved("upgrade"), act.LIVE, rules=("M2",)),
-    _goal("handover", "F1", _VALID, _preserved("handover"), act.OLD, act.NEW, act.ONCE, act.CAPS,
-          together=((act.OLD, act.CAPS), (act.ONCE, act.CAPS))),
-    _goal("attach output", "fit", FITS, _fitting("attach output"), act.LIVE, act.NOT_ATTACHED, act.CAP),
-    _goal("attach input", "fit", FITS, _fitting("attach input"), act.LIVE, act.NOT_ATTACHED, act.CAP),
-    _goal("handover", "fit", FITS, _fitting("handover"), act.OLD, act.NEW, act.ONCE, act.CAPS,
-          rules=("M2",)),
-    _goal("create", "F6", _BACK, _undone("create"), act.CAPACITY),
-    _goal("remove", "F6", "create and upgrades restore the configuration", _remove_undone),
-    _goal("attach output", "F6", _BACK, _undone("attach output"), act.LIVE, act.CONTRACT, act.CAP),
-    _goal("attach input", "F6", _BACK, _undone("attach input"), act.LIVE, act.CONTRACT, act.CAP),
-    _goal("detach output", "F6", _BACK, _undone("detach output"), act.STAYS),
-    _goal("detach input", "F6", _BACK, _undone("detach input"), act.STAYS),
-    _goal("degrade F", "F6", _BACK, _undone("degrade"), act.OUTSIDE, act.INSIDE),
-    _goal("upgrade F", "F6", _BACK, _undone("upgrade"), act.INSIDE),
-    _goal("handover", "F6", _BACK, _undone("handover"), act.MEETS, act.CAPS),
-    _goal("handover apart", "F6", "every functionality stays satisfied during the undo", _apart_undone),
-    _goal("detach output", "check", _LOCAL, _checked("detach output"), act.ATTACHED, rules=(_NAMED,)),
-    _goal("detach input", "check", _LOCAL, _checked("detach input"), act.ATTACHED, rules=(_NAMED,)),
-    _goal("degrade F", "check", _LOCAL, _checked("degrade"), act.LIVE, _DOWN, rules=(_NAMED,)),
+    Goal("create", "F1", _VALID, partial(_preserved, "create"), ("M1",)),
+    Goal("remove", "F1", _VALID, partial(_preserved, "remove"), spare={act.LIVE}),
+    Goal("attach output", "F1", _VALID, partial(_preserved, "attach output"), spare={act.NOT_ATTACHED, act.CONTRACT}),
+    Goal("attach input", "F1", _VALID, partial(_preserved, "attach input"),
+         spare={act.NOT_ATTACHED, act.CONTRACT, act.CAP}),
+    Goal("detach output", "F1", _VALID, partial(_preserved, "detach output"), spare={act.ATTACHED}),
+    Goal("detach input", "F1", _VALID, partial(_preserved, "detach input"), spare={act.ATTACHED}),
+    Goal("degrade F", "F1", _VALID, partial(_preserved, "degrade"), spare={act.LIVE, _DOWN}),
+    Goal("upgrade F", "F1", _VALID, partial(_preserved, "upgrade"), ("M2",), {act.LIVE}),
+    Goal("handover", "F1", _VALID, partial(_preserved, "handover"), spare={act.OLD, act.NEW, act.ONCE, act.CAPS},
+         together=((act.OLD, act.CAPS), (act.ONCE, act.CAPS))),
+    Goal("attach output", "fit", FITS, partial(_fitting, "attach output"), spare={act.LIVE, act.NOT_ATTACHED, act.CAP}),
+    Goal("attach input", "fit", FITS, partial(_fitting, "attach input"), spare={act.LIVE, act.NOT_ATTACHED, act.CAP}),
+    Goal("handover", "fit", FITS, partial(_fitting, "handover"), ("M2",), {act.OLD, act.NEW, act.ONCE, act.CAPS}),
+    Goal("create", "F6", _BACK, partial(_undone, "create"), spare={act.CAPACITY}),
+    Goal("remove", "F6", "create and upgrades restore the configuration", _remove_undone),
+    Goal("attach output", "F6", _BACK, partial(_undone, "attach output"), spare={act.LIVE, act.CONTRACT, act.CAP}),
+    Goal("attach input", "F6", _BACK, partial(_undone, "attach input"), spare={act.LIVE, act.CONTRACT, act.CAP}),
+    Goal("detach output", "F6", _BACK, partial(_undone, "detach output"), spare={act.STAYS}),
+    Goal("detach input", "F6", _BACK, partial(_undone, "detach input"), spare={act.STAYS}),
+    Goal("degrade F", "F6", _BACK, partial(_undone, "degrade"), spare={act.OUTSIDE, act.INSIDE}),
+    Goal("upgrade F", "F6", _BACK, partial(_undone, "upgrade"), spare={act.INSIDE}),
+    Goal("handover", "F6", _BACK, partial(_undone, "handover"), spare={act.MEETS, act.CAPS}),
+    Goal("handover apart", "F6", "every functionality stays satisfied during the undo", _apart_undone),
+    Goal("detach output", "check", _LOCAL, partial(_checked, "detach output"), (_NAMED,), {act.ATTACHED}),
+    Goal("detach input", "check", _LOCAL, partial(_checked, "detach input"), (_NAMED,), {act.ATTACHED}),
+    Goal("degrade F", "check", _LOCAL, partial(_checked, "degrade"), (_NAMED,), {act.LIVE, _DOWN}),
 )  # fmt: skip

@@ -45,8 +45,7 @@ def rules(t: Theory) -> list[Part]:
         logic.all((MODE,) * 3, lambda m, n, o: implies(and_(better(m, n), better(n, o)), better(m, o))),
         logic.all((MODE, MODE), lambda m, n: implies(better(m, n), equal(whose(m), whose(n)))),
         logic.all(
-            (MODE, MODE),
-            lambda m, n: implies(equal(whose(m), whose(n)), or_(equal(m, n), better(m, n), better(n, m))),
+            (MODE, MODE), lambda m, n: implies(equal(whose(m), whose(n)), or_(equal(m, n), better(m, n), better(n, m)))
         ),
         logic.all((FUNCTIONALITY,), lambda f: and_(equal(whose(t.normal(f)), f), equal(whose(t.last(f)), f))),
         logic.all((MODE,), lambda m: not_(better(m, t.normal(whose(m))))),

@@ -13,6 +13,9 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any, Final
 
+import msgspec
+
+from midstride.codec.form import Form, encode
 from midstride.errors import SolverMissing, VerificationError
 from midstride.verify.prove import solvers
 from midstride.verify.prove.counterexample import Counterexample
@@ -37,26 +40,17 @@ SIZES: Final[tuple[Mapping[str, int], ...]] = tuple(
 SECONDS: Final = 20.0
 
 
-@dataclass(frozen=True, slots=True)
-class Weakened:
+class Weakened(Form, frozen=True, omit_defaults=False):
     """The goal without ``dropped``. VIOLATED: it is needed, as ``counterexample`` shows. HOLDS: the rest implies it."""
 
     dropped: tuple[str, ...]
     needed: bool
-    answer: Answer
+    answer: Answer = msgspec.field(name="verdict")
     counterexample: str | None = None
 
     @property
     def as_expected(self) -> bool:
         return self.answer is (Answer.VIOLATED if self.needed else Answer.HOLDS)
-
-    def to_document(self) -> dict[str, Any]:
-        return {
-            "dropped": list(self.dropped),
-            "needed": self.needed,
-            "verdict": self.answer.value,
-            "counterexample": self.counterexample,
-        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +80,7 @@ class Proof:
             "ok": self.ok,
             "seconds": {name: round(seconds, 3) for name, seconds in self.seconds.items()},
             "possible": self.possible.value,
-            "weakened": [weakened.to_document() for weakened in self.weakened],
+            "weakened": [encode(weakened) for weakened in self.weakened],
         }
 
 

@@ -107,7 +107,7 @@ class Theory:
         """A configuration; its numbers are related to those of every earlier one."""
         logic = self.logic
         if logic.bounded:
-            state = State(
+            return State(
                 live,
                 attached,
                 mode,
@@ -118,7 +118,6 @@ class Theory:
                 ),
                 lambda r: app("+", "0.0", *(if_(live(c), self.holds(c, r), "0.0") for c in logic.elements(COMPONENT))),
             )
-            return state
         outputs = logic.function(f"outputs_on_{tag}", (TOPIC,), "Int")
         held = logic.function(f"held_{tag}", (RESOURCE,), "Real")
         state = State(live, attached, mode, lambda k: app("+", outputs(k), self._offers_on(k)), held)
