@@ -13,18 +13,20 @@ import textwrap
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from midstride.errors import ManagerError, NodeError, ProtocolError, Unreachable
 from midstride.wire import sockets
 from midstride.wire.channel import Channel
+from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import PingCommand
 from midstride.wire.folders import COMPONENTS, workspace_folder
 from midstride.wire.frames import StateChanged, decode_from_component
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Connection
 
-from .support import GREETING, HELLO, eventually, server, state
+from .support import GREETING, HELLO, done, eventually, server, state
 
 
 async def echo(connection: Connection) -> None:
@@ -63,6 +65,21 @@ def test_any_name_is_found_under_its_address(tmp_path: Path, instance: str) -> N
         assert folder.present() == {} and list(folder.folder.iterdir()) == []
         with pytest.raises(Unreachable, match="nothing listens at unix:"):
             await folder.connect(folder.address(name))
+
+    in_folder(tmp_path / COMPONENTS, main)
+
+
+def test_a_connection_shows_whether_the_component_itself_is_at_the_other_end(tmp_path: Path) -> None:
+    """A program that forwards a socket is another process; so its end is not that of the component."""
+
+    async def main(folder: SocketFolder) -> None:
+        for pid, direct in ((os.getpid(), True), (os.getppid(), False)):
+            component = CommandServer(msgspec.structs.replace(GREETING, pid=pid), done)
+            await component.open(folder)
+            channel = await Channel.open(folder, folder.address("talker"), "secret", timeout=1.0)
+            assert channel.direct is direct
+            channel.close()
+            await component.close(0.0)
 
     in_folder(tmp_path / COMPONENTS, main)
 

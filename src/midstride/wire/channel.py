@@ -36,7 +36,8 @@ Report = Registration | StateChanged
 class Channel:
     """One connection to one component. ``report`` is called with each of its reports, ``ended`` once when it is gone.
 
-    ``greeting`` says which component answered. To be used on one event loop.
+    ``greeting`` says which component answered; ``direct`` whether its process is the other end, so that it has exited
+    where nothing listens any more. To be used on one event loop.
     """
 
     def __init__(
@@ -47,6 +48,7 @@ class Channel:
         ended: Callable[[], None],
     ) -> None:
         self.greeting = greeting
+        self.direct = connection.peer in (None, greeting.pid)
         self.closed = asyncio.Event()
         self._connection = connection
         self._report = report

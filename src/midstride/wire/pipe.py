@@ -17,6 +17,8 @@ class PipeEnd:
     What was sent before an end was closed still arrives, as on a socket.
     """
 
+    peer: int | None = None
+
     def __init__(self) -> None:
         self.other: PipeEnd | None = None
         self.closed = False

@@ -43,6 +43,15 @@ class SocketConnection:
         # Nothing is buffered here: what the other end does not read is kept, and given up, by the sender.
         writer.transport.set_write_buffer_limits(0)
 
+    @property
+    def peer(self) -> int | None:
+        pid = _credentials(self._writer.get_extra_info("socket"))[0]
+        try:
+            with open(f"/proc/{pid}/status", encoding="utf-8") as file:
+                return next(int(line.split()[-1]) for line in file if line.startswith("NSpid:"))
+        except (OSError, StopIteration):
+            return None
+
     async def send(self, frame: bytes) -> None:
         try:
             async with self._turn:
@@ -214,7 +223,10 @@ async def locked(folder: Path) -> AsyncIterator[None]:
 
 
 def _peer_uid(connection: socket.socket) -> int:
-    """The user at the other end, as the kernel knows it."""
-    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-    _, uid, _ = struct.unpack("3i", credentials)
-    return int(uid)
+    return _credentials(connection)[1]
+
+
+def _credentials(connection: socket.socket) -> tuple[int, int]:
+    """The process and the user at the other end, as the kernel knows them."""
+    pid, uid, _ = struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+    return pid, uid

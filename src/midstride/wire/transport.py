@@ -9,6 +9,15 @@ from typing import Protocol
 class Connection(Protocol):
     """An ordered, reliable stream of frames. Used on one event loop."""
 
+    @property
+    def peer(self) -> int | None:
+        """The process at the other end, by its number in its own PID namespace; None where that is not known.
+
+        Where another program forwards the connection (SSH), it is that program, whose end says nothing about the
+        component.
+        """
+        ...
+
     async def send(self, frame: bytes) -> None:
         """Raises Unreachable where the other end is gone."""
         ...

@@ -137,7 +137,7 @@ class Ros2Backend:
         if instance in self._children:
             return True
         if handle.pid is None or handle.started is None:
-            return instance in self.transport.present()
+            return await common.listens(self.transport, instance)
         log = None if handle.log is None else Path(handle.log)
         process = find(handle.pid, handle.started, ENV_INSTANCE, instance, log)
         if process is None:

@@ -50,6 +50,8 @@ class ConnectedProcess(Protocol):
 class ClientEnd:
     """The end that sends requests: the manager's (``process`` is None), or that of a peer of a hand-over."""
 
+    peer: int | None = None
+
     def __init__(
         self, control: SimulatedControl, instance: str, process: ConnectedProcess | None, end: PipeEnd
     ) -> None:
@@ -104,6 +106,8 @@ class ClientEnd:
 
 class ServerEnd:
     """The component's end: it neither sends nor receives while its process is frozen."""
+
+    peer: int | None = None
 
     def __init__(self, process: ConnectedProcess, end: PipeEnd) -> None:
         self._process = process
