@@ -12,9 +12,9 @@ import sys
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
-from midstride.errors import ManagerError, NodeError, StartFailed, Unreachable
+from midstride.errors import CommandRefused, ManagerError, MidstrideError, NodeError, StartFailed, Unreachable
 from midstride.runtime.backend import Launch
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
@@ -181,6 +181,41 @@ class Children:
         for process in self._processes.values():
             process.close()
         self._processes.clear()
+
+
+class KeptParameters:
+    """The parameters of a component on a platform that does not keep them for its nodes. On the data thread.
+
+    Implements :class:`midstride.node.host.NodeParameters`. ``show(name, value)`` is called with each value.
+    """
+
+    def __init__(self, show: Callable[[str, Any], None] = lambda name, value: None) -> None:
+        self.values: dict[str, Any] = {}
+        self._show = show
+        self._on_change: dict[str, Callable[[Any], None]] = {}
+
+    def declare(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
+        self.values[name] = default
+        self._on_change[name] = on_change or (lambda _: None)
+        self._show(name, default)
+        return default
+
+    def set(self, values: dict[str, Any]) -> None:
+        if missing := [name for name in values if name not in self.values]:
+            raise CommandRefused(f"there is no parameter {', '.join(missing)}")
+        done: list[str] = []
+        try:
+            for name, value in values.items():
+                self._on_change[name](value)
+                done.append(name)
+        except Exception as error:
+            for name in reversed(done):
+                self._on_change[name](self.values[name])
+            words = str(error) if isinstance(error, MidstrideError) else f"{type(error).__name__}: {error}"
+            raise CommandRefused(words) from None
+        self.values.update(values)
+        for name, value in values.items():
+            self._show(name, value)
 
 
 def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], object]) -> Awaitable[T]:

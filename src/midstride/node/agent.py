@@ -130,7 +130,7 @@ class Agent:
         if not self._start_token and self._standalone is None:
             remappings = " ".join(f"{port}:=/{port}" for port in self._declaration.ports())
             self._host.logger.info(
-                f"{self._host.instance} waits for a manager, degraded and unattached ({self._host.reachable()}); "
+                f"{self._host.instance} waits for a manager, degraded and unattached ({self._host.reachable}); "
                 f"to run it without a manager: {FLAG} {remappings}"
             )
 

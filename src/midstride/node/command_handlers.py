@@ -110,7 +110,7 @@ class CommandHandlers:
     def set_up(self) -> None:
         """On the data thread, first of all: parameters and the author's set-up. If this raises, the start fails."""
         for parameter in self._parts.parameters.values():
-            value = self._host.parameter(parameter.name, parameter.value, parameter.change)
+            value = self._host.parameters.declare(parameter.name, parameter.value, parameter.change)
             parameter.begin_with(value)
         if self._parts.callbacks.setup is not None:
             self._parts.callbacks.setup(self._host.ros_node)
@@ -255,7 +255,7 @@ class CommandHandlers:
                     f"there is no parameter {name}; the parameters are: {', '.join(declared) or 'none'}"
                 )
         before = {name: declared[name].value for name in command.parameters}
-        await self._data.run(lambda: self._host.set_parameters(command.parameters), command.timeout)
+        await self._data.run(lambda: self._host.parameters.set(command.parameters), command.timeout)
         return ParametersBefore(before=before)
 
     async def _export_state(self, command: ExportStateCommand) -> ExportedState:

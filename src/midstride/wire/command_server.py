@@ -22,7 +22,7 @@ from midstride.wire.frames import (
     decode_from_client,
     encode,
 )
-from midstride.wire.transport import Connection, Listener, Transport
+from midstride.wire.transport import Connection, StopListening, Transport
 
 # The reply to a request of a client with this token.
 Handler = Callable[[Request, str], Awaitable[Reply]]
@@ -93,16 +93,15 @@ class CommandServer:
         self._answering: set[asyncio.Task[None]] = set()
         self._registration: Registration | None = None
         self._state: StateChanged | None = None
-        self._listener: Listener | None = None
+        self._stop_listening: StopListening = lambda: None
 
     async def open(self, transport: Transport) -> None:
         """Listen. Raises NodeError where the name is taken."""
-        self._listener = await transport.listen(self._greeting.instance, self._serve)
+        self._stop_listening = await transport.listen(self._greeting.instance, self._serve)
 
     async def close(self, timeout: float) -> None:
         """Accept no further clients, answer the requests under way within ``timeout`` seconds, and disconnect."""
-        if self._listener is not None:
-            self._listener.close()
+        self._stop_listening()
         finishing = asyncio.ensure_future(self._finish())
         await asyncio.wait({finishing}, timeout=timeout)
         finishing.cancel()

@@ -24,7 +24,7 @@ from urllib.parse import quote, unquote
 
 from midstride.errors import NodeError, ProtocolError, Unreachable
 from midstride.wire.frames import LONGEST_FRAME
-from midstride.wire.transport import Serve
+from midstride.wire.transport import Serve, StopListening
 
 _SCHEME: Final = "unix:"
 _SUFFIX: Final = ".sock"
@@ -74,21 +74,6 @@ class SocketConnection:
         self._writer.close()
 
 
-class SocketListener:
-    """Implements :class:`midstride.wire.transport.Listener`."""
-
-    def __init__(self, server: asyncio.AbstractServer, path: Path, inode: int) -> None:
-        self._server = server
-        self._path = path
-        self._inode = inode
-
-    def close(self) -> None:
-        with contextlib.suppress(OSError):
-            if self._path.stat().st_ino == self._inode:  # as long as this one listens, no other takes the name
-                self._path.unlink()
-        self._server.close()
-
-
 class SocketFolder:
     """Implements :class:`midstride.wire.transport.Transport` in ``folder``, which :meth:`listen` creates."""
 
@@ -106,7 +91,7 @@ class SocketFolder:
         instances = [unquote(name.removesuffix(_SUFFIX)) for name in names if name.endswith(_SUFFIX)]
         return {instance: self.address(instance) for instance in instances}
 
-    async def listen(self, instance: str, serve: Serve) -> SocketListener:
+    async def listen(self, instance: str, serve: Serve) -> StopListening:
         path = self._path(instance)
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -132,7 +117,14 @@ class SocketFolder:
                 writer.close()
 
         server = await asyncio.start_unix_server(accepted, sock=listening, limit=LONGEST_FRAME)
-        return SocketListener(server, path, inode)
+
+        def stop() -> None:
+            with contextlib.suppress(OSError):
+                if path.stat().st_ino == inode:  # as long as this one listens, no other takes the name
+                    path.unlink()
+            server.close()
+
+        return stop
 
     def _bind(self, path: Path) -> socket.socket:
         """A socket that listens at ``path``, in place of what a killed component has left there."""

@@ -26,7 +26,7 @@ from midstride.backends.ros2.nodes import ComponentNodes
 from midstride.backends.ros2.parameter_services import parameters_of
 from midstride.backends.ros2.timers import Ros2GridTimer
 from midstride.model.contract import QoS
-from midstride.node.host import MessageInfo
+from midstride.node.host import MessageInfo, NodeParameters
 from midstride.wire.environment import ENV_PARAMETERS, ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
@@ -40,12 +40,10 @@ _HEARTBEAT: Final = 0.1
 class Ros2Host:
     """Created and run in the thread that calls ``Component.start``; joins ROS in :meth:`run`."""
 
-    backend = "ros2"
-
     def __init__(self, name: str, namespace: str) -> None:
         self.instance = name
         self._name, self._namespace = names.split(name, namespace)
-        transport, self._reachable = control_transport(os.environ, sys.argv[1:])
+        transport, self.reachable = control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
         self.logger: Any = get_logger(names.full(name, namespace).strip("/").replace("/", "."))
         self._given = _given_parameters()
@@ -126,21 +124,12 @@ class Ros2Host:
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
 
-    def reachable(self) -> str:
-        return self._reachable
-
     def publish_state(self, state: ComponentState) -> None:
         if self._nodes is not None:
             self._nodes.parameter_services.show(parameters_of(state), self.now())
 
     def extra_endpoints(self) -> list[Endpoint]:
         return node_parameters.endpoints(self._node, self._ports)
-
-    def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
-        return self._parameters.declare(name, default, on_change)
-
-    def set_parameters(self, values: dict[str, Any]) -> None:
-        self._parameters.set(values)
 
     # -- life ----------------------------------------------------------------------------------------
 
@@ -191,7 +180,7 @@ class Ros2Host:
         self._node = nodes.data
         self._executor = nodes.data_executor
         self._group = ReentrantCallbackGroup()
-        self._parameters = node_parameters.Ros2NodeParameters(self._node, self._given)
+        self.parameters: NodeParameters = node_parameters.Ros2NodeParameters(self._node, self._given)
         self._clock = self._node.get_clock()
         self._simulated = bool(self._clock.ros_time_is_active)
         self._clock_changes = self._clock.create_jump_callback(
