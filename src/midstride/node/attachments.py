@@ -16,16 +16,7 @@ from midstride.errors import CommandRefused
 from midstride.node.host import Host, Publisher, Subscription
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
-from midstride.wire.commands import (
-    AttachCommand,
-    Attached,
-    AwaitWriteCommand,
-    DetachCommand,
-    Detached,
-    Done,
-    GateCommand,
-    GatedWrites,
-)
+from midstride.wire import commands
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
 SETTLE: Final = 0.05
@@ -72,7 +63,7 @@ class Attachments:
 
     # -- commands ----------------------------------------------------------------------------------
 
-    async def attach(self, command: AttachCommand) -> Attached:
+    async def attach(self, command: commands.AttachCommand) -> commands.Attached:
         topic, timeout = command.topic, command.timeout
         port = self.port(command.port)
         if port.link(topic) is not None:
@@ -96,9 +87,9 @@ class Attachments:
             # Undone as soon as user code returns, however long that takes: a refused command must change nothing.
             await within(self._host, self._host.on_data(undo), timeout)
             raise
-        return Attached(matched=matched)
+        return commands.Attached(matched=matched)
 
-    async def detach(self, command: DetachCommand) -> Detached:
+    async def detach(self, command: commands.DetachCommand) -> commands.Detached:
         topic, timeout = command.topic, command.timeout
         port = self.port(command.port)
         link = port.link(topic)
@@ -107,7 +98,7 @@ class Attachments:
         if isinstance(link, InputLink):
             assert isinstance(port, Input)
             await self._data.run(lambda: self._unsubscribe(port, link), timeout)
-            return Detached(acknowledged=None, last=None)
+            return commands.Detached(acknowledged=None, last=None)
         was_open = link.gate == "open"
         await self._data.run(lambda: link.set_gate(False), timeout)
         acknowledged = await link.publisher.acknowledged(timeout)
@@ -116,16 +107,16 @@ class Attachments:
         except CommandRefused:
             self._host.on_data(lambda: link.set_gate(was_open))
             raise
-        return Detached(acknowledged=acknowledged, last=link.count)
+        return commands.Detached(acknowledged=acknowledged, last=link.count)
 
-    async def gate(self, command: GateCommand) -> Done:
+    async def gate(self, command: commands.GateCommand) -> commands.Done:
         link = self.link(command.port, command.topic)
         if link.cut is not None:
             raise CommandRefused(f"{link} is part of a cut under way; cancel the cut first")
         await self._data.run(lambda: link.set_gate(command.gate == "open"), command.timeout)
-        return Done()
+        return commands.Done()
 
-    async def await_write(self, command: AwaitWriteCommand) -> GatedWrites:
+    async def await_write(self, command: commands.AwaitWriteCommand) -> commands.GatedWrites:
         link = self.link(command.port, command.topic)
         deadline = self._host.steady() + int(command.timeout * 1e9)
         owner = link.output.owner
@@ -133,7 +124,7 @@ class Attachments:
             if owner is not None and owner.failed:
                 break  # it will not write
             await self._host.sleep(TICK)
-        return GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
+        return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
 
     async def close_all(self, timeout: float) -> None:
         """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""
@@ -200,7 +191,7 @@ class Attachments:
         if peers:
             await self._host.sleep(SETTLE)
 
-    async def _match_everyone(self, endpoint: Publisher | Subscription, command: AttachCommand) -> int:
+    async def _match_everyone(self, endpoint: Publisher | Subscription, command: commands.AttachCommand) -> int:
         """Wait for ``everyone``, including endpoints outside the system, for at most ``patience`` (s)."""
         deadline = self._host.steady() + int(command.patience * 1e9)
         while (matched := endpoint.matched()) < command.everyone and self._host.steady() < deadline:

@@ -10,11 +10,11 @@ neither: the manager may be gone by then.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar, get_args
+from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
 
 import msgspec
 
-from midstride.wire.state import ComponentState, GateState, Value
+from midstride.wire.state import ComponentState, GateState, WireValue
 
 R_co = TypeVar("R_co", covariant=True)
 
@@ -26,11 +26,11 @@ CutOutcome: TypeAlias = Literal["waiting", "done", "resumed", "cancelled"]
 # -- replies -----------------------------------------------------------------------------------------
 
 
-class Done(Value, frozen=True, kw_only=True):
+class Done(WireValue, frozen=True, kw_only=True):
     """Carried out; there is nothing to report."""
 
 
-class Grid(Value, frozen=True, kw_only=True):
+class Grid(WireValue, frozen=True, kw_only=True):
     """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``; ``now`` is the ROS clock.
 
     ``readers`` is the number of matched subscriptions on the topic asked about.
@@ -52,7 +52,7 @@ class Receipt(msgspec.Struct, frozen=True, array_like=True):
     publisher: str | None
 
 
-class Records(Value, frozen=True, kw_only=True):
+class Records(WireValue, frozen=True, kw_only=True):
     """What an input has recorded. ``now`` is the steady clock (ns)."""
 
     rows: list[Receipt]
@@ -60,27 +60,27 @@ class Records(Value, frozen=True, kw_only=True):
     now: int
 
 
-class ExportedState(Value, frozen=True, kw_only=True):
+class ExportedState(WireValue, frozen=True, kw_only=True):
     """``state`` is None where the component keeps none."""
 
     state: bytes | None
 
 
-class GatedWrites(Value, frozen=True, kw_only=True):
+class GatedWrites(WireValue, frozen=True, kw_only=True):
     """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one."""
 
     gated: int
     wrong_type: str | None
 
 
-class LastWrite(Value, frozen=True, kw_only=True):
+class LastWrite(WireValue, frozen=True, kw_only=True):
     """An output's last number, and when it was written (None: not since the cut was agreed)."""
 
     number: int
     source: int | None
 
 
-class CutResult(Value, frozen=True, kw_only=True):
+class CutResult(WireValue, frozen=True, kw_only=True):
     """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
 
     Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
@@ -91,38 +91,38 @@ class CutResult(Value, frozen=True, kw_only=True):
     first: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
 
 
-class Attached(Value, frozen=True, kw_only=True):
+class Attached(WireValue, frozen=True, kw_only=True):
     """``matched``: how many compatible endpoints it is matched with."""
 
     matched: int
 
 
-class Detached(Value, frozen=True, kw_only=True):
+class Detached(WireValue, frozen=True, kw_only=True):
     """``acknowledged``: whether every reader has the last message, None where that is unknown; ``last``: its number."""
 
     acknowledged: bool | None
     last: int | None
 
 
-class ModesBefore(Value, frozen=True, kw_only=True):
+class ModesBefore(WireValue, frozen=True, kw_only=True):
     """The modes before the change, by functionality."""
 
     before: dict[str, str]
 
 
-class ParametersBefore(Value, frozen=True, kw_only=True):
+class ParametersBefore(WireValue, frozen=True, kw_only=True):
     """The values before the change, by name."""
 
     before: dict[str, Any]
 
 
-class Recording(Value, frozen=True, kw_only=True):
+class RecordingSwitched(WireValue, frozen=True, kw_only=True):
     """When recording started or stopped: steady ns."""
 
     now: int
 
 
-class Relieved(Value, frozen=True, kw_only=True):
+class Relieved(WireValue, frozen=True, kw_only=True):
     """``resumed``: it is too late, and the old side writes again."""
 
     resumed: bool
@@ -131,11 +131,11 @@ class Relieved(Value, frozen=True, kw_only=True):
 # -- commands ----------------------------------------------------------------------------------------
 
 
-class Command(Value, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
+class Command(WireValue, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
     """``timeout`` is how long the component may take (s); ``reply`` is the class of its reply."""
 
     kind: ClassVar[Kind] = "changing"
-    reply: ClassVar[type[Value]] = Done
+    reply: ClassVar[type[WireValue]] = Done
     timeout: Seconds = 2.0
 
     @property
@@ -251,10 +251,10 @@ class ImportStateCommand(Command[Done], frozen=True, kw_only=True, tag="import_s
     state: bytes
 
 
-class RecordCommand(Command[Recording], frozen=True, kw_only=True, tag="record"):
+class RecordCommand(Command[RecordingSwitched], frozen=True, kw_only=True, tag="record"):
     """Keep every receipt of these inputs from now on, or only the last few."""
 
-    reply = Recording
+    reply = RecordingSwitched
     inputs: list[str]
     on: bool
 
@@ -267,7 +267,7 @@ class MeetCommand(Command[Done], frozen=True, kw_only=True, tag="meet"):
     timeout: Seconds = 5.0
 
 
-class CutSwap(Value, frozen=True, kw_only=True):
+class CutSwap(WireValue, frozen=True, kw_only=True):
     """One output of a cut. ``latch``: the new side writes its last gated message again at the cut."""
 
     port: str
@@ -332,32 +332,7 @@ class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken")
     cut: str
 
 
-AnyCommand: TypeAlias = (
-    PingCommand
-    | ObserveCommand
-    | GridCommand
-    | RecordsCommand
-    | ExportStateCommand
-    | AwaitWriteCommand
-    | AwaitCutCommand
-    | WelcomeCommand
-    | AttachCommand
-    | DetachCommand
-    | ModesCommand
-    | SetParametersCommand
-    | ImportStateCommand
-    | RecordCommand
-    | MeetCommand
-    | CutOutCommand
-    | CutInCommand
-    | CancelCutCommand
-    | GateCommand
-    | ReleaseCommand
-    | StopCommand
-    | CutTakenCommand
-)
-
 # Every command by its name on the wire.
 COMMANDS: Final[dict[str, type[Command[Any]]]] = {
-    str(command.__struct_config__.tag): command for command in get_args(AnyCommand)
+    str(command.__struct_config__.tag): command for command in Command.__subclasses__()
 }

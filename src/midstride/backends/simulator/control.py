@@ -13,15 +13,8 @@ from midstride.backends.simulator.clock import SimulatedClock
 from midstride.backends.simulator.faults import Faults
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import NodeError, Unreachable
-from midstride.wire.frames import (
-    Reply,
-    Request,
-    StateChanged,
-    command_name,
-    decode_from_client,
-    decode_from_component,
-    encode,
-)
+from midstride.wire import frames
+from midstride.wire.frames import Reply, Request
 from midstride.wire.pipe import PipeEnd, PipeNetwork
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Connection, Serve, StopListening
@@ -45,9 +38,9 @@ class ClientEnd:
     async def send(self, frame: bytes) -> None:
         if self._process is not None:
             await self._process.wait_while_frozen()
-        request = decode_from_client(frame)
+        request = frames.decode_from_client(frame)
         if isinstance(request, Request):
-            name = command_name(request)
+            name = frames.command_name(request)
             if self._control.before_request is not None:
                 await self._control.before_request(self._instance, name)
             match self._control.faults.take_fault(self._instance, name):
@@ -55,7 +48,7 @@ class ClientEnd:
                     raise Unreachable("an injected fault makes it unreachable")
                 case "refused":
                     words = "an injected fault refuses this request"
-                    self._end.arrive(encode(Reply(id=request.id, revision=-1, refused=words)))
+                    self._end.arrive(frames.encode(Reply(id=request.id, revision=-1, refused=words)))
                     return
                 case "lost_request":
                     return
@@ -67,11 +60,11 @@ class ClientEnd:
         while (line := await self._end.receive()) is not None:
             if self._process is not None:
                 await self._process.wait_while_frozen()
-            match decode_from_component(line):
-                case StateChanged(state=state) if self._control.rewrite_state is not None:
+            match frames.decode_from_component(line):
+                case frames.StateChanged(state=state) if self._control.rewrite_state is not None:
                     if (rewritten := self._control.rewrite_state(state)) is None:
                         continue
-                    line = encode(StateChanged(state=rewritten))
+                    line = frames.encode(frames.StateChanged(state=rewritten))
                 case Reply(id=id) if id in self._lost_replies:
                     self._lost_replies.discard(id)
                     continue
