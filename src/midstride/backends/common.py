@@ -9,14 +9,16 @@ import os
 import shutil
 import signal
 import sys
+import tempfile
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from midstride.errors import CommandRefused, ManagerError, MidstrideError, NodeError, StartFailed, Unreachable
-from midstride.runtime.backend import Launch
-from midstride.runtime.process import Process
+from midstride.runtime.backend import Handle, Launch
+from midstride.runtime.clock import Clock, SystemClock
+from midstride.runtime.process import Process, find, spawn
 from midstride.runtime.reaper import Reaper
 from midstride.wire.environment import (
     ENV_BACKEND,
@@ -181,6 +183,63 @@ class Children:
         for process in self._processes.values():
             process.close()
         self._processes.clear()
+
+
+class ProcessBackend:
+    """What the back ends of real platforms share: components as processes, their control sockets and their logs.
+
+    ``control`` is the folder of the sockets, ``logs`` that of the logs (default: beside ROS's own). ``guardian`` ends
+    what is started should this process be killed.
+    """
+
+    def __init__(self, control: Path, logs: Path | None, guardian: Reaper | None) -> None:
+        self.clock: Clock = SystemClock()
+        self.transport: Transport = SocketFolder(control)
+        self._control = control
+        self._logs = logs
+        self._guardian = guardian
+        self._children = Children(guardian, self._exited)
+
+    def _exited(self, instance: str, status: int | None, process: Process) -> None:
+        """A process has ended by itself."""
+        raise NotImplementedError
+
+    async def _died(self, instance: str) -> None:
+        """A process has ended: the graph may still show its node."""
+        raise NotImplementedError
+
+    def _spawn(self, launch: Launch, node: str, command: Sequence[str], environment: Mapping[str, str]) -> Handle:
+        """Start the process of the node that has the full name ``node``. Raises StartFailed."""
+        log = self._log_folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
+        process = spawn(command, launch.directory, environment, log)
+        self._children.take(launch.instance, process)
+        return Handle(launch.instance, process.pid, process.started, str(log))
+
+    def _log_folder(self, token: str = "") -> Path:
+        if self._logs is not None:
+            return self._logs
+        folder = os.environ.get("ROS_LOG_DIR")
+        home = os.environ.get("ROS_HOME") or os.path.expanduser("~/.ros")
+        if not folder:
+            folder = f"{home}/log" if os.path.isabs(home) else f"{tempfile.gettempdir()}/ros-log"
+        return Path(folder) / "midstride" / token[:12]
+
+    async def adopt(self, handle: Handle) -> bool:
+        instance = handle.instance
+        if instance in self._children:
+            return True
+        if handle.pid is None or handle.started is None:
+            return await listens(self.transport, instance)
+        log = None if handle.log is None else Path(handle.log)
+        process = find(handle.pid, handle.started, ENV_INSTANCE, instance, log)
+        if process is None:
+            return False
+        self._children.take(instance, process)
+        return process.running
+
+    async def end(self, instance: str, grace: float) -> None:
+        if await self._children.end(instance, grace):
+            await self._died(instance)
 
 
 class KeptParameters:

@@ -8,7 +8,6 @@ endpoints is a task of the data executor.
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import sys
 import time
@@ -26,8 +25,9 @@ from midstride.backends.ros2.nodes import ComponentNodes
 from midstride.backends.ros2.parameter_services import parameters_of
 from midstride.backends.ros2.timers import Ros2GridTimer
 from midstride.model.contract import QoS
+from midstride.node import process_context
 from midstride.node.host import MessageInfo, NodeParameters
-from midstride.wire.environment import ENV_PARAMETERS, ENV_TOKEN
+from midstride.wire.environment import ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
@@ -46,7 +46,8 @@ class Ros2Host:
         transport, self.reachable = control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
         self.logger: Any = get_logger(names.full(name, namespace).strip("/").replace("/", "."))
-        self._given = _given_parameters()
+        # The node gets all that the manager gave, for ROS has parameters of its own (``use_sim_time``).
+        self._given = process_context.find().parameters
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
         self._simulated = False
@@ -199,9 +200,3 @@ class Ros2Host:
         self._clock_changes.unregister()
         if not self._nodes.leave():
             self.logger.error("user code has not returned; the process leaves without it")
-
-
-def _given_parameters() -> dict[str, Any]:
-    """What the manager gave: the node gets all of it, for ROS has parameters of its own (``use_sim_time``)."""
-    text = os.environ.get(ENV_PARAMETERS)
-    return dict(json.loads(text)) if text else {}
