@@ -92,14 +92,4 @@ def decode_form(document: object, form: type[F]) -> F:
     return decode(document, form, lambda found: found)
 
 
-def decode_json(text: bytes | str, form: type[F]) -> F:
-    """The form that a JSON text has. Raises SpecificationError as :func:`decode_form` and :func:`parse_json` do."""
-    try:
-        return decode_form(parse_json(text if isinstance(text, str) else text.decode()), form)
-    except UnicodeDecodeError as error:
-        raise SpecificationError([Problem("E001", (), f"not JSON: {error}")]) from None
-
-
-@functools.cache
-def _type_of(form: type[msgspec.Struct]) -> inspect.Type:
-    return inspect.type_info(form)
+_type_of = functools.cache(inspect.type_info)
