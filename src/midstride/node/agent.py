@@ -64,16 +64,12 @@ class Agent:
         self._ready = asyncio.Event()
         self._stopping = asyncio.Event()
         greeting = frames.Greeting(
-            protocol=frames.PROTOCOL, instance=host.instance, uuid=self._uuid, pid=pid, start_token=self._start_token
+            protocol=frames.PROTOCOL, instance=host.instance, uuid=self._uuid, pid=pid, start_token=token
         )
         self._server = CommandServer(greeting, self.serve)
         self._handlers = CommandHandlers(
-            parts, host, self._revision, self._degraded, self.report_state, self._peer_token
+            parts, host, self._revision, self._degraded, self.report_state, lambda: self._token
         )
-
-    def _peer_token(self) -> str:
-        """The token for connections to peers."""
-        return self._token
 
     # -- start and end -----------------------------------------------------------------------------
 
@@ -184,19 +180,16 @@ class Agent:
 
     async def _carry_out(self, request: Request, command: Command[Any], token: str) -> Reply:
         try:
-            result: WireValue
+            result: WireValue = commands.Done()
             match command:
                 case commands.ObserveCommand():
                     result = self.state()
                 case commands.WelcomeCommand(manager=manager):
                     self._welcome(manager, token)
-                    result = commands.Done()
                 case commands.StopCommand():
                     self._stopping.set()
-                    result = commands.Done()
                 case commands.ReleaseCommand():
                     await self._release(command)
-                    result = commands.Done()
                 case _:
                     result = await self._handlers.carry_out(command, request.revision)
         except MidstrideError as error:

@@ -79,8 +79,17 @@ class Attachments:
             undo = partial(self._unsubscribe, port, inlet)
             endpoint = inlet.subscription
         try:
-            await self._match(endpoint, command.peers, timeout, topic)
-            matched = await self._match_everyone(endpoint, command)
+            matched = await self._match(endpoint, command.peers, timeout)
+            if matched < command.peers:
+                raise CommandRefused(
+                    f"only {max(matched, 0)} of {command.peers} endpoints on {topic} were found within {timeout:g} s; "
+                    "the others are missing, or have another type or incompatible QoS"
+                )
+            if command.peers:
+                await self._host.sleep(SETTLE)
+            matched = await self._match(endpoint, command.everyone, command.patience)
+            if command.everyone > command.peers:  # endpoints outside the system as well
+                await self._host.sleep(SETTLE)
             if opened:
                 await self._data.run(lambda: self._open(link), timeout)
         except CommandRefused:
@@ -178,24 +187,9 @@ class Attachments:
             for inlet in port.links:
                 self._unsubscribe(port, inlet)
 
-    async def _match(self, endpoint: Publisher | Subscription, peers: int, timeout: float, topic: str) -> None:
-        """Wait for ``peers`` compatible endpoints, and until the match has settled. Raises CommandRefused."""
-        deadline = self._host.steady() + int(timeout * 1e9)
-        while (matched := endpoint.matched()) < peers:
-            if self._host.steady() >= deadline:
-                raise CommandRefused(
-                    f"only {max(matched, 0)} of {peers} endpoints on {topic} were found within {timeout:g} s; "
-                    "the others are missing, or have another type or incompatible QoS"
-                )
+    async def _match(self, endpoint: Publisher | Subscription, wanted: int, patience: float) -> int:
+        """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s)."""
+        deadline = self._host.steady() + int(patience * 1e9)
+        while (matched := endpoint.matched()) < wanted and self._host.steady() < deadline:
             await self._host.sleep(TICK)
-        if peers:
-            await self._host.sleep(SETTLE)
-
-    async def _match_everyone(self, endpoint: Publisher | Subscription, command: commands.AttachCommand) -> int:
-        """Wait for ``everyone``, including endpoints outside the system, for at most ``patience`` (s)."""
-        deadline = self._host.steady() + int(command.patience * 1e9)
-        while (matched := endpoint.matched()) < command.everyone and self._host.steady() < deadline:
-            await self._host.sleep(TICK)
-        if command.everyone > command.peers:
-            await self._host.sleep(SETTLE)
         return matched

@@ -14,7 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
-from midstride.backends import common
+from midstride.backends import processes
 from midstride.backends.ros1 import launching, master_process, names
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed, Unreachable
@@ -27,7 +27,7 @@ from midstride.runtime.timeouts import within
 _TIDY: Final = 1.0
 
 
-class Ros1Backend(common.ProcessBackend):
+class Ros1Backend(processes.ProcessBackend):
     """To be opened, used and closed on one event loop."""
 
     name = "ros1"
@@ -73,7 +73,7 @@ class Ros1Backend(common.ProcessBackend):
     async def start(self, launch: Launch) -> Handle:
         master = self._opened()
         node = names.full(launch.instance, launch.namespace)
-        command = common.command(launch.arguments, launch.directory, os.environ, launching.require_interpreter)
+        command = processes.command(launch.arguments, launch.directory, os.environ, launching.require_interpreter)
         if await master.is_running(node):
             raise StartFailed(
                 f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
@@ -81,7 +81,7 @@ class Ros1Backend(common.ProcessBackend):
             )
         environment = {
             **launching.environment(os.environ, master.uri),
-            **common.identity(launch, self.name, self._control),
+            **processes.identity(launch, self.name, self._control),
             launching.NAMESPACE: names.split(launch.instance, launch.namespace)[1],
         }
         handle = self._spawn(launch, node, command, environment)

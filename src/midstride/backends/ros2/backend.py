@@ -23,8 +23,8 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from midstride.backends import common
-from midstride.backends.common import ProcessBackend
+from midstride.backends import processes
+from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, launching, names
 from midstride.backends.ros2.graph import Graph
 from midstride.errors import BackendError, StartFailed, Unreachable
@@ -107,12 +107,12 @@ class Ros2Backend(ProcessBackend):
 
     async def start(self, launch: Launch) -> Handle:
         full_name = names.full(launch.instance, launch.namespace)
-        command = common.command(launch.arguments, launch.directory, os.environ, lambda: sys.executable)
+        command = processes.command(launch.arguments, launch.directory, os.environ, lambda: sys.executable)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         if (
             launch.instance in self._children
-            or await common.listens(self.transport, launch.instance)
+            or await processes.listens(self.transport, launch.instance)
             or graph.has(full_name)
         ):
             raise StartFailed(f"{launch.instance}: a node {full_name} is running already; end it, or use another name")

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from midstride.backends import common
+from midstride.backends import processes
 from midstride.backends.ros2 import dds_profiles
 from midstride.backends.ros2.dds_profiles import DdsSettings
 from midstride.runtime.backend import Launch
@@ -29,7 +29,7 @@ def environment(
         _leave_own_wheels(result)
     _drop_ros1(result)
     result.update(_variables(program, settings, base))
-    result.update(common.identity(launch, "ros2", control))
+    result.update(processes.identity(launch, "ros2", control))
     return result
 
 
