@@ -12,10 +12,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from midstride.errors import CommandRefused, ManagerError, MidstrideError, NodeError
-from midstride.wire.environment import (
-    ENV_CONTROL,
-    ENV_SYSTEM,
-)
+from midstride.wire.environment import ENV_CONTROL, ENV_SYSTEM
 from midstride.wire.folders import COMPONENTS, workspace_folder
 from midstride.wire.sockets import SocketFolder
 

@@ -21,15 +21,7 @@ import msgspec
 from immutables import Map
 from msgspec import UNSET, Meta, UnsetType
 
-from midstride.codec.contract import (
-    MessageType,
-    PredicateForm,
-    QoSForm,
-    Rate,
-    Where,
-    predicate_keys,
-    predicate_of,
-)
+from midstride.codec.contract import MessageType, PredicateForm, QoSForm, Rate, Where, predicate_keys, predicate_of
 from midstride.codec.form import (
     LARGEST,
     Document,

@@ -126,8 +126,7 @@ MessageType: TypeAlias = Annotated[
 ]
 Rate: TypeAlias = Annotated[float, field("a rate in Hz", "in Hz, at least", gt=0, le=LARGEST)]
 FieldPath: TypeAlias = Annotated[
-    str,
-    field("the path of a field", help="write it as `header.frame_id`", pattern=rf"^[^\W\d]\w*(\.[^\W\d]\w*)*{END}"),
+    str, field("the path of a field", help="write it as `header.frame_id`", pattern=rf"^[^\W\d]\w*(\.[^\W\d]\w*)*{END}")
 ]
 Where: TypeAlias = Annotated[
     dict[FieldPath, ValuesForm], field("an object of fields", "the values that fields may have, by dotted path")

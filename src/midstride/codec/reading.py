@@ -53,10 +53,7 @@ def parse_json(text: str) -> Any:
 
 
 def decode(
-    document: object,
-    form: type[F],
-    build: Callable[[F], T],
-    names: Callable[[T], Iterable[Problem]] = lambda _: (),
+    document: object, form: type[F], build: Callable[[F], T], names: Callable[[T], Iterable[Problem]] = lambda _: ()
 ) -> T:
     """The value that ``build`` makes of the document's form.
 

@@ -186,6 +186,8 @@ class Agent:
                     result = self.state()
                 case commands.WelcomeCommand(manager=manager):
                     self._welcome(manager, token)
+                case commands.PingCommand():
+                    pass
                 case commands.StopCommand():
                     self._stopping.set()
                 case commands.ReleaseCommand():

@@ -82,7 +82,6 @@ class CommandHandlers:
             commands.ImportStateCommand: self._import_state,
             commands.RecordCommand: self._record,
             commands.RecordsCommand: self._records,
-            commands.PingCommand: self._ping,
         }
 
     async def carry_out(self, command: Command[Any], expected: int | None) -> WireValue:
@@ -292,6 +291,3 @@ class CommandHandlers:
             rows.append(commands.Receipt(received, info.source, info.number, info.publisher))
         identity = bool(rows) and all(row.publisher is not None for row in rows)
         return commands.Records(rows=rows, publisher_identity=identity, now=self._host.steady())
-
-    async def _ping(self, _: commands.PingCommand) -> commands.Done:
-        return commands.Done()

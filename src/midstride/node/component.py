@@ -62,12 +62,7 @@ class Component:
     # -- declaring ---------------------------------------------------------------------------------
 
     def create_input(
-        self,
-        name: str,
-        type: type,
-        rate: float | None = None,
-        qos: QoS | int | None = None,
-        where: Where | None = None,
+        self, name: str, type: type, rate: float | None = None, qos: QoS | int | None = None, where: Where | None = None
     ) -> Input:
         """An input port, with what it assumes about the topic that it is attached to (docs/semantics.md section 1).
 

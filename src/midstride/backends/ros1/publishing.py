@@ -18,6 +18,7 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
+from functools import partial
 from itertools import count
 from typing import Any, Final
 
@@ -197,10 +198,9 @@ class PortPublisher:
         self.held: tuple[Any, int, int] | None = None
         self._now = now
         self._registrar = registrar
-        self.topic = registrar.attach(
-            self, topic, type_, lambda name: NumberedTopic(name, type_, stated, registrar.loop)
-        )
-        self.index = next(self.topic.indices)
+        self.index = next(_indices)
+        make = partial(NumberedTopic, type_=type_, offered=stated, control=registrar.loop)
+        self.topic: NumberedTopic = registrar.attach(self, topic, type_, make)
         self.topic.is_latch = self.topic.is_latch or self.latched
         self._send = self.topic.send
 
