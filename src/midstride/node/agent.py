@@ -121,8 +121,7 @@ class Agent:
         for port, topics in attachments.items():
             for topic in topics:
                 await self._handlers.carry_out(commands.AttachCommand(port=port, topic=topic), None)
-        chosen = best_modes(self._declaration, attachments)
-        modes = {name: self._declaration.functionalities[name].modes[index].name for name, index in chosen.items()}
+        modes = best_modes(self._declaration, attachments)
         because = "started standalone: the best mode for what is attached"
         await self._handlers.carry_out(commands.ModesCommand(modes=modes, because=because), None)
         listed = ", ".join(f"{name} in mode {mode}" for name, mode in modes.items())

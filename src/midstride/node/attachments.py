@@ -128,9 +128,8 @@ class Attachments:
     async def await_write(self, command: commands.AwaitWriteCommand) -> commands.GatedWrites:
         link = self.link(command.port, command.topic)
         deadline = self._host.steady() + int(command.timeout * 1e9)
-        owner = link.output.owner
         while not link.gated and link.output.wrong_type is None and self._host.steady() < deadline:
-            if owner is not None and owner.failed:
+            if link.output.owner.failed:
                 break  # it will not write
             await self._host.sleep(TICK)
         return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
@@ -145,7 +144,7 @@ class Attachments:
 
     def _publish(self, port: Output, topic: str) -> OutputLink:
         link = OutputLink(port, topic, self._host.create_publisher(topic, port.type, port.qos))
-        if port.last is not None and (port.latched or (port.owner is not None and port.owner.driven == "none")):
+        if port.last is not None and (port.latched or port.owner.driven == "none"):
             link.write_gated(port.last)  # a mode that writes once, on entry, may have written while unattached
         port.wrong_type = None
         port.links = (*port.links, link)

@@ -62,8 +62,6 @@ class HandoverCommands:
 
     async def grid(self, command: commands.GridCommand) -> commands.Grid:
         owner = self._attachments.output(command.port).owner
-        if owner is None:
-            raise CommandRefused("the component has not started yet")
         rate, topic = owner.rate, command.topic
         return commands.Grid(
             trigger=owner.driven,
@@ -104,7 +102,7 @@ class HandoverCommands:
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
         side = IncomingCut(links, command.at, self._host, latches)
         await self._arm(command.at, lambda: side.arm(command.epoch))
-        rate_driven = all(link.output.owner is not None and link.output.owner.rate is not None for link in links)
+        rate_driven = all(link.output.owner.rate is not None for link in links)
 
         async def report(timeout: float) -> bool:
             """Report the first write to the old side; whether that has resumed by then."""

@@ -8,7 +8,7 @@ thread; other threads only read counters.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from midstride.errors import NodeError
@@ -160,6 +160,9 @@ class Output(_Port[OutputLink]):
     write from other threads: there is no lock.
     """
 
+    # From when the component runs.
+    owner: OutputOwner
+
     def __init__(self, name: str, type_: type, qos: QoS) -> None:
         self.name = name
         self.type = type_
@@ -169,7 +172,6 @@ class Output(_Port[OutputLink]):
         self.latched = qos.effective().durability == "transient_local"
         self.last: Any = None
         self.wrong_type: str | None = None
-        self.owner: OutputOwner | None = None
 
     def write(self, message: Any) -> None:
         """Publish ``message``. Raises NodeError where it is not of the output's type.
@@ -253,9 +255,6 @@ class AnyOf:
 
     def __init__(self, inputs: tuple[Input, ...]) -> None:
         self.inputs = inputs
-
-    def __iter__(self) -> Iterator[Input]:
-        return iter(self.inputs)
 
     def __repr__(self) -> str:
         return f"any_of({', '.join(port.name for port in self.inputs)})"
