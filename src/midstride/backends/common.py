@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import gc
+import os
 import signal
 import sys
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
@@ -51,6 +52,15 @@ def _named_system(arguments: Sequence[str]) -> str | None:
                 raise NodeError(f"{SYSTEM_FLAG} needs the name of a system: `{SYSTEM_FLAG} NAME`")
             return name
     return None
+
+
+def drop_paths(environment: dict[str, str], variable: str, unwanted: Callable[[str], bool]) -> None:
+    """Take the unwanted paths out of a variable; where none is left, it is unset."""
+    kept = [path for path in environment.get(variable, "").split(os.pathsep) if not unwanted(path)]
+    if any(kept):
+        environment[variable] = os.pathsep.join(kept)
+    else:
+        environment.pop(variable, None)
 
 
 class KeptParameters:
