@@ -35,8 +35,8 @@ class _Client:
         self._frames: deque[frames.Frame] = deque()
         self._state: frames.StateChanged | None = None
         self._arrived = asyncio.Event()
-        self._flushed = asyncio.Event()
-        self._flushed.set()
+        self.flushed = asyncio.Event()
+        self.flushed.set()
 
     def put(self, frame: frames.Frame) -> None:
         """Send ``frame`` after earlier ones; a state replaces an earlier one that is not yet sent."""
@@ -45,7 +45,7 @@ class _Client:
             if waiting is not None:
                 return
         self._frames.append(frame)
-        self._flushed.clear()
+        self.flushed.clear()
         self._arrived.set()
 
     async def write(self) -> None:
@@ -53,7 +53,7 @@ class _Client:
         try:
             while True:
                 while not self._frames:
-                    self._flushed.set()
+                    self.flushed.set()
                     self._arrived.clear()
                     await self._arrived.wait()
                 frame = self._frames.popleft()
@@ -65,10 +65,7 @@ class _Client:
         except Unreachable:
             pass
         finally:
-            self._flushed.set()
-
-    async def flushed(self) -> None:
-        await self._flushed.wait()
+            self.flushed.set()
 
 
 class CommandServer:
@@ -100,7 +97,7 @@ class CommandServer:
 
     async def _finish(self) -> None:
         await asyncio.gather(*self._answering, return_exceptions=True)
-        await asyncio.gather(*(client.flushed() for client in self._clients))
+        await asyncio.gather(*(client.flushed.wait() for client in self._clients))
 
     def register(self, registration: frames.Registration) -> None:
         """The component is set up: report it to every client, and to each later one."""

@@ -10,7 +10,7 @@ neither: the manager may be gone by then.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar
+from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias, TypeVar, get_args
 
 import msgspec
 
@@ -135,8 +135,12 @@ class Command(WireValue, Generic[R_co], frozen=True, kw_only=True, tag_field="co
     """``timeout`` is how long the component may take (s); ``reply`` is the class of its reply."""
 
     kind: ClassVar[Kind] = "changing"
-    reply: ClassVar[type[WireValue]] = Done
+    reply: ClassVar[type[WireValue]]
     timeout: Seconds = 2.0
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        (cls.reply,) = get_args(cls.__orig_bases__[0])  # type: ignore[attr-defined]
 
     @property
     def name(self) -> str:
@@ -153,14 +157,12 @@ class ObserveCommand(Command[ComponentState], frozen=True, kw_only=True, tag="ob
     """The component's state."""
 
     kind = "reading"
-    reply = ComponentState
 
 
 class GridCommand(Command[Grid], frozen=True, kw_only=True, tag="grid"):
     """The time grid of an output; with a topic, its readers there as well."""
 
     kind = "reading"
-    reply = Grid
     port: str
     topic: str | None = None
 
@@ -169,7 +171,6 @@ class RecordsCommand(Command[Records], frozen=True, kw_only=True, tag="records")
     """What an input has recorded."""
 
     kind = "reading"
-    reply = Records
     input: str
 
 
@@ -177,14 +178,12 @@ class ExportStateCommand(Command[ExportedState], frozen=True, kw_only=True, tag=
     """The state of the component's user code, for its replacement."""
 
     kind = "reading"
-    reply = ExportedState
 
 
 class AwaitWriteCommand(Command[GatedWrites], frozen=True, kw_only=True, tag="await_write"):
     """Wait for a write behind the gate."""
 
     kind = "reading"
-    reply = GatedWrites
     port: str
     topic: str
     timeout: Seconds = 5.0
@@ -194,7 +193,6 @@ class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_
     """Wait until the cut is over on this side."""
 
     kind = "reading"
-    reply = CutResult
     cut: str
     timeout: Seconds = 5.0
 
@@ -202,7 +200,6 @@ class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_
 class WelcomeCommand(Command[ComponentState], frozen=True, kw_only=True, tag="welcome"):
     """The manager has accepted the registration; the component stops waiting for one."""
 
-    reply = ComponentState
     manager: str
 
 
@@ -212,7 +209,6 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     ``everyone`` is how many readers to wait for beyond that, at most ``patience`` seconds.
     """
 
-    reply = Attached
     port: str
     topic: str
     gate: GateState = "open"
@@ -225,7 +221,6 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
 class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
     """Close the gate, wait for acknowledgements, destroy the endpoint."""
 
-    reply = Detached
     port: str
     topic: str
 
@@ -233,7 +228,6 @@ class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
 class ModesCommand(Command[ModesBefore], frozen=True, kw_only=True, tag="modes"):
     """Change modes between two calls of user code; refused, and withdrawn, if a call does not return in time."""
 
-    reply = ModesBefore
     modes: dict[str, str]
     because: str = "the manager requested it"
 
@@ -241,7 +235,6 @@ class ModesCommand(Command[ModesBefore], frozen=True, kw_only=True, tag="modes")
 class SetParametersCommand(Command[ParametersBefore], frozen=True, kw_only=True, tag="set"):
     """Set changeable parameters, all of them or none."""
 
-    reply = ParametersBefore
     parameters: dict[str, Any]
 
 
@@ -254,7 +247,6 @@ class ImportStateCommand(Command[Done], frozen=True, kw_only=True, tag="import_s
 class RecordCommand(Command[RecordingSwitched], frozen=True, kw_only=True, tag="record"):
     """Keep every receipt of these inputs from now on, or only the last few."""
 
-    reply = RecordingSwitched
     inputs: list[str]
     on: bool
 
@@ -328,7 +320,6 @@ class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken")
     """From the new side of a cut to the old one: it has written."""
 
     kind = "between"
-    reply = Relieved
     cut: str
 
 

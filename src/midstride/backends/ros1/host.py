@@ -102,7 +102,7 @@ class Ros1Host:
         return rospy
 
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
-        return self._data.run(function)
+        return common.on_thread(function, self._data.post)
 
     def run_coroutine(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
         self._data.drive(coroutine, done)
@@ -156,7 +156,9 @@ class Ros1Host:
         task = asyncio.ensure_future(main())  # it answers its manager, and waits for the data thread
         opened = False
         with common.ending_on_signals(task) as signals:
-            joining = asyncio.ensure_future(common.on_thread(self._join, _start_thread))
+            joining = asyncio.ensure_future(
+                common.on_thread(self._join, lambda join: threading.Thread(target=join, daemon=True).start())
+            )
             try:
                 await asyncio.wait({task, joining}, return_when=asyncio.FIRST_COMPLETED)
                 if joining.done() and not signals:
@@ -224,10 +226,6 @@ class Ros1Host:
                 with manager.cond:
                     manager.cond.notify_all()
             leaving.join(0.01)
-
-
-def _start_thread(function: Callable[[], None]) -> None:
-    threading.Thread(target=function, daemon=True).start()
 
 
 def _renamed(given: list[str], name: str) -> str:
