@@ -175,7 +175,7 @@ class FaultFinder:
         return self.read(value, matching[0], path, what, help)
 
     def _tagged(self, value: dict[Any, Any], members: Sequence[inspect.Type], path: Path) -> Any:
-        """One of several structs, told apart by the value of a key."""
+        """One of several structs, distinguished by the value of a key."""
         by_tag = {str(bare.tag): bare for member in members if isinstance(bare := _bare(member), inspect.StructType)}
         first = next(iter(by_tag.values()))
         key = str(first.tag_field)

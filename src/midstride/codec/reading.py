@@ -58,7 +58,7 @@ def decode(
     """The value that ``build`` makes of the document's form.
 
     ``names`` finds the faults in the names of that value. Raises SpecificationError with every fault of form and of
-    names, each with its path. ``build`` may raise ValueError for what only it can tell.
+    names, each with its path. ``build`` may raise ValueError for faults that only it can find.
     """
     faults: list[Problem] = []
     value: T | None = None

@@ -2,8 +2,8 @@
 
 A process that was killed stays in the graph until its lease runs out. Its exit is known at once, so everything under
 its name is ignored from then on. Once another process of that name is about to start, what the graph shows under the
-name is remembered by endpoint instead. A node that nobody here started is alive as long as it has an endpoint: every
-node has one, and the graph may keep the name of one that is gone, for good.
+name is remembered by endpoint instead. A node that this manager did not start is alive as long as it has an endpoint:
+every node has one, and the graph may keep the name of one that is gone, for good.
 """
 
 from __future__ import annotations

@@ -67,7 +67,7 @@ class Ros2Host:
     def _clock_changed(self, jump: Any) -> None:
         self._simulated = bool(self._clock.ros_time_is_active)
 
-    # -- data side -----------------------------------------------------------------------------------
+    # -- data thread -----------------------------------------------------------------------------------
 
     @property
     def ros_node(self) -> Any:
@@ -120,7 +120,7 @@ class Ros2Host:
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros2GridTimer:
         return Ros2GridTimer(self._node, self._group, self.now, period, epoch, callback)
 
-    # -- control side --------------------------------------------------------------------------------
+    # -- control thread --------------------------------------------------------------------------------
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
@@ -176,7 +176,9 @@ class Ros2Host:
             self._namespace,
             managed=bool(os.environ.get(ENV_TOKEN)),
             parameters=self._given,
-            failed=self._report_failure,
+            failed=lambda raised: self.logger.error(
+                f"a callback raised, and the component goes on without it:\n{raised}"
+            ),
         )
         self._node = nodes.data
         self._executor = nodes.data_executor
@@ -190,9 +192,6 @@ class Ros2Host:
         self.logger = self._node.get_logger()
         self._nodes = nodes
         return nodes
-
-    def _report_failure(self, traceback: str) -> None:
-        self.logger.error(f"a callback raised, and the component goes on without it:\n{traceback}")
 
     def _leave(self) -> None:
         if self._nodes is None:
