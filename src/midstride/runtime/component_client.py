@@ -215,6 +215,7 @@ class ComponentClient:
         """Close the connection: the component was released or has exited. ``on_event`` is not called."""
         if reopening := self._reopening.pop(instance, None):
             reopening.cancel()
+        self._reopened_at.pop(instance, None)
         channel = self._channels.get(instance)
         self._drop(instance)
         if channel is not None:
