@@ -13,7 +13,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
-from midstride.backends import common
+from midstride.backends import common, processes
 from midstride.backends.ros1 import connection_headers, launching, names, rpc
 from midstride.errors import BackendError, CallTimeout, NodeError, StartFailed, Unreachable
 from midstride.model.contract import QoS
@@ -211,7 +211,7 @@ def test_python_in_a_command_is_the_one_that_has_ros_1(tmp_path: Path) -> None:
     def python() -> str:
         return "/somewhere/python"
 
-    assert common.command(("python3", "a.py"), tmp_path, os.environ, python) == ("/somewhere/python", "a.py")
-    assert common.command(("/bin/sh", "-c", "x"), tmp_path, os.environ, python)[0] == "/bin/sh"
+    assert processes.command(("python3", "a.py"), tmp_path, os.environ, python) == ("/somewhere/python", "a.py")
+    assert processes.command(("/bin/sh", "-c", "x"), tmp_path, os.environ, python)[0] == "/bin/sh"
     with pytest.raises(StartFailed, match="no program nothing_of_this_name"):
-        common.command(("nothing_of_this_name",), tmp_path, os.environ, python)
+        processes.command(("nothing_of_this_name",), tmp_path, os.environ, python)

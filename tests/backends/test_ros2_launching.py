@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from midstride.backends import common
+from midstride.backends import processes
 from midstride.backends.ros2 import launching, names
 from midstride.backends.ros2.dds_profiles import PROFILES, RANGE, TRANSPORTS, DdsSettings, choose
 from midstride.errors import StartFailed
@@ -19,7 +19,7 @@ HERE = Path.cwd()
 
 
 def command(arguments: list[str], directory: Path, environment: dict[str, str]) -> tuple[str, ...]:
-    return common.command(arguments, directory, environment, lambda: sys.executable)
+    return processes.command(arguments, directory, environment, lambda: sys.executable)
 
 
 DEFAULTS = DdsSettings("rmw_fastrtps_cpp")

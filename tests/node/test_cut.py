@@ -73,7 +73,7 @@ class Wire:
         self.published.append(message.data)
 
 
-def link_of(owner: Owner | None, topic: str = "/chatter") -> tuple[OutputLink, list[str]]:
+def link_of(owner: Owner, topic: str = "/chatter") -> tuple[OutputLink, list[str]]:
     output, wire = Output("out", String, QoS()), Wire()
     output.owner = owner
     link = OutputLink(output, topic, cast(Any, wire))
@@ -112,7 +112,6 @@ def test_the_answer_to_a_message_of_the_moment_itself_is_the_old_sides(source: i
 @pytest.mark.parametrize(("now", "after"), [(T - 1, False), (T, True)])
 def test_what_answers_nothing_belongs_to_the_moment_it_is_written(now: int, after: bool) -> None:
     assert belongs_after(Owner(driven="none", rate=None), T, Clocks(now).host) is after
-    assert belongs_after(None, T, Clocks(now).host) is after
 
 
 def test_a_set_of_messages_is_as_new_as_its_newest() -> None:

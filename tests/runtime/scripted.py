@@ -52,7 +52,7 @@ from midstride.wire.commands import (
     ObserveCommand,
     ParametersBefore,
     RecordCommand,
-    Recording,
+    RecordingSwitched,
     Records,
     RecordsCommand,
     SetParametersCommand,
@@ -83,7 +83,7 @@ REPLIES: dict[type[Command[Any]], Any] = {
     ExportStateCommand: ExportedState(state=None),
     GridCommand: Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=1),
     ModesCommand: ModesBefore(before={}),
-    RecordCommand: Recording(now=0),
+    RecordCommand: RecordingSwitched(now=0),
     RecordsCommand: Records(rows=[], publisher_identity=True, now=0),
     SetParametersCommand: ParametersBefore(before={}),
 }

@@ -12,6 +12,7 @@ from midstride.backends.simulator.clock import SimulatedClock
 from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Unreachable
 from midstride.runtime.component_client import (
     ANSWER_TIMEOUT,
+    REOPEN_INTERVAL,
     SILENCE,
     UNDO_ATTEMPTS,
     ComponentClient,
@@ -32,7 +33,7 @@ from midstride.wire.frames import (
     decode_command,
     encode_value,
 )
-from midstride.wire.pipe import PipeNetwork
+from midstride.wire.pipe import PipeEnd, PipeNetwork
 from midstride.wire.state import ComponentState
 from tests.runtime.scripted import TALKER, TOKEN, registration
 
@@ -104,13 +105,28 @@ class Component:
         return [decode_command(request).name for request in self.requests]
 
 
+class CountedNetwork(PipeNetwork):
+    """Remembers the connections; ``peer`` is the process at the other end of each (None: the component itself)."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.opened: list[PipeEnd] = []
+        self.peer: int | None = None
+
+    async def connect(self, address: str) -> PipeEnd:
+        end = await super().connect(address)
+        end.peer = self.peer
+        self.opened.append(end)
+        return end
+
+
 class Control:
     """A client, the components that it talks to, and what it has heard."""
 
     def __init__(self) -> None:
         self.clock = SimulatedClock()
         self.clock.follow(asyncio.get_running_loop())
-        self.network = PipeNetwork()
+        self.network = CountedNetwork()
         self.events: list[ComponentEvent] = []
         self.client = ComponentClient(self.network, self.clock, TOKEN, self.events.append)
         self.component = Component()
@@ -340,6 +356,82 @@ def test_the_end_of_a_component_is_reported_once() -> None:
         assert c.events == [Reported(c.component.state()), Disconnected("talker")]
         assert c.client.latest("talker") is None and c.client.responsive("talker") is None
         assert c.client.greeting("talker") is None
+
+    play(body)
+
+
+def test_a_connection_that_a_protocol_error_has_closed_is_reopened_at_once() -> None:
+    async def body(c: Control) -> None:
+        await c.client.observe("talker")
+        for attempt in range(3):
+            began = c.clock.steady()
+            c.network.opened[-1].arrive(b"not a frame")
+            await settled()
+            assert len(c.network.opened) == 2 + attempt
+            await asyncio.sleep(REOPEN_INTERVAL)  # the next attempt is not made before
+            c.component.move()
+            await settled()
+            assert c.client.responsive("talker") == c.component.state(), "it reports again, and no command was sent"
+            assert c.clock.steady() - began < REOPEN_INTERVAL + 0.1
+        assert not c.client.is_lost("talker") and not any(isinstance(event, Disconnected) for event in c.events)
+
+    play(body)
+
+
+def test_a_component_that_sends_nothing_but_errors_is_not_connected_all_the_time() -> None:
+    async def body(c: Control) -> None:
+        await c.client.observe("talker")
+        until = c.clock.steady() + 10 * REOPEN_INTERVAL
+        while c.clock.steady() < until:
+            if c.client.greeting("talker") is not None:
+                c.network.opened[-1].arrive(b"not a frame")
+            await settled()
+        assert 8 <= len(c.network.opened) <= 12
+
+    play(body)
+
+
+def test_the_end_of_a_forwarded_connection_is_not_that_of_the_component() -> None:
+    async def body(c: Control) -> None:
+        c.network.peer = 4711  # the process of `ssh`; the component's is 7
+        await c.client.observe("talker")
+        listening = c.network.listeners.pop("talker")
+        c.network.opened[-1].other.close()  # type: ignore[union-attr]
+        await asyncio.sleep(5.5)
+        assert c.events == [Disconnected("talker", exited=False)], "it is reported once"
+        assert not c.client.is_lost("talker") and c.client.responsive("talker") is None
+        c.network.listeners["talker"] = listening
+        await asyncio.sleep(REOPEN_INTERVAL)
+        c.component.move()
+        await settled()
+        assert c.client.responsive("talker") == c.component.state()
+
+    play(body)
+
+
+@pytest.mark.parametrize("successor", [Component("second"), Component("second", protocol=PROTOCOL + 1)])
+def test_another_component_that_took_the_name_shows_that_the_first_has_exited(successor: Component) -> None:
+    async def body(c: Control) -> None:
+        c.network.peer = 4711
+        await c.client.observe("talker")
+        await c.component.server.close(0.0)
+        await c.start(successor)
+        await settled()
+        assert c.client.is_lost("talker") and c.events == [Disconnected("talker", exited=True)]
+
+    play(body)
+
+
+def test_nothing_is_reopened_after_the_manager_disconnects() -> None:
+    async def body(c: Control) -> None:
+        c.network.peer = 4711
+        await c.client.observe("talker")
+        await c.stop()
+        c.client.disconnect("talker")
+        await c.start(Component("second"))
+        opened = len(c.network.opened)
+        await asyncio.sleep(5 * REOPEN_INTERVAL)
+        assert len(c.network.opened) == opened
 
     play(body)
 

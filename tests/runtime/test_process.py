@@ -16,7 +16,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from midstride.backends import common
+from midstride.backends import processes
 from midstride.errors import StartFailed
 from midstride.runtime import reaper
 from midstride.runtime.logs import shorten, tail
@@ -239,9 +239,9 @@ def test_a_long_log_is_cut_to_its_last_lines_and_its_writer_goes_on(tmp_path: Pa
 
 
 def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(common, "CHECK_LOGS", 0.01)
-    monkeypatch.setattr(common, "LONGEST_LOG", 100_000)
-    monkeypatch.setattr(common, "KEPT_OF_LOG", 10_000)
+    monkeypatch.setattr(processes, "CHECK_LOGS", 0.01)
+    monkeypatch.setattr(processes, "LONGEST_LOG", 100_000)
+    monkeypatch.setattr(processes, "KEPT_OF_LOG", 10_000)
     log = tmp_path / "log"
     talkative = (
         "import itertools, time\nfor n in itertools.count():\n    print(n, flush=True)\n    n % 50 or time.sleep(0.001)"
@@ -251,7 +251,7 @@ def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypat
         return int(tail(log).rstrip("\n").rpartition("\n")[2] or 0)
 
     async def main() -> None:
-        children = common.Children(None, lambda *_: None)
+        children = processes.Children(None, lambda *_: None)
         children.take("talkative", spawn([sys.executable, "-u", "-c", talkative], tmp_path, os.environ, log))
         deadline = time.monotonic() + 60
         while not log.read_bytes()[:1] or log.read_bytes().startswith(b"0\n"):

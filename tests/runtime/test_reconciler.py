@@ -131,6 +131,18 @@ def test_a_component_that_was_started_by_hand_is_gone_with_its_connection(tmp_pa
     reconciling(talking(talker=build.source("Talker")), tmp_path, body)
 
 
+@pytest.mark.parametrize("name", ["talker", "listener"])
+def test_a_component_that_cannot_be_reached_and_may_run_stays_in_the_model(name: str, tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.reconciler.on_component_event(Disconnected(name, exited=False))
+        r.reconciler.on_component_event(Disconnected("unheard of", exited=False))
+        await moment()
+        assert r.system.revision == 0 and r.words("exited") == []
+        assert r.words("note") == [f"{name} cannot be reached any more; its process may still run"]
+
+    reconciling(talking(talker=build.source("Talker")), tmp_path, body)
+
+
 def test_what_could_not_be_lowered_is_lowered_the_next_time(tmp_path: Path) -> None:
     async def body(r: ReconcilingBench) -> None:
         r.client.reply("listener", ModesCommand, TIMEOUT)

@@ -90,7 +90,7 @@ def test_an_input_that_sees_two_exchanges_is_recorded_once(tmp_path: Path) -> No
 
     async def body(b: Bench) -> None:
         under_test = recording(b)
-        b.client.reply("listener", RecordCommand, commands.Recording(now=7))
+        b.client.reply("listener", RecordCommand, commands.RecordingSwitched(now=7))
         await under_test.begin(talking(), pair)
         assert b.client.of(RecordCommand) == [START_RECORDING]
         assert [each.begun for each in under_test.recorded] == [7, 7]
@@ -104,7 +104,7 @@ def test_a_swap_is_measured_once_its_tail_is_over(tmp_path: Path) -> None:
 
     async def body(b: Bench) -> None:
         under_test = recording(b)
-        b.client.reply("listener", RecordCommand, commands.Recording(now=2 * SECOND))
+        b.client.reply("listener", RecordCommand, commands.RecordingSwitched(now=2 * SECOND))
         b.client.reply("listener", RecordsCommand, Records(rows=old + new, publisher_identity=True, now=5 * SECOND))
         await under_test.begin(talking(), REPLACEMENT)
         begun = b.clock.steady()
@@ -122,7 +122,7 @@ def test_the_last_number_of_the_old_side_shows_what_was_lost(tmp_path: Path) -> 
 
     async def body(b: Bench) -> None:
         under_test = recording(b)
-        b.client.reply("listener", RecordCommand, commands.Recording(now=2 * SECOND))
+        b.client.reply("listener", RecordCommand, commands.RecordingSwitched(now=2 * SECOND))
         b.client.reply("listener", RecordsCommand, Records(rows=old + new, publisher_identity=True, now=5 * SECOND))
         await under_test.begin(talking(), REPLACEMENT)
         [swap] = await under_test.finish({OUT: 23})
@@ -241,7 +241,7 @@ def test_what_the_new_side_has_to_answer_is_recorded_there(tmp_path: Path) -> No
         b.client.reply("filter", GridCommand, grid)
         b.client.reply("sink", RecordsCommand, Records(rows=answered, publisher_identity=True, now=round(0.7 * SECOND)))
         b.client.reply("filter_2", RecordsCommand, Records(rows=asked, publisher_identity=True, now=SECOND))
-        b.client.reply("sink", RecordCommand, commands.Recording(now=round(0.05 * SECOND)))
+        b.client.reply("sink", RecordCommand, commands.RecordingSwitched(now=round(0.05 * SECOND)))
         await under_test.begin(ANSWERING, [ANSWERS])
         await under_test.record_driving_inputs(ANSWERING, ANSWERS)
         [found] = await under_test.finish({})

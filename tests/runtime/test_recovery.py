@@ -10,7 +10,7 @@ from typing import Literal
 import pytest
 from immutables import Map
 
-from midstride.errors import BackendError, Unreachable
+from midstride.errors import BackendError, ProtocolError, Unreachable
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Node, Specification
 from midstride.runtime.backend import Handle
@@ -19,7 +19,7 @@ from midstride.runtime.state_store import SavedInstance
 from midstride.wire.commands import GateCommand, ObserveCommand, RecordCommand
 from tests.model import build
 from tests.model.build import work
-from tests.runtime.scripted import REFUSED, TALKER, Bench, bench, instance, reported, talking
+from tests.runtime.scripted import REFUSED, TALKER, TIMEOUT, UNREACHABLE, Bench, bench, instance, reported, talking
 
 OUT, NEW_OUT = build.port("talker.out"), build.port("talker_2.out")
 NEW = instance("talker_2", TALKER, "talker")
@@ -85,6 +85,23 @@ def test_a_component_that_runs_and_does_not_answer_stops_the_recovery(tmp_path: 
         assert b.backend.ended == []
 
     bench(RUNNING, tmp_path, body)
+
+
+@pytest.mark.parametrize("answer", [TIMEOUT, UNREACHABLE, ProtocolError("it speaks version 99")])
+def test_a_component_started_by_hand_that_greets_and_does_not_answer_is_left_out(
+    answer: Exception, tmp_path: Path
+) -> None:
+    running = talking(talker=build.source("Talker"))
+
+    async def body(b: Bench) -> None:
+        b.backend.running.add("talker")
+        b.client.reply("talker", ObserveCommand, answer)
+        assert await recovered(b) == running.without_instance("talker")
+        (note,) = b.words("note")
+        assert note.startswith(("talker runs, but does not answer", "it speaks version 99"))
+        assert note.endswith("it is left out until it does") and b.client.disconnected == ["talker"]
+
+    bench(running, tmp_path, body)
 
 
 def test_recordings_of_an_earlier_manager_end(tmp_path: Path) -> None:

@@ -53,6 +53,8 @@ async def eventually(found: Callable[[], Any]) -> None:
 class BlockedConnection:
     """A connection to a client that does not read: ``sent`` grows by one frame for each ``let_through``."""
 
+    peer: int | None = None
+
     def __init__(self, *frames: bytes) -> None:
         self.sent: list[bytes] = []
         self.fail = False

@@ -215,7 +215,7 @@ def blocked(main: Callable[[CommandServer, BlockedConnection], Awaitable[None]],
         network, commands = PipeNetwork(), server()
         await commands.open(network)
         connection = BlockedConnection(HELLO, *requests)
-        network.serve(network.listeners["talker"].serve, connection)
+        network.serve(network.listeners["talker"], connection)
         connection.let_through(1)
         await eventually(lambda: connection.sent)
         assert decode_from_component(connection.sent.pop()) == GREETING

@@ -41,7 +41,7 @@ from midstride.wire.commands import (
     PingCommand,
     Receipt,
     RecordCommand,
-    Recording,
+    RecordingSwitched,
     Records,
     RecordsCommand,
     ReleaseCommand,
@@ -65,7 +65,7 @@ from midstride.wire.frames import (
     encode,
     encode_value,
 )
-from midstride.wire.state import ComponentState, Endpoint, FunctionalityState, LinkState, Value
+from midstride.wire.state import ComponentState, Endpoint, FunctionalityState, LinkState, WireValue
 
 from .support import GREETING, HELLO, REGISTRATION
 
@@ -88,7 +88,7 @@ ROW = Receipt(1, 2, 3, "p")
 WRITE = {"out /chatter": LastWrite(number=4, source=5), "log /log": None}
 
 # Every command, with no field at its default, and a reply to it.
-SAMPLES: list[tuple[Command[Any], Value]] = [
+SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (PingCommand(timeout=1.5), Done()),
     (ObserveCommand(timeout=1.5), STATE),
     (
@@ -108,7 +108,7 @@ SAMPLES: list[tuple[Command[Any], Value]] = [
     (ModesCommand(modes={"talk": "normal"}, because="why not", timeout=1.5), ModesBefore(before={"talk": "off"})),
     (SetParametersCommand(parameters={"a": [1, 2], "b": "x"}, timeout=1.5), ParametersBefore(before={"a": 0.5})),
     (ImportStateCommand(state=b"\x00\xff\n", timeout=1.5), Done()),
-    (RecordCommand(inputs=["in"], on=True, timeout=1.5), Recording(now=3)),
+    (RecordCommand(inputs=["in"], on=True, timeout=1.5), RecordingSwitched(now=3)),
     (MeetCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
     (CutOutCommand(cut="c", swaps=SWAPS, at=10**18, resume_after=0.5, timeout=1.5), Done()),
     (CutInCommand(cut="c", swaps=SWAPS, at=1, peer="old", address="unix:/x", epoch=2, timeout=1.5), Done()),
@@ -133,7 +133,7 @@ def test_there_is_a_sample_of_every_command_with_every_field() -> None:
 
 
 @pytest.mark.parametrize(("command", "result"), SAMPLES, ids=ids)
-def test_commands_and_replies_come_back_as_they_were_sent(command: Command[Any], result: Value) -> None:
+def test_commands_and_replies_come_back_as_they_were_sent(command: Command[Any], result: WireValue) -> None:
     line = encode(Request(id="7", revision=3, command=encode_value(command)))
     assert b"\n" not in line, "a frame is one line"
     frame = decode_from_client(line)

@@ -45,17 +45,17 @@ def test_a_name_is_taken_until_its_listener_closes() -> None:
         network = PipeNetwork()
         with pytest.raises(Unreachable, match="nothing listens at memory:talker"):
             await network.connect(network.address("talker"))
-        listener = await network.listen("talker", serve)
+        stop_listening = await network.listen("talker", serve)
         assert network.present() == {"talker": "memory:talker"}
         with pytest.raises(NodeError, match="a component talker is running already"):
             await network.listen("talker", serve)
         connection = await network.connect("memory:talker")
         assert await connection.receive() == b"hello"
-        listener.close()
+        stop_listening()
         assert network.present() == {}
-        later = await network.listen("talker", serve)
-        listener.close()  # its name is the other's by now
+        stop_later = await network.listen("talker", serve)
+        stop_listening()  # its name is the other's by now
         assert network.present() == {"talker": "memory:talker"}
-        later.close()
+        stop_later()
 
     asyncio.run(main())

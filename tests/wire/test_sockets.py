@@ -13,18 +13,20 @@ import textwrap
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from midstride.errors import ManagerError, NodeError, ProtocolError, Unreachable
 from midstride.wire import sockets
 from midstride.wire.channel import Channel
+from midstride.wire.command_server import CommandServer
 from midstride.wire.commands import PingCommand
 from midstride.wire.folders import COMPONENTS, workspace_folder
 from midstride.wire.frames import StateChanged, decode_from_component
 from midstride.wire.sockets import SocketFolder
 from midstride.wire.transport import Connection
 
-from .support import GREETING, HELLO, eventually, server, state
+from .support import GREETING, HELLO, done, eventually, server, state
 
 
 async def echo(connection: Connection) -> None:
@@ -55,14 +57,29 @@ def in_folder(path: Path, main: Callable[[SocketFolder], Awaitable[None]]) -> No
 def test_any_name_is_found_under_its_address(tmp_path: Path, instance: str) -> None:
     async def main(folder: SocketFolder) -> None:
         assert folder.present() == {}
-        listener = await folder.listen(instance, echo)
+        stop_listening = await folder.listen(instance, echo)
         name = instance.strip("/")
         assert folder.present() == {name: folder.address(instance)}
         assert await says(await folder.connect(folder.address(name)))
-        listener.close()
+        stop_listening()
         assert folder.present() == {} and list(folder.folder.iterdir()) == []
         with pytest.raises(Unreachable, match="nothing listens at unix:"):
             await folder.connect(folder.address(name))
+
+    in_folder(tmp_path / COMPONENTS, main)
+
+
+def test_a_connection_shows_whether_the_component_itself_is_at_the_other_end(tmp_path: Path) -> None:
+    """A program that forwards a socket is another process; so its end is not that of the component."""
+
+    async def main(folder: SocketFolder) -> None:
+        for pid, direct in ((os.getpid(), True), (os.getppid(), False)):
+            component = CommandServer(msgspec.structs.replace(GREETING, pid=pid), done)
+            await component.open(folder)
+            channel = await Channel.open(folder, folder.address("talker"), "secret", timeout=1.0)
+            assert channel.direct is direct
+            channel.close()
+            await component.close(0.0)
 
     in_folder(tmp_path / COMPONENTS, main)
 
@@ -71,10 +88,10 @@ def test_a_path_may_be_longer_than_the_107_bytes_of_a_socket(tmp_path: Path) -> 
     deep = tmp_path / ("d" * 100) / ("e" * 100)
 
     async def main(folder: SocketFolder) -> None:
-        listener = await folder.listen("talker", echo)
+        stop_listening = await folder.listen("talker", echo)
         assert len(folder.address("talker")) > 200
         assert await says(await folder.connect(folder.address("talker")))
-        listener.close()
+        stop_listening()
 
     in_folder(deep, main)
 
@@ -108,9 +125,9 @@ def test_other_files_are_no_components(tmp_path: Path) -> None:
 def test_only_the_user_may_open_the_socket_unless_the_folder_is_shared(tmp_path: Path) -> None:
     async def mode_of(path: Path) -> int:
         folder = SocketFolder(path)
-        listener = await folder.listen("talker", echo)
+        stop_listening = await folder.listen("talker", echo)
         mode = stat.S_IMODE((path / "talker.sock").stat().st_mode)
-        listener.close()
+        stop_listening()
         return mode
 
     private, shared = tmp_path / "private", tmp_path / "shared"
@@ -125,12 +142,12 @@ def test_only_the_user_may_open_the_socket_unless_the_folder_is_shared(tmp_path:
 
 def test_a_second_listener_of_a_name_is_refused_and_the_first_goes_on(tmp_path: Path) -> None:
     async def main(folder: SocketFolder) -> None:
-        listener = await folder.listen("talker", echo)
+        stop_listening = await folder.listen("talker", echo)
         with pytest.raises(NodeError, match=r"a component talker is running already in demo; .*another name"):
             await folder.listen("talker", echo)
         assert await says(await folder.connect(folder.address("talker")))
         assert len(list(folder.folder.iterdir())) == 1
-        listener.close()
+        stop_listening()
 
     in_folder(tmp_path / "demo" / COMPONENTS, main)
 
@@ -138,10 +155,10 @@ def test_a_second_listener_of_a_name_is_refused_and_the_first_goes_on(tmp_path: 
 def test_of_many_that_start_at_once_one_gets_the_name(tmp_path: Path) -> None:
     async def main(folder: SocketFolder) -> None:
         results = await asyncio.gather(*(folder.listen("talker", echo) for _ in range(20)), return_exceptions=True)
-        (listener,) = [result for result in results if not isinstance(result, NodeError)]
-        assert not isinstance(listener, BaseException)
+        (stop_listening,) = [result for result in results if not isinstance(result, NodeError)]
+        assert not isinstance(stop_listening, BaseException)
         assert await says(await folder.connect(folder.address("talker")))
-        listener.close()
+        stop_listening()
 
     in_folder(tmp_path, main)
 
@@ -185,9 +202,9 @@ def test_the_socket_of_a_killed_process_is_replaced(tmp_path: Path) -> None:
         assert folder.present() == {"talker": folder.address("talker")}
         with pytest.raises(Unreachable, match=r"nothing listens at .*Connection refused"):
             await folder.connect(folder.address("talker"))
-        listener = await folder.listen("talker", echo)
+        stop_listening = await folder.listen("talker", echo)
         assert await says(await folder.connect(folder.address("talker")))
-        listener.close()
+        stop_listening()
 
     in_folder(tmp_path, main)
 
@@ -213,12 +230,12 @@ def test_a_component_with_too_many_connections_waiting_is_there_and_does_not_blo
 
 def test_a_listener_does_not_remove_the_socket_of_its_successor(tmp_path: Path) -> None:
     async def main(folder: SocketFolder) -> None:
-        first = await folder.listen("talker", echo)
+        stop_first = await folder.listen("talker", echo)
         (tmp_path / "talker.sock").unlink()  # someone has cleaned up
-        second = await folder.listen("talker", echo)
-        first.close()
+        stop_second = await folder.listen("talker", echo)
+        stop_first()
         assert await says(await folder.connect(folder.address("talker")))
-        second.close()
+        stop_second()
         assert folder.present() == {}
 
     in_folder(tmp_path, main)
@@ -231,7 +248,7 @@ def test_a_lock_that_is_never_released_is_an_error(tmp_path: Path, monkeypatch: 
         async with sockets.locked(tmp_path):
             with pytest.raises(NodeError, match="another process holds the lock of"):
                 await folder.listen("talker", echo)
-        (await folder.listen("talker", echo)).close()
+        (await folder.listen("talker", echo))()
 
     in_folder(tmp_path, main)
 
@@ -288,11 +305,11 @@ def received(folder: Path, data: bytes) -> list[bytes | str | None]:
                 found.append(str(error))
 
     async def main(sockets_: SocketFolder) -> None:
-        listener = await sockets_.listen("talker", serve)
+        stop_listening = await sockets_.listen("talker", serve)
         with raw(folder / "talker.sock") as client:
             client.sendall(data)
         await eventually(lambda: found and not isinstance(found[-1], bytes))
-        listener.close()
+        stop_listening()
 
     in_folder(folder, main)
     return found
@@ -350,7 +367,7 @@ def test_a_request_to_a_stopped_component_is_not_sent_after_its_time_out(tmp_pat
             while (frame := await connection.receive()) is not None:
                 found.append(frame[:10])
 
-        listener = await folder.listen("talker", serve)
+        stop_listening = await folder.listen("talker", serve)
         connection = await folder.connect(folder.address("talker"))
         large = asyncio.ensure_future(connection.send(b"1" * 50_000_000))
         given_up = asyncio.ensure_future(connection.send(b"2"))
@@ -366,7 +383,7 @@ def test_a_request_to_a_stopped_component_is_not_sent_after_its_time_out(tmp_pat
         await eventually(lambda: len(found) == 2)
         assert found == [b"1" * 10, b"3"], "a frame that was begun is finished, one that was not is not sent"
         connection.close()
-        listener.close()
+        stop_listening()
 
     in_folder(tmp_path, main)
 

@@ -6,6 +6,7 @@ import importlib.util
 from typing import Final
 
 from midstride.errors import BackendError
+from midstride.node.process_context import installed
 from midstride.runtime.backend import Backend
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
@@ -45,5 +46,4 @@ def available(name: str) -> bool:
 
 def default() -> str:
     """The ROS that this Python can import, ROS 2 first; the simulator where there is none."""
-    libraries = {"ros2": "rclpy", "ros1": "rospy"}
-    return next((name for name, library in libraries.items() if importlib.util.find_spec(library)), "sim")
+    return installed() or "sim"

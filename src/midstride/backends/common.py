@@ -1,83 +1,28 @@
-"""What the back ends of real platforms share: components as processes of the operating system."""
+"""What the processes of components share on every platform: the control folder, parameters, threads and signals."""
 
 from __future__ import annotations
 
 import asyncio
 import gc
-import json
 import os
-import shutil
 import signal
 import sys
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
-from midstride.errors import ManagerError, NodeError, StartFailed, Unreachable
-from midstride.runtime.backend import Launch
-from midstride.runtime.process import Process
-from midstride.runtime.reaper import Reaper
-from midstride.wire.environment import (
-    ENV_BACKEND,
-    ENV_CONTROL,
-    ENV_INSTANCE,
-    ENV_NAMESPACE,
-    ENV_PARAMETERS,
-    ENV_SYSTEM,
-    ENV_TOKEN,
-)
+from midstride.errors import CommandRefused, ManagerError, MidstrideError, NodeError
+from midstride.wire.environment import ENV_CONTROL, ENV_SYSTEM
 from midstride.wire.folders import COMPONENTS, workspace_folder
 from midstride.wire.sockets import SocketFolder
-from midstride.wire.transport import Transport
 
 T = TypeVar("T")
 
-_OURS: Final = ("python", "python3")
 # On the command line of a component started by hand: the system that it belongs to.
 SYSTEM_FLAG: Final = "--system"
-# How often the logs of components are checked (s), how long one may get, and how much is then kept of it (bytes).
-CHECK_LOGS: Final = 60.0
-LONGEST_LOG: Final = 8 * 1024 * 1024
-KEPT_OF_LOG: Final = 1024 * 1024
 # How long the control thread may keep the data thread from running, while both are busy (s).
 SWITCH_INTERVAL: Final = 0.0005
-
-
-def command(
-    arguments: Sequence[str], directory: Path, environment: Mapping[str, str], python: Callable[[], str]
-) -> tuple[str, ...]:
-    """The command with its program found. Raises StartFailed, naming what cannot be found.
-
-    ``python`` and ``python3`` mean the interpreter that has the platform and Midstride, also where another one is first
-    on the PATH. Any other interpreter is named by its path.
-    """
-    program, *rest = arguments
-    if program in _OURS:
-        return (python(), *rest)
-    if "/" in program:
-        found = shutil.which(os.path.join(directory, program))
-    else:
-        found = shutil.which(program, path=environment.get("PATH"))
-    if found is None:
-        raise StartFailed(f"cannot start `{' '.join(arguments)}`: there is no program {program} that can be run")
-    return (found, *rest)
-
-
-def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
-    """The environment variables that make a process this component (wire/environment.py).
-
-    ``control`` is the folder of the system's control sockets.
-    """
-    return {
-        ENV_BACKEND: backend,
-        ENV_INSTANCE: launch.instance,
-        ENV_NAMESPACE: launch.namespace,
-        ENV_TOKEN: launch.token,
-        ENV_PARAMETERS: json.dumps(launch.parameters),
-        ENV_CONTROL: str(control.absolute()),
-        "PYTHONUNBUFFERED": "1",
-    }
 
 
 def control_transport(environment: Mapping[str, str], arguments: Sequence[str]) -> tuple[SocketFolder | None, str]:
@@ -109,78 +54,48 @@ def _named_system(arguments: Sequence[str]) -> str | None:
     return None
 
 
-async def listens(transport: Transport, instance: str) -> bool:
-    """Whether a component of that name accepts control connections: one started by hand, whose process is not known."""
-    try:
-        connection = await transport.connect(transport.address(instance))
-    except Unreachable:
-        return False
-    connection.close()
-    return True
+def drop_paths(environment: dict[str, str], variable: str, unwanted: Callable[[str], bool]) -> None:
+    """Take the unwanted paths out of a variable; where none is left, it is unset."""
+    kept = [path for path in environment.get(variable, "").split(os.pathsep) if not unwanted(path)]
+    if any(kept):
+        environment[variable] = os.pathsep.join(kept)
+    else:
+        environment.pop(variable, None)
 
 
-class Children:
-    """The processes of components, by instance; to be used on one event loop.
+class KeptParameters:
+    """The parameters of a component on a platform that does not keep them for its nodes. On the data thread.
 
-    ``exited`` is called for each that ends by itself, once it is no longer among them.
+    Implements :class:`midstride.node.host.NodeParameters`. ``show(name, value)`` is called with each value.
     """
 
-    def __init__(self, guardian: Reaper | None, exited: Callable[[str, int | None, Process], None]) -> None:
-        self._guardian = guardian
-        self._exited = exited
-        self._processes: dict[str, Process] = {}
-        self._shortening: asyncio.Task[None] | None = None
+    def __init__(self, show: Callable[[str, Any], None] = lambda name, value: None) -> None:
+        self.values: dict[str, Any] = {}
+        self._show = show
+        self._on_change: dict[str, Callable[[Any], None]] = {}
 
-    def __contains__(self, instance: object) -> bool:
-        return instance in self._processes
+    def declare(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
+        self.values[name] = default
+        self._on_change[name] = on_change or (lambda _: None)
+        self._show(name, default)
+        return default
 
-    def __len__(self) -> int:
-        return len(self._processes)
-
-    def take(self, instance: str, process: Process) -> None:
-        """Watch a process from now on."""
-        self._processes[instance] = process
-        if self._guardian is not None:
-            self._guardian.watch(process.pid, process.started)
-        process.on_exit(lambda status: self._ended(instance, process, status))
-        if self._shortening is None:
-            self._shortening = asyncio.get_running_loop().create_task(self._shorten_logs())
-
-    async def _shorten_logs(self) -> None:
-        while True:
-            await asyncio.sleep(CHECK_LOGS)
-            for process in list(self._processes.values()):
-                process.shorten_log(LONGEST_LOG, KEPT_OF_LOG)
-
-    def _ended(self, instance: str, process: Process, status: int | None) -> None:
-        self._forget(instance, process)
-        self._exited(instance, status, process)
-
-    async def end(self, instance: str, grace: float) -> bool:
-        """End a process, without a call of ``exited``; returns when it is gone. False where there is none."""
-        process = self._processes.get(instance)
-        if process is None:
-            return False
-        process.on_exit(None)
-        await process.end(grace)
-        self._forget(instance, process)
-        return True
-
-    def _forget(self, instance: str, process: Process) -> None:
-        if self._processes.get(instance) is process:
-            del self._processes[instance]
-        if self._guardian is not None:
-            self._guardian.release(process.pid)
-        process.close()
-
-    def close(self) -> None:
-        """Stop watching them; they go on."""
-        if self._shortening is not None:
-            self._shortening.cancel()
-            self._shortening = None
-        for process in self._processes.values():
-            process.close()
-        self._processes.clear()
+    def set(self, values: dict[str, Any]) -> None:
+        if missing := [name for name in values if name not in self.values]:
+            raise CommandRefused(f"there is no parameter {', '.join(missing)}")
+        done: list[str] = []
+        try:
+            for name, value in values.items():
+                self._on_change[name](value)
+                done.append(name)
+        except Exception as error:
+            for name in reversed(done):
+                self._on_change[name](self.values[name])
+            words = str(error) if isinstance(error, MidstrideError) else f"{type(error).__name__}: {error}"
+            raise CommandRefused(words) from None
+        self.values.update(values)
+        for name, value in values.items():
+            self._show(name, value)
 
 
 def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], object]) -> Awaitable[T]:

@@ -15,21 +15,13 @@ do not sort keys.
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar, Literal, TypeAlias, cast
+from typing import Annotated, ClassVar, Literal, TypeAlias
 
+import msgspec
 from immutables import Map
 from msgspec import UNSET, Meta, UnsetType
 
-from midstride.codec.contract import (
-    MessageType,
-    PredicateForm,
-    QoSForm,
-    Rate,
-    Where,
-    predicate_of,
-    qos_form,
-    where_form,
-)
+from midstride.codec.contract import MessageType, PredicateForm, QoSForm, Rate, Where, predicate_keys, predicate_of
 from midstride.codec.form import (
     LARGEST,
     Document,
@@ -63,15 +55,12 @@ InputNames: TypeAlias = Annotated[list[Name], field("a list of names of inputs",
 OutputNames: TypeAlias = Annotated[list[Name], field("a list of names of outputs", "its outputs")]
 
 
-EndpointKind: TypeAlias = Literal["topic", "service", "action"]
-
-
 class EndpointForm(Form, frozen=True):
     """An endpoint of the node that is not a port."""
 
     what: ClassVar[str] = "an allowed endpoint"
 
-    kind: EndpointKind
+    kind: Literal["topic", "service", "action"]
     name: Annotated[str, field("the name of an endpoint", min_length=1)]
 
 
@@ -91,8 +80,7 @@ class AssumptionForm(ShapedForm, frozen=True):
     @classmethod
     def of(cls, assumption: Assumption) -> AssumptionForm | str:
         if isinstance(assumption, Predicate):
-            qos, where = qos_form(assumption), where_form(assumption)
-            return cls(type=assumption.type, rate=stated(assumption.rate), qos=qos, where=where)
+            return cls(**predicate_keys(assumption))
         if len(assumption.inputs) == 1:
             return assumption.inputs[0]
         return cls(any_of=list(assumption.inputs))
@@ -194,7 +182,16 @@ class ComponentForm(Form, frozen=True):
 
     @classmethod
     def of(cls, component: ComponentSpec) -> ComponentForm:
-        return cls(**_body(component))
+        return cls(
+            run=component.run or UNSET,
+            takes_seconds=stated(component.startup_seconds),
+            holds={name: plain(amount) for name, amount in sorted(component.resource_usage.items())},
+            parameters={name: ParameterForm.of(parameter) for name, parameter in sorted(component.parameters.items())},
+            allows=[msgspec.convert(endpoint, EndpointForm, from_attributes=True) for endpoint in component.allows],
+            inputs={name: PredicateForm.of(component.inputs[name]) for name in component.input_order},
+            outputs=list(component.outputs),
+            functionalities={form.name: FunctionalityForm.of(form) for form in component},
+        )
 
     def component(self, name: str) -> ComponentSpec:
         """The component under that name; the names in it are not checked. Raises ValueError as ``value_of``."""
@@ -206,8 +203,8 @@ class ComponentForm(Form, frozen=True):
             holds=self.holds,
             parameters={key: form.parameter() for key, form in self.parameters.items()},
             allows=tuple(NodeEndpoint(endpoint.kind, endpoint.name) for endpoint in self.allows),
-            run=None if self.run is UNSET else self.run,
-            takes=None if self.takes_seconds is UNSET else self.takes_seconds,
+            run=given(self.run),
+            takes=given(self.takes_seconds),
         )
 
 
@@ -218,7 +215,7 @@ class NamedComponentForm(ComponentForm, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, component: ComponentSpec) -> NamedComponentForm:
-        return cls(name=component.name, **_body(component))
+        return cls(name=component.name, **msgspec.structs.asdict(ComponentForm.of(component)))
 
     def declared(self) -> ComponentSpec:
         """The component, without a check of its names. Raises ValueError as ``value_of``."""
@@ -233,21 +230,6 @@ class NamedComponentForm(ComponentForm, frozen=True, kw_only=True):
         if faults := component_names(component, ()):
             raise SpecificationError(faults)
         return component
-
-
-def _body(component: ComponentSpec) -> dict[str, Any]:
-    return {
-        "run": component.run or UNSET,
-        "takes_seconds": stated(component.startup_seconds),
-        "holds": {name: plain(amount) for name, amount in sorted(component.resource_usage.items())},
-        "parameters": {name: ParameterForm.of(parameter) for name, parameter in sorted(component.parameters.items())},
-        "allows": [
-            EndpointForm(kind=cast("EndpointKind", endpoint.kind), name=endpoint.name) for endpoint in component.allows
-        ],
-        "inputs": {name: PredicateForm.of(component.inputs[name]) for name in component.input_order},
-        "outputs": list(component.outputs),
-        "functionalities": {form.name: FunctionalityForm.of(form) for form in component},
-    }
 
 
 def decode_component(document: object) -> ComponentSpec:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from functools import reduce
-from typing import Annotated, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import msgspec
 from msgspec import UNSET, UnsetType
@@ -86,11 +86,7 @@ class ValuesForm(Form, frozen=True):
         for high, is_open in ((self.at_most, False), (self.below, True)):
             if high is not UNSET:
                 sets.append(Interval(high=finite(high), high_open=is_open))
-        return reduce(_both, sets) if sets else Interval()
-
-
-def _both(one: ValueSet, other: ValueSet) -> ValueSet:
-    return one.intersection(other)
+        return reduce(lambda one, other: one.intersection(other), sets) if sets else Interval()
 
 
 class QoSForm(Form, frozen=True):
@@ -100,37 +96,22 @@ class QoSForm(Form, frozen=True):
 
     reliability: Reliability | UnsetType = UNSET
     durability: Durability | UnsetType = UNSET
-    deadline_seconds: Seconds | UnsetType = UNSET
+    deadline: Seconds | UnsetType = msgspec.field(default=UNSET, name="deadline_seconds")
     liveliness: Liveliness | UnsetType = UNSET
-    lease_seconds: Seconds | UnsetType = UNSET
+    lease: Seconds | UnsetType = msgspec.field(default=UNSET, name="lease_seconds")
     depth: Annotated[int, field("a depth", ge=1)] | UnsetType = UNSET
     history: History | UnsetType = UNSET
-    lifespan_seconds: Seconds | UnsetType = UNSET
+    lifespan: Seconds | UnsetType = msgspec.field(default=UNSET, name="lifespan_seconds")
 
     @classmethod
     def of(cls, qos: QoS) -> QoSForm:
-        return cls(
-            reliability=qos.reliability or UNSET,
-            durability=qos.durability or UNSET,
-            deadline_seconds=stated(qos.deadline),
-            liveliness=qos.liveliness or UNSET,
-            lease_seconds=stated(qos.lease),
-            depth=UNSET if qos.depth is None else qos.depth,
-            history=qos.history or UNSET,
-            lifespan_seconds=stated(qos.lifespan),
-        )
+        values: dict[str, Any] = {name: getattr(qos, name) for name in cls.__struct_fields__}
+        for name, value in values.items():
+            values[name] = value if isinstance(value, str) else stated(value)
+        return cls(**values)
 
     def qos(self) -> QoS:
-        return QoS(
-            reliability=given(self.reliability),
-            durability=given(self.durability),
-            deadline=given(self.deadline_seconds),
-            liveliness=given(self.liveliness),
-            lease=given(self.lease_seconds),
-            depth=given(finite(self.depth)),
-            history=given(self.history),
-            lifespan=given(self.lifespan_seconds),
-        )
+        return QoS(**{name: given(finite(getattr(self, name))) for name in self.__struct_fields__})
 
 
 MessageType: TypeAlias = Annotated[
@@ -145,8 +126,7 @@ MessageType: TypeAlias = Annotated[
 ]
 Rate: TypeAlias = Annotated[float, field("a rate in Hz", "in Hz, at least", gt=0, le=LARGEST)]
 FieldPath: TypeAlias = Annotated[
-    str,
-    field("the path of a field", help="write it as `header.frame_id`", pattern=rf"^[^\W\d]\w*(\.[^\W\d]\w*)*{END}"),
+    str, field("the path of a field", help="write it as `header.frame_id`", pattern=rf"^[^\W\d]\w*(\.[^\W\d]\w*)*{END}")
 ]
 Where: TypeAlias = Annotated[
     dict[FieldPath, ValuesForm], field("an object of fields", "the values that fields may have, by dotted path")
@@ -165,31 +145,28 @@ class PredicateForm(Form, frozen=True):
 
     @classmethod
     def of(cls, predicate: Predicate) -> PredicateForm:
-        return cls(
-            type=predicate.type, rate=stated(predicate.rate), qos=qos_form(predicate), where=where_form(predicate)
-        )
+        return cls(**predicate_keys(predicate))
 
     def predicate(self) -> Predicate:
         return predicate_of(self.type, self.rate, self.qos, self.where)
 
 
-def qos_form(predicate: Predicate) -> QoSForm | UnsetType:
-    return UNSET if predicate.qos == DEFAULT_QOS else QoSForm.of(predicate.qos)
-
-
-def where_form(predicate: Predicate) -> dict[str, ValuesForm] | UnsetType:
-    return {path: ValuesForm.of(values) for path, values in predicate.fields} or UNSET
+def predicate_keys(predicate: Predicate) -> dict[str, Any]:
+    """The fields of a form that states the predicate."""
+    return {
+        "type": predicate.type,
+        "rate": stated(predicate.rate),
+        "qos": UNSET if predicate.qos == DEFAULT_QOS else QoSForm.of(predicate.qos),
+        "where": {path: ValuesForm.of(values) for path, values in predicate.fields} or UNSET,
+    }
 
 
 def predicate_of(
-    type_: str,
-    rate: float | UnsetType,
-    qos: QoSForm | UnsetType,
-    where: dict[str, ValuesForm] | UnsetType,
+    type_: str, rate: float | UnsetType, qos: QoSForm | UnsetType, where: dict[str, ValuesForm] | UnsetType
 ) -> Predicate:
     return Predicate(
         type=type_,
-        rate=None if rate is UNSET else rate,
+        rate=given(rate),
         qos=DEFAULT_QOS if qos is UNSET else qos.qos(),
         fields=() if where is UNSET else tuple((path, values.value_set()) for path, values in where.items()),
     )

@@ -10,7 +10,7 @@ import json
 import math
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from msgspec import inspect
 
@@ -134,10 +134,9 @@ class FaultFinder:
     def _entries(self, value: Any, type_: inspect.DictType, path: Path, what: str) -> Any:
         if not isinstance(value, dict):
             return self._expected(value, type_, path, what)
-        key_type = type_.key_type
         found = {}
         for key, entry in self._keys(value, path).items():
-            self.read(key, key_type, (*path, key))
+            self.read(key, type_.key_type, (*path, key))
             found[key] = self.read(entry, type_.value_type, (*path, key))
         return found
 
@@ -170,14 +169,13 @@ class FaultFinder:
             others = [member for member in type_.types if not isinstance(member, inspect.NoneType)]
             if len(others) == 1:
                 return self.read(value, others[0], path, what, help)
-            structs = (
-                getattr(bare.cls, "what", "") for bare in map(_bare, others) if isinstance(bare, inspect.StructType)
-            )
-            return self._expected(value, type_, path, what or next(structs, "another value"), help)
+            structs = (bare.cls for bare in map(_bare, others) if isinstance(bare, inspect.StructType))
+            named = getattr(next(structs, None), "what", "another value")
+            return self._expected(value, type_, path, what or named, help)
         return self.read(value, matching[0], path, what, help)
 
     def _tagged(self, value: dict[Any, Any], members: Sequence[inspect.Type], path: Path) -> Any:
-        """One of several structs, told apart by the value of a key."""
+        """One of several structs, distinguished by the value of a key."""
         by_tag = {str(bare.tag): bare for member in members if isinstance(bare := _bare(member), inspect.StructType)}
         first = next(iter(by_tag.values()))
         key = str(first.tag_field)
@@ -228,8 +226,8 @@ class FaultFinder:
         except OverflowError:
             is_finite = False
         if not is_finite:
-            told = "an integer of that size" if isinstance(value, int) else value
-            self._fault("E004", path, f"{what} is expected, {told} is none")
+            shown_value = "an integer of that size" if isinstance(value, int) else value
+            self._fault("E004", path, f"{what} is expected, {shown_value} is none")
             return stand_in(type_)
         if (type_.gt is not None and value <= type_.gt) or (type_.ge is not None and value < type_.ge):
             bound = f"more than {type_.gt}" if type_.gt is not None else f"at least {type_.ge}"
@@ -268,18 +266,19 @@ def _bare(type_: inspect.Type) -> inspect.Type:
     return _bare(type_.type) if isinstance(type_, inspect.Metadata) else type_
 
 
+# The types that a kind of JSON value may be of. A boolean is an int for Python, so it comes first.
+_TYPES: Final[dict[type, tuple[type[inspect.Type], ...]]] = {
+    type(None): (inspect.NoneType,),
+    bool: (inspect.BoolType,),
+    int: (inspect.IntType, inspect.FloatType),
+    float: (inspect.FloatType,),
+    str: (inspect.StrType, inspect.LiteralType),
+    list: (inspect.ListType, inspect.TupleType),
+    tuple: (inspect.ListType, inspect.TupleType),
+    dict: (inspect.StructType, inspect.DictType),
+}
+
+
 def _may_be(value: object, type_: inspect.Type) -> bool:
     """Whether the value is of the kind of JSON value that the type is."""
-    if isinstance(type_, inspect.NoneType):
-        return value is None
-    if isinstance(value, bool):
-        return isinstance(type_, inspect.BoolType)
-    if isinstance(value, int):
-        return isinstance(type_, (inspect.IntType, inspect.FloatType))
-    if isinstance(value, float):
-        return isinstance(type_, inspect.FloatType)
-    if isinstance(value, str):
-        return isinstance(type_, (inspect.StrType, inspect.LiteralType))
-    if isinstance(value, (list, tuple)):
-        return isinstance(type_, (inspect.ListType, inspect.TupleType))
-    return isinstance(value, dict) and isinstance(type_, (inspect.StructType, inspect.DictType))
+    return isinstance(type_, next((types for kind, types in _TYPES.items() if isinstance(value, kind)), ()))

@@ -36,7 +36,7 @@ class Shape(NamedTuple):
 
 
 class ShapedForm(Form, frozen=True):
-    """An object whose keys are those of one of several shapes; the first key of a shape tells it from the others.
+    """An object whose keys are those of one of several shapes, which the first key of each distinguishes.
 
     Without any of these keys it has the shape ``otherwise``. Every field is optional, and UNSET where its shape does
     not have it.

@@ -53,15 +53,12 @@ def parse_json(text: str) -> Any:
 
 
 def decode(
-    document: object,
-    form: type[F],
-    build: Callable[[F], T],
-    names: Callable[[T], Iterable[Problem]] = lambda _: (),
+    document: object, form: type[F], build: Callable[[F], T], names: Callable[[T], Iterable[Problem]] = lambda _: ()
 ) -> T:
     """The value that ``build`` makes of the document's form.
 
     ``names`` finds the faults in the names of that value. Raises SpecificationError with every fault of form and of
-    names, each with its path. ``build`` may raise ValueError for what only it can tell.
+    names, each with its path. ``build`` may raise ValueError for faults that only it can find.
     """
     faults: list[Problem] = []
     value: T | None = None
@@ -92,14 +89,4 @@ def decode_form(document: object, form: type[F]) -> F:
     return decode(document, form, lambda found: found)
 
 
-def decode_json(text: bytes | str, form: type[F]) -> F:
-    """The form that a JSON text has. Raises SpecificationError as :func:`decode_form` and :func:`parse_json` do."""
-    try:
-        return decode_form(parse_json(text if isinstance(text, str) else text.decode()), form)
-    except UnicodeDecodeError as error:
-        raise SpecificationError([Problem("E001", (), f"not JSON: {error}")]) from None
-
-
-@functools.cache
-def _type_of(form: type[msgspec.Struct]) -> inspect.Type:
-    return inspect.type_info(form)
+_type_of = functools.cache(inspect.type_info)

@@ -19,12 +19,11 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, TypeAlias
 
-import msgspec
 from immutables import Map
-from msgspec import UNSET, UnsetType
+from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.component import ComponentForm
-from midstride.codec.contract import PredicateForm
+from midstride.codec.contract import PredicateForm, predicate_keys
 from midstride.codec.form import (
     LARGEST,
     TOKEN,
@@ -56,18 +55,12 @@ class TopicForm(PredicateForm, frozen=True):
     what: ClassVar[str] = "a topic"
 
     max_publishers: Annotated[int, field("the number of publishers allowed", ge=0)] | UnsetType = UNSET
-    topic: Annotated[TopicName, msgspec.Meta(description="the name in the ROS graph, where it differs")] | UnsetType = (
-        UNSET
-    )
+    topic: Annotated[TopicName, Meta(description="the name in the ROS graph, where it differs")] | UnsetType = UNSET
 
     @classmethod
     def of_connector(cls, connector: Connector) -> TopicForm:
-        contract = PredicateForm.of(connector.guarantee)
         return cls(
-            type=contract.type,
-            rate=contract.rate,
-            qos=contract.qos,
-            where=contract.where,
+            **predicate_keys(connector.guarantee),
             max_publishers=UNSET if connector.max_publishers is None else connector.max_publishers,
             topic=UNSET if connector.topic == connector.name else connector.topic,
         )
@@ -219,8 +212,7 @@ class SpecificationForm(Form, frozen=True):
             system=specification.name,
             topics={name: TopicForm.of_connector(found) for name, found in sorted(specification.connectors.items())},
             resources={
-                name: ResourceForm(capacity=plain(found.capacity))
-                for name, found in sorted(specification.resources.items())
+                name: ResourceForm(plain(found.capacity)) for name, found in sorted(specification.resources.items())
             },
             environment={
                 offer.name: OfferForm(guarantee=PredicateForm.of(offer.guarantee), topic=offer.topic or UNSET)

@@ -17,35 +17,16 @@ from typing import Any, Final
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.model.component import ComponentSpec
-from midstride.node.command_handlers import CommandHandlers
-from midstride.node.declared_parts import DeclaredParts
+from midstride.node.command_handlers import CommandHandlers, Revision
+from midstride.node.declaration import DeclaredParts
 from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
-from midstride.node.revision import Revision
 from midstride.node.standalone import FLAG, Attachments, best_modes
+from midstride.wire import commands, frames
 from midstride.wire.command_server import CommandServer
-from midstride.wire.commands import (
-    AttachCommand,
-    Command,
-    Done,
-    ModesCommand,
-    ObserveCommand,
-    PingCommand,
-    ReleaseCommand,
-    StopCommand,
-    WelcomeCommand,
-)
-from midstride.wire.frames import (
-    PROTOCOL,
-    Greeting,
-    Registration,
-    Reply,
-    Request,
-    StateChanged,
-    decode_command,
-    encode_value,
-)
-from midstride.wire.state import ComponentState, Value
+from midstride.wire.commands import Command
+from midstride.wire.frames import Reply, Request
+from midstride.wire.state import ComponentState, WireValue
 
 # How often the state is reported while nothing changes (s): it shows that the component is alive, and what is busy.
 HEARTBEAT: Final = 0.5
@@ -82,17 +63,13 @@ class Agent:
         self._welcomed = False
         self._ready = asyncio.Event()
         self._stopping = asyncio.Event()
-        greeting = Greeting(
-            protocol=PROTOCOL, instance=host.instance, uuid=self._uuid, pid=pid, start_token=self._start_token
+        greeting = frames.Greeting(
+            protocol=frames.PROTOCOL, instance=host.instance, uuid=self._uuid, pid=pid, start_token=token
         )
         self._server = CommandServer(greeting, self.serve)
         self._handlers = CommandHandlers(
-            parts, host, self._revision, self._degraded, self.report_state, self._peer_token
+            parts, host, self._revision, self._degraded, self.report_state, lambda: self._token
         )
-
-    def _peer_token(self) -> str:
-        """The token for connections to peers."""
-        return self._token
 
     # -- start and end -----------------------------------------------------------------------------
 
@@ -126,11 +103,11 @@ class Agent:
         self._ready.set()
         self.report_state()
         declaration = NamedComponentForm.of(self._declaration)
-        self._server.register(Registration(declaration=declaration, endpoints=self._host.extra_endpoints()))
+        self._server.register(frames.Registration(declaration=declaration, endpoints=self._host.extra_endpoints()))
         if not self._start_token and self._standalone is None:
             remappings = " ".join(f"{port}:=/{port}" for port in self._declaration.ports())
             self._host.logger.info(
-                f"{self._host.instance} waits for a manager, degraded and unattached ({self._host.reachable()}); "
+                f"{self._host.instance} waits for a manager, degraded and unattached ({self._host.reachable}); "
                 f"to run it without a manager: {FLAG} {remappings}"
             )
 
@@ -143,11 +120,10 @@ class Agent:
     async def _run_alone(self, attachments: Attachments) -> None:
         for port, topics in attachments.items():
             for topic in topics:
-                await self._handlers.carry_out(AttachCommand(port=port, topic=topic), None)
-        chosen = best_modes(self._declaration, attachments)
-        modes = {name: self._declaration.functionalities[name].modes[index].name for name, index in chosen.items()}
+                await self._handlers.carry_out(commands.AttachCommand(port=port, topic=topic), None)
+        modes = best_modes(self._declaration, attachments)
         because = "started standalone: the best mode for what is attached"
-        await self._handlers.carry_out(ModesCommand(modes=modes, because=because), None)
+        await self._handlers.carry_out(commands.ModesCommand(modes=modes, because=because), None)
         listed = ", ".join(f"{name} in mode {mode}" for name, mode in modes.items())
         self._host.logger.warning(f"{self._host.instance} runs without a manager: {listed}")
 
@@ -156,11 +132,11 @@ class Agent:
     async def serve(self, request: Request, token: str) -> Reply:
         """Carry out one request; an invalid one is refused with the reason."""
         try:
-            command = decode_command(request)
+            command = frames.decode_command(request)
             self._check_sender(command, token)
         except CommandRefused as error:
             return self._refusal(request, str(error))
-        if not isinstance(command, PingCommand):  # answered before set-up has ended
+        if not isinstance(command, commands.PingCommand):  # answered before set-up has ended
             await self._ready.wait()
         if command.kind == "changing":
             return await self._change_once(request, command, token)
@@ -168,7 +144,7 @@ class Agent:
 
     def _check_sender(self, command: Command[Any], token: str) -> None:
         """Raises CommandRefused for a client of another system."""
-        if not self._token and isinstance(command, (WelcomeCommand, ObserveCommand)):
+        if not self._token and isinstance(command, (commands.WelcomeCommand, commands.ObserveCommand)):
             return  # it belongs to no system yet: any of this user's managers may take it
         if not self._is_ours(token):
             raise CommandRefused(_FOREIGN_TOKEN)
@@ -203,19 +179,18 @@ class Agent:
 
     async def _carry_out(self, request: Request, command: Command[Any], token: str) -> Reply:
         try:
-            result: Value
+            result: WireValue = commands.Done()
             match command:
-                case ObserveCommand():
+                case commands.ObserveCommand():
                     result = self.state()
-                case WelcomeCommand(manager=manager):
+                case commands.WelcomeCommand(manager=manager):
                     self._welcome(manager, token)
-                    result = Done()
-                case StopCommand():
+                case commands.PingCommand():
+                    pass
+                case commands.StopCommand():
                     self._stopping.set()
-                    result = Done()
-                case ReleaseCommand():
+                case commands.ReleaseCommand():
                     await self._release(command)
-                    result = Done()
                 case _:
                     result = await self._handlers.carry_out(command, request.revision)
         except MidstrideError as error:
@@ -226,9 +201,9 @@ class Agent:
         if command.kind == "changing":
             self._revision.bump()
             self.report_state()  # before the reply: a client that has the reply also has the state
-            if isinstance(command, WelcomeCommand):
+            if isinstance(command, commands.WelcomeCommand):
                 result = self.state()
-        return Reply(id=request.id, revision=self._revision.value, result=encode_value(result))
+        return Reply(id=request.id, revision=self._revision.value, result=frames.encode_value(result))
 
     def _refusal(self, request: Request, words: str) -> Reply:
         return Reply(id=request.id, revision=self._revision.value, refused=words)
@@ -242,7 +217,7 @@ class Agent:
             self._host.logger.info(f"{self._host.instance} is managed by {manager}")
         self._welcomed = True
 
-    async def _release(self, command: ReleaseCommand) -> None:
+    async def _release(self, command: commands.ReleaseCommand) -> None:
         if self._start_token:
             raise CommandRefused("its manager started it and must end it: `release` is for components started by hand")
         await self._handlers.release(command.timeout)
@@ -268,7 +243,7 @@ class Agent:
 
     def _report(self) -> ComponentState:
         state = self.state()
-        self._server.report(StateChanged(state=state))
+        self._server.report(frames.StateChanged(state=state))
         return state
 
     def _degraded(self, runner: FunctionalityRunner) -> None:

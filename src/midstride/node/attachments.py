@@ -16,16 +16,7 @@ from midstride.errors import CommandRefused
 from midstride.node.host import Host, Publisher, Subscription
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
-from midstride.wire.commands import (
-    AttachCommand,
-    Attached,
-    AwaitWriteCommand,
-    DetachCommand,
-    Detached,
-    Done,
-    GateCommand,
-    GatedWrites,
-)
+from midstride.wire import commands
 
 # A best-effort message right after the match is often lost, one a moment later is not (s).
 SETTLE: Final = 0.05
@@ -72,7 +63,7 @@ class Attachments:
 
     # -- commands ----------------------------------------------------------------------------------
 
-    async def attach(self, command: AttachCommand) -> Attached:
+    async def attach(self, command: commands.AttachCommand) -> commands.Attached:
         topic, timeout = command.topic, command.timeout
         port = self.port(command.port)
         if port.link(topic) is not None:
@@ -88,17 +79,26 @@ class Attachments:
             undo = partial(self._unsubscribe, port, inlet)
             endpoint = inlet.subscription
         try:
-            await self._match(endpoint, command.peers, timeout, topic)
-            matched = await self._match_everyone(endpoint, command)
+            matched = await self._match(endpoint, command.peers, timeout)
+            if matched < command.peers:
+                raise CommandRefused(
+                    f"only {max(matched, 0)} of {command.peers} endpoints on {topic} were found within {timeout:g} s; "
+                    "the others are missing, or have another type or incompatible QoS"
+                )
+            if command.peers:
+                await self._host.sleep(SETTLE)
+            matched = await self._match(endpoint, command.everyone, command.patience)
+            if command.everyone > command.peers:  # endpoints outside the system as well
+                await self._host.sleep(SETTLE)
             if opened:
                 await self._data.run(lambda: self._open(link), timeout)
         except CommandRefused:
             # Undone as soon as user code returns, however long that takes: a refused command must change nothing.
             await within(self._host, self._host.on_data(undo), timeout)
             raise
-        return Attached(matched=matched)
+        return commands.Attached(matched=matched)
 
-    async def detach(self, command: DetachCommand) -> Detached:
+    async def detach(self, command: commands.DetachCommand) -> commands.Detached:
         topic, timeout = command.topic, command.timeout
         port = self.port(command.port)
         link = port.link(topic)
@@ -107,7 +107,7 @@ class Attachments:
         if isinstance(link, InputLink):
             assert isinstance(port, Input)
             await self._data.run(lambda: self._unsubscribe(port, link), timeout)
-            return Detached(acknowledged=None, last=None)
+            return commands.Detached(acknowledged=None, last=None)
         was_open = link.gate == "open"
         await self._data.run(lambda: link.set_gate(False), timeout)
         acknowledged = await link.publisher.acknowledged(timeout)
@@ -116,24 +116,23 @@ class Attachments:
         except CommandRefused:
             self._host.on_data(lambda: link.set_gate(was_open))
             raise
-        return Detached(acknowledged=acknowledged, last=link.count)
+        return commands.Detached(acknowledged=acknowledged, last=link.count)
 
-    async def gate(self, command: GateCommand) -> Done:
+    async def gate(self, command: commands.GateCommand) -> commands.Done:
         link = self.link(command.port, command.topic)
         if link.cut is not None:
             raise CommandRefused(f"{link} is part of a cut under way; cancel the cut first")
         await self._data.run(lambda: link.set_gate(command.gate == "open"), command.timeout)
-        return Done()
+        return commands.Done()
 
-    async def await_write(self, command: AwaitWriteCommand) -> GatedWrites:
+    async def await_write(self, command: commands.AwaitWriteCommand) -> commands.GatedWrites:
         link = self.link(command.port, command.topic)
         deadline = self._host.steady() + int(command.timeout * 1e9)
-        owner = link.output.owner
         while not link.gated and link.output.wrong_type is None and self._host.steady() < deadline:
-            if owner is not None and owner.failed:
+            if link.output.owner.failed:
                 break  # it will not write
             await self._host.sleep(TICK)
-        return GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
+        return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
 
     async def close_all(self, timeout: float) -> None:
         """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""
@@ -145,7 +144,7 @@ class Attachments:
 
     def _publish(self, port: Output, topic: str) -> OutputLink:
         link = OutputLink(port, topic, self._host.create_publisher(topic, port.type, port.qos))
-        if port.last is not None and (port.latched or (port.owner is not None and port.owner.driven == "none")):
+        if port.last is not None and (port.latched or port.owner.driven == "none"):
             link.write_gated(port.last)  # a mode that writes once, on entry, may have written while unattached
         port.wrong_type = None
         port.links = (*port.links, link)
@@ -187,24 +186,9 @@ class Attachments:
             for inlet in port.links:
                 self._unsubscribe(port, inlet)
 
-    async def _match(self, endpoint: Publisher | Subscription, peers: int, timeout: float, topic: str) -> None:
-        """Wait for ``peers`` compatible endpoints, and until the match has settled. Raises CommandRefused."""
-        deadline = self._host.steady() + int(timeout * 1e9)
-        while (matched := endpoint.matched()) < peers:
-            if self._host.steady() >= deadline:
-                raise CommandRefused(
-                    f"only {max(matched, 0)} of {peers} endpoints on {topic} were found within {timeout:g} s; "
-                    "the others are missing, or have another type or incompatible QoS"
-                )
+    async def _match(self, endpoint: Publisher | Subscription, wanted: int, patience: float) -> int:
+        """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s)."""
+        deadline = self._host.steady() + int(patience * 1e9)
+        while (matched := endpoint.matched()) < wanted and self._host.steady() < deadline:
             await self._host.sleep(TICK)
-        if peers:
-            await self._host.sleep(SETTLE)
-
-    async def _match_everyone(self, endpoint: Publisher | Subscription, command: AttachCommand) -> int:
-        """Wait for ``everyone``, including endpoints outside the system, for at most ``patience`` (s)."""
-        deadline = self._host.steady() + int(command.patience * 1e9)
-        while (matched := endpoint.matched()) < command.everyone and self._host.steady() < deadline:
-            await self._host.sleep(TICK)
-        if command.everyone > command.peers:
-            await self._host.sleep(SETTLE)
         return matched

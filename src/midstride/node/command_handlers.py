@@ -8,52 +8,38 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import threading
 from collections.abc import Awaitable, Callable
 from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
 from midstride.node.attachments import Attachments
-from midstride.node.declared_parts import DeclaredParts
+from midstride.node.declaration import DeclaredParts
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
 from midstride.node.handover_commands import HandoverCommands
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
-from midstride.node.revision import Revision
-from midstride.wire.commands import (
-    AttachCommand,
-    AwaitCutCommand,
-    AwaitWriteCommand,
-    CancelCutCommand,
-    Command,
-    CutInCommand,
-    CutOutCommand,
-    CutTakenCommand,
-    DetachCommand,
-    Done,
-    ExportedState,
-    ExportStateCommand,
-    GateCommand,
-    GridCommand,
-    ImportStateCommand,
-    MeetCommand,
-    ModesBefore,
-    ModesCommand,
-    ParametersBefore,
-    PingCommand,
-    Receipt,
-    RecordCommand,
-    Recording,
-    Records,
-    RecordsCommand,
-    SetParametersCommand,
-)
-from midstride.wire.state import ComponentState, FunctionalityState, LinkState, Value
+from midstride.wire import commands
+from midstride.wire.commands import Command
+from midstride.wire.state import ComponentState, FunctionalityState, LinkState, WireValue
 
 T = TypeVar("T")
-Handler = Callable[[Any], Awaitable[Value]]
+Handler = Callable[[Any], Awaitable[WireValue]]
 
 # How long ending takes besides the author's `on_stop` (s): destroying endpoints and leaving the platform.
 SHUTDOWN_SECONDS: Final = 1.0
+
+
+class Revision:
+    """Counts the changes of a component. Both threads count up, so it has a lock; reading needs none."""
+
+    def __init__(self) -> None:
+        self.value = 0
+        self._lock = threading.Lock()
+
+    def bump(self) -> None:
+        with self._lock:
+            self.value += 1
 
 
 class CommandHandlers:
@@ -80,28 +66,27 @@ class CommandHandlers:
         self._attachments = Attachments(parts.inputs, parts.outputs, host, self._data)
         self._handovers = HandoverCommands(self._attachments, host, self._data, changed, token)
         self._handlers: dict[type[Command[Any]], Handler] = {
-            AttachCommand: self._attachments.attach,
-            DetachCommand: self._attachments.detach,
-            GateCommand: self._attachments.gate,
-            AwaitWriteCommand: self._attachments.await_write,
-            GridCommand: self._handovers.grid,
-            MeetCommand: self._handovers.meet,
-            CutOutCommand: self._handovers.cut_out,
-            CutInCommand: self._handovers.cut_in,
-            CancelCutCommand: self._handovers.cancel_cut,
-            AwaitCutCommand: self._handovers.await_cut,
-            CutTakenCommand: self._handovers.taken,
-            SetParametersCommand: self._set_parameters,
-            ExportStateCommand: self._export_state,
-            ImportStateCommand: self._import_state,
-            RecordCommand: self._record,
-            RecordsCommand: self._records,
-            PingCommand: self._ping,
+            commands.AttachCommand: self._attachments.attach,
+            commands.DetachCommand: self._attachments.detach,
+            commands.GateCommand: self._attachments.gate,
+            commands.AwaitWriteCommand: self._attachments.await_write,
+            commands.GridCommand: self._handovers.grid,
+            commands.MeetCommand: self._handovers.meet,
+            commands.CutOutCommand: self._handovers.cut_out,
+            commands.CutInCommand: self._handovers.cut_in,
+            commands.CancelCutCommand: self._handovers.cancel_cut,
+            commands.AwaitCutCommand: self._handovers.await_cut,
+            commands.CutTakenCommand: self._handovers.taken,
+            commands.SetParametersCommand: self._set_parameters,
+            commands.ExportStateCommand: self._export_state,
+            commands.ImportStateCommand: self._import_state,
+            commands.RecordCommand: self._record,
+            commands.RecordsCommand: self._records,
         }
 
-    async def carry_out(self, command: Command[Any], expected: int | None) -> Value:
+    async def carry_out(self, command: Command[Any], expected: int | None) -> WireValue:
         """Carry out one command. Raises CommandRefused, and then nothing has changed."""
-        if isinstance(command, ModesCommand):
+        if isinstance(command, commands.ModesCommand):
             return await self._modes(command, expected)
         return await self._handlers[type(command)](command)
 
@@ -110,7 +95,7 @@ class CommandHandlers:
     def set_up(self) -> None:
         """On the data thread, first of all: parameters and the author's set-up. If this raises, the start fails."""
         for parameter in self._parts.parameters.values():
-            value = self._host.parameter(parameter.name, parameter.value, parameter.change)
+            value = self._host.parameters.declare(parameter.name, parameter.value, parameter.change)
             parameter.begin_with(value)
         if self._parts.callbacks.setup is not None:
             self._parts.callbacks.setup(self._host.ros_node)
@@ -130,7 +115,7 @@ class CommandHandlers:
         """Go back to degraded and unattached. Raises CommandRefused where user code does not return in time."""
         modes = {runner.name: runner.chain[runner.last].name for runner in self._runners}
         because = "released: it no longer has a manager"
-        await self._modes(ModesCommand(modes=modes, timeout=timeout, because=because), None)
+        await self._modes(commands.ModesCommand(modes=modes, timeout=timeout, because=because), None)
         await self._attachments.close_all(timeout)
         self._handovers.disconnect()
 
@@ -205,7 +190,7 @@ class CommandHandlers:
 
     # -- modes -------------------------------------------------------------------------------------
 
-    async def _modes(self, command: ModesCommand, expected: int | None) -> ModesBefore:
+    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.ModesBefore:
         targets = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
         loop, settled = asyncio.get_running_loop(), asyncio.Event()
 
@@ -220,7 +205,7 @@ class CommandHandlers:
         switch = ModeSwitch(targets, self._runners, command.because, guard, on_settled)
         attempt = asyncio.ensure_future(self._host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
-        if await within(self._host, settled.wait(), command.timeout) is None and switch.claim():
+        if await within(self._host, settled.wait(), command.timeout) is None and switch.claim.take():
             self._host.on_data(switch.release)
             raise CommandRefused(
                 f"the change of {', '.join(targets)} was withdrawn: "
@@ -229,7 +214,7 @@ class CommandHandlers:
         await settled.wait()
         if switch.refused is not None:
             raise CommandRefused(switch.refused)
-        return ModesBefore(before=switch.before or {})
+        return commands.ModesBefore(before=switch.before or {})
 
     def _log_failure(self, work: asyncio.Future[Any]) -> None:
         if not work.cancelled() and (error := work.exception()) is not None:
@@ -247,7 +232,7 @@ class CommandHandlers:
 
     # -- parameters and state ----------------------------------------------------------------------
 
-    async def _set_parameters(self, command: SetParametersCommand) -> ParametersBefore:
+    async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.ParametersBefore:
         declared = self._parts.parameters
         for name in command.parameters:
             if name not in declared:
@@ -255,24 +240,24 @@ class CommandHandlers:
                     f"there is no parameter {name}; the parameters are: {', '.join(declared) or 'none'}"
                 )
         before = {name: declared[name].value for name in command.parameters}
-        await self._data.run(lambda: self._host.set_parameters(command.parameters), command.timeout)
-        return ParametersBefore(before=before)
+        await self._data.run(lambda: self._host.parameters.set(command.parameters), command.timeout)
+        return commands.ParametersBefore(before=before)
 
-    async def _export_state(self, command: ExportStateCommand) -> ExportedState:
+    async def _export_state(self, command: commands.ExportStateCommand) -> commands.ExportedState:
         export = self._parts.callbacks.export_state
         if export is None:
-            return ExportedState(state=None)
+            return commands.ExportedState(state=None)
         state = await self._run_callback(export, "on_export_state", command.timeout)
         if not isinstance(state, (bytes, bytearray)):
             raise CommandRefused(f"on_export_state returned {type(state).__name__}, not bytes")
-        return ExportedState(state=bytes(state))
+        return commands.ExportedState(state=bytes(state))
 
-    async def _import_state(self, command: ImportStateCommand) -> Done:
+    async def _import_state(self, command: commands.ImportStateCommand) -> commands.Done:
         hook = self._parts.callbacks.import_state
         if hook is None:
             raise CommandRefused("the component cannot import state: it has no on_import_state")
         await self._run_callback(lambda: hook(command.state), "on_import_state", command.timeout)
-        return Done()
+        return commands.Done()
 
     async def _run_callback(self, function: Callable[[], T], what: str, timeout: float) -> T:
         """Run one of the author's functions. Raises CommandRefused with what it raised."""
@@ -287,7 +272,7 @@ class CommandHandlers:
 
     # -- measuring ---------------------------------------------------------------------------------
 
-    async def _record(self, command: RecordCommand) -> Recording:
+    async def _record(self, command: commands.RecordCommand) -> commands.RecordingSwitched:
         ports = [self._attachments.input(name) for name in command.inputs]
 
         def switch() -> None:
@@ -295,17 +280,14 @@ class CommandHandlers:
                 port.record(command.on)
 
         await self._data.run(switch, command.timeout)
-        return Recording(now=self._host.steady())
+        return commands.RecordingSwitched(now=self._host.steady())
 
-    async def _records(self, command: RecordsCommand) -> Records:
+    async def _records(self, command: commands.RecordsCommand) -> commands.Records:
         port = self._attachments.input(command.input)
         receipts = await self._data.run(lambda: list(port.receipts), command.timeout)
         rows = []
         for received, native in receipts:
             info = self._host.read_info(native)
-            rows.append(Receipt(received, info.source, info.number, info.publisher))
+            rows.append(commands.Receipt(received, info.source, info.number, info.publisher))
         identity = bool(rows) and all(row.publisher is not None for row in rows)
-        return Records(rows=rows, publisher_identity=identity, now=self._host.steady())
-
-    async def _ping(self, _: PingCommand) -> Done:
-        return Done()
+        return commands.Records(rows=rows, publisher_identity=identity, now=self._host.steady())

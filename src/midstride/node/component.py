@@ -28,8 +28,7 @@ from midstride.node.contracts import (
     field_constraints,
     predicate,
 )
-from midstride.node.declaration import declare
-from midstride.node.declared_parts import DeclaredParts
+from midstride.node.declaration import DeclaredParts, declare
 from midstride.node.functionality import Functionality
 from midstride.node.modes import listed
 from midstride.node.parameters import Parameter, check_parameter
@@ -63,12 +62,7 @@ class Component:
     # -- declaring ---------------------------------------------------------------------------------
 
     def create_input(
-        self,
-        name: str,
-        type: type,
-        rate: float | None = None,
-        qos: QoS | int | None = None,
-        where: Where | None = None,
+        self, name: str, type: type, rate: float | None = None, qos: QoS | int | None = None, where: Where | None = None
     ) -> Input:
         """An input port, with what it assumes about the topic that it is attached to (docs/semantics.md section 1).
 
@@ -106,7 +100,7 @@ class Component:
         where = f"functionality {check_name(name, 'create_functionality()')}"
         if name in self._parts.functionalities:
             raise NodeError(f"{where} exists already; give this one another name")
-        check_weight(weight, where)
+        importance = check_weight(weight, where)
         own_inputs = self._own(where, inputs, self._parts.inputs.values(), Input, "inputs")
         own_outputs = self._own(where, outputs, self._parts.outputs.values(), Output, "outputs")
         for port in own_outputs:
@@ -116,7 +110,7 @@ class Component:
                         f"{where}: output {port.name} already belongs to functionality {other.name}; an output has one "
                         "owner: create another output, or give both tasks to one functionality"
                     )
-        self._parts.functionalities[name] = Functionality(name, own_inputs, own_outputs, float(weight), self._declaring)
+        self._parts.functionalities[name] = Functionality(name, own_inputs, own_outputs, importance, self._declaring)
         return self._parts.functionalities[name]
 
     def parameter(
@@ -177,13 +171,7 @@ class Component:
 
     def declaration(self) -> model.ComponentSpec:
         """The component in the model's terms. Raises NodeError where it is incomplete."""
-        return declare(
-            self.name,
-            list(self._parts.inputs.values()),
-            list(self._parts.outputs.values()),
-            list(self._parts.functionalities.values()),
-            list(self._parts.parameters.values()),
-        )
+        return declare(self.name, self._parts)
 
     def start(self) -> None:
         """Run until stopped: by the manager, SIGTERM or SIGINT. Signal handlers are set here and nowhere else.
@@ -216,7 +204,7 @@ class Component:
     def _new_port(self, name: object) -> str:
         port = check_name(name, "a port's name")
         self._declaring(f"port {port}")
-        if port in self._parts.inputs or port in self._parts.outputs:
+        if port in {*self._parts.inputs, *self._parts.outputs}:
             raise NodeError(f"port {port} exists already; give this one another name")
         return port
 

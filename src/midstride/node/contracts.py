@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias, get_args
+from typing import Any, Final, TypeAlias, TypeGuard, get_args
 
 from midstride.errors import NodeError
 from midstride.model.contract import DEFAULT_QOS, Interval, OneOf, Predicate, QoS, ValueSet
@@ -60,27 +60,26 @@ def check_name(name: object, what: str) -> str:
     return name
 
 
+def _is_positive(value: object) -> TypeGuard[int | float]:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value > 0
+
+
 def check_rate(rate: object, where: str) -> float | None:
-    if rate is None:
-        return None
-    if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not math.isfinite(rate) or rate <= 0:
+    if rate is not None and not _is_positive(rate):
         raise NodeError(f"{where}: rate={rate!r} is not a rate; write a positive number of Hz, or leave it out")
-    return float(rate)
+    return None if rate is None else float(rate)
 
 
 def check_seconds(seconds: object, where: str) -> float:
-    if (
-        isinstance(seconds, bool)
-        or not isinstance(seconds, (int, float))
-        or not (math.isfinite(seconds) and seconds > 0)
-    ):
+    if not _is_positive(seconds):
         raise NodeError(f"{where}: {seconds!r} is not a duration; write a number of seconds greater than 0")
     return float(seconds)
 
 
-def check_weight(weight: object, where: str) -> None:
-    if isinstance(weight, bool) or not isinstance(weight, (int, float)) or not (math.isfinite(weight) and weight > 0):
+def check_weight(weight: object, where: str) -> float:
+    if not _is_positive(weight):
         raise NodeError(f"{where}: weight={weight!r}; write a number greater than 0")
+    return float(weight)
 
 
 def check_qos(qos: object, where: str) -> QoS:
@@ -149,7 +148,12 @@ def _value_set(values: Any, context: str) -> ValueSet:
     elif isinstance(values, (bool, int, float, str)):
         found = OneOf.of([values])
     elif isinstance(values, (set, frozenset, list)):
-        found = OneOf.of(_scalars(values, context))
+        for value in values:
+            if not isinstance(value, (bool, int, float, str)):
+                raise NodeError(
+                    f"{context}: {value!r} cannot be the value of a field; write numbers, strings or booleans"
+                )
+        found = OneOf.of(values)
     else:
         raise NodeError(
             f"{context}: {values!r} is not a set of values; write a value, a set of values, at_least(…), at_most(…) "
@@ -158,14 +162,6 @@ def _value_set(values: Any, context: str) -> ValueSet:
     if found.is_empty:
         raise NodeError(f"{context}: {values!r} contains no value, so no message could satisfy it")
     return found
-
-
-def _scalars(values: Iterable[Any], context: str) -> list[bool | int | float | str]:
-    scalars = list(values)
-    for value in scalars:
-        if not isinstance(value, (bool, int, float, str)):
-            raise NodeError(f"{context}: {value!r} cannot be the value of a field; write numbers, strings or booleans")
-    return scalars
 
 
 def _check_field(path: str, type_: type, context: str) -> None:

@@ -25,13 +25,11 @@ GRACE: Final = 0.05
 Written = tuple[int, int]  # the publisher's number, and when
 
 
-def belongs_after(runner: OutputOwner | None, at: int, host: Host, slot: int = 0) -> bool:
+def belongs_after(runner: OutputOwner, at: int, host: Host, slot: int = 0) -> bool:
     """Whether what ``runner`` writes now belongs to the new side of a cut at ``at``.
 
     ``slot``: which of the slots that a call accounts for counts, 0 for the first and 1 for the last.
     """
-    if runner is None:
-        return host.now() >= at
     if runner.slots is not None:
         # Both sides round their grid to whole nanoseconds: a slot is T if it is nearest to it.
         rate = runner.rate
@@ -58,6 +56,7 @@ class _Side(GatePolicy):
         self.at = at
         self.written: dict[OutputLink, Written] = {}
         self._host = host
+        self._runners = list(dict.fromkeys(link.output.owner for link in links))
 
     def wrote(self, link: OutputLink) -> None:
         self.written[link] = (link.count, self._host.now())
@@ -68,8 +67,10 @@ class _Side(GatePolicy):
             if link.cut is self:
                 link.set_gate(open_)
 
-    def attached(self) -> list[OutputLink]:
-        return [link for link in self.links if link in link.output.links]
+    def _set_attached(self, open_: bool) -> None:
+        for link in self.links:
+            if link in link.output.links:
+                link.set_gate(open_)
 
 
 class OutgoingCut(_Side):
@@ -81,7 +82,6 @@ class OutgoingCut(_Side):
         # When the first message newer than T arrived (steady, ns): from then on a message-driven side should write.
         self.newer_at: int | None = None
         self._last_input = host.steady()
-        self._runners = list(dict.fromkeys(link.output.owner for link in self.links if link.output.owner))
 
     def arm(self) -> None:
         for link in self.links:
@@ -112,8 +112,7 @@ class OutgoingCut(_Side):
         """Write again: the new side has not taken over in time, or the cut is cancelled."""
         self.over = True
         self._unwatch()
-        for link in self.attached():
-            link.set_gate(True)
+        self._set_attached(True)
 
     def relieved(self) -> None:
         self._unwatch()
@@ -161,10 +160,9 @@ class IncomingCut(_Side):
         self._latches = tuple(latches)
 
     def arm(self, epoch: int | None) -> None:
-        runners = list(dict.fromkeys(link.output.owner for link in self.links if link.output.owner))
         for link in self.links:
             link.cut = self
-        for runner in runners:
+        for runner in self._runners:
             if epoch is not None and runner.rate is not None:
                 runner.rate.regrid(epoch)
 
@@ -184,8 +182,7 @@ class IncomingCut(_Side):
         self._set_gates(True)
 
     def close(self) -> None:
-        for link in self.attached():
-            link.set_gate(False)
+        self._set_attached(False)
 
     def first(self) -> dict[str, LastWrite | None]:
         found: dict[str, LastWrite | None] = dict.fromkeys(map(str, self.links))

@@ -131,8 +131,7 @@ class CutInTask(_CutTask):
             await self._host.on_data(self.side.conclude)
 
     def _latch_after(self) -> float:
-        owners = [link.output.owner for link in self.side.links]
-        return GRACE if any(owner is not None and owner.driven == "message" for owner in owners) else 0.0
+        return GRACE if any(link.output.owner.driven == "message" for link in self.side.links) else 0.0
 
     async def _resumed(self) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""

@@ -1,9 +1,11 @@
-"""From what an author declared to the model's component, checked against the model's rules."""
+"""What an author declares of a component, and the model's component made of it, checked against the model's rules."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 from immutables import Map
 
@@ -17,38 +19,52 @@ from midstride.node.parameters import Parameter
 from midstride.node.ports import Input, Output
 
 
-def declare(
-    name: str,
-    inputs: Sequence[Input],
-    outputs: Sequence[Output],
-    functionalities: Sequence[Functionality],
-    parameters: Sequence[Parameter],
-) -> model.ComponentSpec:
+@dataclass(slots=True)
+class Callbacks:
+    """The author's functions that are called besides those of modes."""
+
+    setup: Callable[[Any], None] | None = None
+    stop: Callable[[], Any] | None = None
+    stop_timeout: float = 2.0
+    export_state: Callable[[], bytes] | None = None
+    import_state: Callable[[bytes], None] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class DeclaredParts:
+    """By name, in order of declaration. Complete once the component starts."""
+
+    inputs: dict[str, Input] = field(default_factory=dict)
+    outputs: dict[str, Output] = field(default_factory=dict)
+    functionalities: dict[str, Functionality] = field(default_factory=dict)
+    parameters: dict[str, Parameter] = field(default_factory=dict)
+    callbacks: Callbacks = field(default_factory=Callbacks)
+
+
+def declare(name: str, parts: DeclaredParts) -> model.ComponentSpec:
     """The component. Raises NodeError where it breaks a rule of docs/semantics.md section 2."""
-    _check_owned(outputs, functionalities)
-    return model.ComponentSpec.of(
-        name,
-        inputs={port.name: port.assumption for port in inputs},
-        outputs=tuple(port.name for port in outputs),
-        functionalities=tuple(_functionality(functionality) for functionality in functionalities),
-        parameters={p.name: model.ParameterSpec(p.value, p.on_change is not None) for p in parameters},
-    )
-
-
-def _check_owned(outputs: Sequence[Output], functionalities: Sequence[Functionality]) -> None:
-    if not functionalities:
+    if not parts.functionalities:
         raise NodeError("the component has no functionality; write create_functionality(…) and give it modes")
-    owned = {port for functionality in functionalities for port in functionality.outputs}
-    for port in outputs:
+    owned = {port for functionality in parts.functionalities.values() for port in functionality.outputs}
+    for port in parts.outputs.values():
         if port not in owned:
             raise NodeError(
                 f"output {port.name} belongs to no functionality; write create_functionality(…, outputs=[{port.name}])"
             )
+    return model.ComponentSpec.of(
+        name,
+        inputs={name: port.assumption for name, port in parts.inputs.items()},
+        outputs=tuple(parts.outputs),
+        functionalities=tuple(map(_functionality, parts.functionalities.values())),
+        parameters={
+            name: model.ParameterSpec(parameter.value, parameter.on_change is not None)
+            for name, parameter in parts.parameters.items()
+        },
+    )
 
 
 def _functionality(functionality: Functionality) -> model.FunctionalitySpec:
-    declared = functionality.chain()
-    modes = tuple(_mode(mode) for mode in declared)
+    modes = tuple(map(_mode, functionality.chain()))
     _check_monotonic(functionality, modes)
     return model.FunctionalitySpec(
         functionality.name,
@@ -60,18 +76,16 @@ def _functionality(functionality: Functionality) -> model.FunctionalitySpec:
 
 
 def _mode(mode: DeclaredMode) -> model.Mode:
-    guarantees = {port.name: _guarantee(mode, port) for port in mode.outputs}
+    guarantees: dict[str, Predicate] = {}
+    for port in mode.outputs:
+        # A rate-driven mode guarantees its rate; a message-driven one guarantees only what is stated.
+        stated = mode.guarantees.get(port, Guarantee(None, ()))
+        rate = mode.rate if stated.rate is None else stated.rate
+        guarantees[port.name] = predicate(port.type, rate, port.qos, stated.where)
     assumptions = tuple(
         model.InputAlternatives(tuple(port.name for port in alternatives)) for alternatives in mode.assumptions
     )
     return model.Mode(mode.name, assumptions, Map(guarantees))
-
-
-def _guarantee(mode: DeclaredMode, port: Output) -> Predicate:
-    """A rate-driven mode guarantees its rate; a message-driven one guarantees only what is stated."""
-    stated = mode.guarantees.get(port, Guarantee(None, ()))
-    rate = mode.rate if stated.rate is None else stated.rate
-    return predicate(port.type, rate, port.qos, stated.where)
 
 
 def _check_monotonic(functionality: Functionality, modes: tuple[model.Mode, ...]) -> None:

@@ -60,10 +60,7 @@ class Functionality:
         outputs beyond what follows from ``rate``. ``name`` is the mode's name in the specification. Raises NodeError.
         """
         if self._normal is not None:
-            raise NodeError(
-                f"functionality {self.name}: set_normal_mode() has been called already; for a mode in between write "
-                f'set_mode("name", …)'
-            )
+            raise self._declared_twice("set_normal_mode")
         self._normal = self._declare(name, fn, rate, inputs, outputs, guarantees, sync)
 
     def set_mode(
@@ -98,10 +95,7 @@ class Functionality:
         With ``rate`` (Hz), ``fn()`` is called at that rate; without, once, on entry. Raises NodeError.
         """
         if self._degraded is not None:
-            raise NodeError(
-                f"functionality {self.name}: set_degraded_mode() has been called already; for a mode in between write "
-                f'set_mode("name", …)'
-            )
+            raise self._declared_twice("set_degraded_mode")
         if inputs:
             raise NodeError(
                 f"functionality {self.name}: the degraded mode may assume nothing, so it takes no inputs=; "
@@ -129,6 +123,12 @@ class Functionality:
             )
         return (self._normal, *self._between, self._degraded)
 
+    def _declared_twice(self, method: str) -> NodeError:
+        return NodeError(
+            f"functionality {self.name}: {method}() has been called already; for a mode in between write "
+            f'set_mode("name", …)'
+        )
+
     def _declare(
         self,
         name: str,
@@ -139,22 +139,12 @@ class Functionality:
         guarantees: Mapping[Output, Promise] | None,
         sync: Approximate | None,
     ) -> DeclaredMode:
-        self._changeable(f"a mode of functionality {self.name}")
-        mode = declare_mode(
-            f"functionality {self.name}",
-            name,
-            fn,
-            rate=rate,
-            inputs=inputs,
-            outputs=outputs,
-            guarantees=guarantees,
-            sync=sync,
-            associated_inputs=self.inputs,
-            associated_outputs=self.outputs,
-        )
+        where = f"functionality {self.name}"
+        self._changeable(f"a mode of {where}")
+        mode = declare_mode(where, name, fn, rate, inputs, outputs, guarantees, sync, (self.inputs, self.outputs))
         declared = [self._normal, *self._between, self._degraded]
         if any(other is not None and other.name == mode.name for other in declared):
-            raise NodeError(f"functionality {self.name} already has a mode {mode.name}; give this one another name")
+            raise NodeError(f"{where} already has a mode {mode.name}; give this one another name")
         return mode
 
     def __repr__(self) -> str:

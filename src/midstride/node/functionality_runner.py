@@ -53,7 +53,8 @@ class FunctionalityRunner:
         self._steady = host.steady
         self._report = report
         self._trigger: Trigger | None = None
-        self._asynchronous = False
+        # Whether an async call is under way; the data thread is free meanwhile.
+        self.asynchronous = False
         self._error: BaseException | None = None
         self._switch: PendingSwitch | None = None
         depths = [port.assumption.qos.effective().depth or 1 for port in functionality.inputs]
@@ -66,7 +67,6 @@ class FunctionalityRunner:
         return self.chain[self.index]
 
     def current_mode(self) -> str:
-        """The name of its current mode."""
         return self.mode.name
 
     @property
@@ -81,11 +81,6 @@ class FunctionalityRunner:
     def rate(self) -> OnRate | None:
         """The time grid it runs on, where its mode has one."""
         return self._trigger if isinstance(self._trigger, OnRate) else None
-
-    @property
-    def asynchronous(self) -> bool:
-        """Whether an async call is under way; the data thread is free meanwhile."""
-        return self._asynchronous
 
     # -- modes -------------------------------------------------------------------------------------
 
@@ -120,7 +115,7 @@ class FunctionalityRunner:
         """``switch`` has happened, or will not: calls may start again."""
         if self._switch is switch:
             self._switch = None
-            self.ready = not self._asynchronous
+            self.ready = not self.asynchronous
             self._catch_up()
 
     # -- calls -------------------------------------------------------------------------------------
@@ -137,7 +132,7 @@ class FunctionalityRunner:
             self._fail(error)
             return
         if result is not None and inspect.iscoroutine(result):
-            self._asynchronous = True
+            self.asynchronous = True
             self.ready = False
             self._host.run_coroutine(self._guarded(result), self._returned)
         else:
@@ -162,7 +157,7 @@ class FunctionalityRunner:
 
     def _returned(self) -> None:
         """An async call has ended."""
-        self._asynchronous = False
+        self.asynchronous = False
         error, self._error = self._error, None
         self._ended()
         self.ready = self._switch is None
@@ -185,15 +180,12 @@ class FunctionalityRunner:
         failed = self.mode.name
         reason = format_error(error)
         self.stop_calls()
-        if self.index < self.last:
-            self.enter_mode(self.last, f"mode {failed} raised: {reason}", failed=True)
-            self._report(self)
+        was_last = self.index == self.last
+        raised = f"its last mode, {failed}, raised, so it is no longer called" if was_last else f"mode {failed} raised"
+        self.enter_mode(self.last, f"{raised}: {reason}", failed=True)
+        self._report(self)
+        if not was_last:
             self.start_calls()
-        else:
-            self.enter_mode(
-                self.index, f"its last mode, {failed}, raised, so it is no longer called: {reason}", failed=True
-            )
-            self._report(self)
 
 
 def format_error(error: BaseException) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
@@ -13,24 +13,9 @@ from midstride.node.cut_protocol import CutInTask, CutOutTask
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import OutputLink
+from midstride.wire import commands
 from midstride.wire.channel import Channel, result_of
-from midstride.wire.commands import (
-    AwaitCutCommand,
-    CancelCutCommand,
-    Command,
-    CutInCommand,
-    CutOutcome,
-    CutOutCommand,
-    CutResult,
-    CutSwap,
-    CutTakenCommand,
-    Done,
-    Grid,
-    GridCommand,
-    MeetCommand,
-    PingCommand,
-    Relieved,
-)
+from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
 from midstride.wire.state import GateState
 
@@ -75,12 +60,10 @@ class HandoverCommands:
 
     # -- before ------------------------------------------------------------------------------------
 
-    async def grid(self, command: GridCommand) -> Grid:
+    async def grid(self, command: commands.GridCommand) -> commands.Grid:
         owner = self._attachments.output(command.port).owner
-        if owner is None:
-            raise CommandRefused("the component has not started yet")
         rate, topic = owner.rate, command.topic
-        return Grid(
+        return commands.Grid(
             trigger=owner.driven,
             epoch=None if rate is None else rate.slot,
             period=None if rate is None else rate.period,
@@ -88,12 +71,12 @@ class HandoverCommands:
             readers=None if topic is None else self._attachments.link(command.port, topic).publisher.matched(),
         )
 
-    async def meet(self, command: MeetCommand) -> Done:
+    async def meet(self, command: commands.MeetCommand) -> commands.Done:
         """Connect to the peer and ping it; the connection is kept for the report of the first write."""
         deadline = self._host.steady() + int(command.timeout * 1e9)
         while True:
             try:
-                reply = await self._call(command.address, PingCommand(), MEET_ATTEMPT)
+                reply = await self._call(command.address, commands.PingCommand(), MEET_ATTEMPT)
                 break
             except BackendError as error:
                 if self._host.steady() >= deadline:
@@ -103,60 +86,62 @@ class HandoverCommands:
                 await self._host.sleep(0.02)
         if not reply.ok:
             raise CommandRefused(f"{command.peer} refused a ping: {reply.refused}")
-        return Done()
+        return commands.Done()
 
     # -- the cut -----------------------------------------------------------------------------------
 
-    async def cut_out(self, command: CutOutCommand) -> Done:
+    async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
         links = self._links_of(command.cut, command.swaps, CutOutTask, gate="open")
         side = OutgoingCut(links, command.at, self._host)
         await self._arm(command.at, side.arm)
         self._begin(command.cut, CutOutTask(self._host, self._changed, side, command.resume_after))
-        return Done()
+        return commands.Done()
 
-    async def cut_in(self, command: CutInCommand) -> Done:
+    async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
         links = self._links_of(command.cut, command.swaps, CutInTask, gate="closed")
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
         side = IncomingCut(links, command.at, self._host, latches)
         await self._arm(command.at, lambda: side.arm(command.epoch))
-        rate_driven = all(link.output.owner is not None and link.output.owner.rate is not None for link in links)
-        report = self._reporter(command.cut, command.address)
+        rate_driven = all(link.output.owner.rate is not None for link in links)
+
+        async def report(timeout: float) -> bool:
+            """Report the first write to the old side; whether that has resumed by then."""
+            taken = commands.CutTakenCommand(cut=command.cut)
+            reply = await self._call(command.address, taken, timeout)
+            return not reply.ok or result_of(reply, taken).resumed
+
         self._begin(command.cut, CutInTask(self._host, self._changed, side, report, rate_driven))
-        return Done()
+        return commands.Done()
 
-    async def cancel_cut(self, command: CancelCutCommand) -> Done:
-        for side in self._sides_of(command.cut):
+    async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
+        for side in self._sides.get(command.cut, []):
             await side.cancel()
-        return Done()
+        return commands.Done()
 
-    async def await_cut(self, command: AwaitCutCommand) -> CutResult:
-        sides = self._sides_of(command.cut)
+    async def await_cut(self, command: commands.AwaitCutCommand) -> commands.CutResult:
+        sides = self._sides.get(command.cut, [])
         if not sides:
             raise CommandRefused(f"there is no cut {command.cut}")
         over = asyncio.gather(*(side.finished.wait() for side in sides))
         await within(self._host, over, command.timeout)
         results = [side.result() for side in sides]
         # Where both sides are here, the cut is done once both are.
-        open_outcomes: list[CutOutcome] = [result.outcome for result in results if result.outcome != "done"]
-        outcome: CutOutcome = open_outcomes[0] if open_outcomes else "done"
+        open_outcomes: list[commands.CutOutcome] = [result.outcome for result in results if result.outcome != "done"]
+        outcome: commands.CutOutcome = open_outcomes[0] if open_outcomes else "done"
         last = {name: write for result in results for name, write in result.last.items()}
         first = {name: write for result in results for name, write in result.first.items()}
-        return CutResult(outcome=outcome, last=last, first=first)
+        return commands.CutResult(outcome=outcome, last=last, first=first)
 
-    async def taken(self, command: CutTakenCommand) -> Relieved:
+    async def taken(self, command: commands.CutTakenCommand) -> commands.Relieved:
         """From the new side. Where the cut is unknown, this side has not stopped writing."""
-        old = [side for side in self._sides_of(command.cut) if isinstance(side, CutOutTask)]
-        return Relieved(resumed=any(side.taken() for side in old) if old else True)
+        old = [side for side in self._sides.get(command.cut, []) if isinstance(side, CutOutTask)]
+        return commands.Relieved(resumed=any(side.taken() for side in old) if old else True)
 
     # -- parts -------------------------------------------------------------------------------------
 
-    def _sides_of(self, cut: str) -> list[CutOutTask | CutInTask]:
-        """The sides of a cut that this component is."""
-        return self._sides.get(cut, [])
-
-    def _links_of(self, cut: str, swaps: Sequence[CutSwap], kind: type, gate: GateState) -> list[OutputLink]:
+    def _links_of(self, cut: str, swaps: Sequence[commands.CutSwap], kind: type, gate: GateState) -> list[OutputLink]:
         """The attachments that take part in a cut. Raises CommandRefused where one cannot."""
-        if any(isinstance(side, kind) for side in self._sides_of(cut)):
+        if any(isinstance(side, kind) for side in self._sides.get(cut, [])):
             raise CommandRefused(f"cut {cut} has been agreed already")
         links = []
         for swap in swaps:
@@ -197,17 +182,9 @@ class HandoverCommands:
         if not task.cancelled() and (error := task.exception()) is not None:
             self._host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
 
-    def _reporter(self, cut: str, address: str) -> Callable[[float], Awaitable[bool]]:
-        """The function that reports the first write to the old side, and returns whether that has resumed by then."""
-
-        async def report(timeout: float) -> bool:
-            command = CutTakenCommand(cut=cut)
-            reply = await self._call(address, command, timeout)
-            return not reply.ok or result_of(reply, command).resumed
-
-        return report
-
-    async def _call(self, address: str, command: Command[Done] | Command[Relieved], timeout: float) -> Reply:
+    async def _call(
+        self, address: str, command: Command[commands.Done] | Command[commands.Relieved], timeout: float
+    ) -> Reply:
         """Raises CallTimeout or Unreachable."""
         channel = self._channels.get(address)
         if channel is None or channel.closed.is_set():

@@ -76,13 +76,29 @@ class Timer(Protocol):
     def cancel(self) -> None: ...
 
 
+class NodeParameters(Protocol):
+    """The parameters of the ROS node. Used on the data thread."""
+
+    def declare(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
+        """Declare a parameter, and return its value."""
+        ...
+
+    def set(self, values: dict[str, Any]) -> None:
+        """Set declared parameters, all of them or none. Raises CommandRefused with the reason.
+
+        ``on_change`` may raise: then nothing is set, and its error is the reason.
+        """
+        ...
+
+
 class Host(Protocol):
     """One per process (in the simulator: one per component)."""
 
-    backend: str
     instance: str
-    # Where it listens for its manager; None where it belongs to no system.
+    # Where it listens for its manager, None where it belongs to no system; and the same in words, for a message.
     transport: Transport | None
+    reachable: str
+    parameters: NodeParameters
 
     def now(self) -> int:
         """The ROS clock, ns; 0 while nothing has arrived on a ``/clock`` that drives it. Cheap: on the data path."""
@@ -146,27 +162,12 @@ class Host(Protocol):
         """On the steady clock."""
         ...
 
-    def reachable(self) -> str:
-        """Where a manager can find it, for a message."""
-        ...
-
     def publish_state(self, state: ComponentState) -> None:
         """Show the state to the platform's own tools, read only (ROS 2: parameters; ROS 1: a latched topic)."""
         ...
 
     def extra_endpoints(self) -> list[Endpoint]:
         """Endpoints of the ROS node that are neither ports nor ROS's own, after the author's set-up."""
-        ...
-
-    def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
-        """Declare a parameter of the ROS node, on the data thread, and return its value."""
-        ...
-
-    def set_parameters(self, values: dict[str, Any]) -> None:
-        """Set declared parameters, all of them or none, on the data thread. Raises CommandRefused with the reason.
-
-        ``on_change`` may raise: then nothing is set, and its error is the reason.
-        """
         ...
 
     def run(self, main: Callable[[], Awaitable[None]]) -> None:

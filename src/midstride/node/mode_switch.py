@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from midstride.errors import CommandRefused
 from midstride.node.functionality_runner import FunctionalityRunner
@@ -41,22 +41,18 @@ def _retrieve(work: asyncio.Future[Any]) -> None:
         work.exception()
 
 
-class Once(Generic[T]):
-    """A function that either runs once or is withdrawn before it does."""
+class FirstClaim:
+    """Whether something happens (data thread) or is withdrawn (control thread): the first to claim it decides."""
 
-    def __init__(self, function: Callable[[], T]) -> None:
-        self._function = function
+    def __init__(self) -> None:
+        self.taken = False
         self._lock = threading.Lock()
-        self._settled = False
 
-    def claim(self) -> bool:
-        """Decide that it runs, or that it is withdrawn. Returns whether the caller is the first to decide."""
+    def take(self) -> bool:
+        """Returns whether the caller is the first."""
         with self._lock:
-            first, self._settled = not self._settled, True
+            first, self.taken = not self.taken, True
             return first
-
-    def __call__(self) -> T | None:
-        return self._function() if self.claim() else None
 
 
 class DataExecutor:
@@ -71,10 +67,10 @@ class DataExecutor:
 
         Raises CommandRefused where the data thread is not free within ``timeout``; then it does not run later either.
         """
-        once = Once(function)
-        work = asyncio.ensure_future(self._host.on_data(once))
+        claim = FirstClaim()
+        work = asyncio.ensure_future(self._host.on_data(lambda: function() if claim.take() else None))
         if await within(self._host, work, timeout) is None:
-            if once.claim():
+            if claim.take():
                 raise CommandRefused(f"user code did not return within {timeout:g} s{self._busy()}")
             if await within(self._host, work, timeout) is None:
                 raise CommandRefused(f"it has started, but did not end within another {timeout:g} s{self._busy()}")
@@ -93,17 +89,20 @@ class DataExecutor:
             except Exception as error:
                 raised.append(error)
 
+        claim = FirstClaim()
+
         def begin() -> bool:
+            if not claim.take():
+                return False
             result = function()
             if not asyncio.iscoroutine(result):
                 return True
             self._host.run_coroutine(guarded(result), lambda: _call(loop, ended.set))
             return False
 
-        once = Once(begin)
-        work = await within(self._host, self._host.on_data(once), timeout)
+        work = await within(self._host, self._host.on_data(begin), timeout)
         if work is None:
-            once.claim()
+            claim.take()
             return False
         if not work.result() and await within(self._host, ended.wait(), timeout) is None:
             return False
@@ -139,18 +138,17 @@ class ModeSwitch:
         self._because = because
         self._guard = guard
         self._settled = settled
-        self._lock = threading.Lock()
-        self._over = False
+        self.claim = FirstClaim()
 
     def attempt(self) -> None:
         """On the data thread: switch, unless an async call is under way; then this is called again at its end."""
-        if self._over:
+        if self.claim.taken:
             return
         if any(runner.asynchronous for runner in self._runners):
             for runner in self._runners:
                 runner.block(self)
             return
-        if not self.claim():  # the control thread has just withdrawn it
+        if not self.claim.take():  # the control thread has just withdrawn it
             return
         try:
             self.refused = self._guard()
@@ -172,12 +170,6 @@ class ModeSwitch:
         self._settled()
         for runner in moved:
             runner.start_calls()
-
-    def claim(self) -> bool:
-        """Decide that it happens (data thread) or not (control thread). Returns whether the caller is the first."""
-        with self._lock:
-            first, self._over = not self._over, True
-            return first
 
     def release(self) -> None:
         """On the data thread, once it has happened or is withdrawn: calls may start again."""

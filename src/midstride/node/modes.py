@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from midstride.errors import NodeError
@@ -49,7 +49,7 @@ class DeclaredMode:
     guarantees: Mapping[Output, Guarantee]
     handlers: tuple[tuple[Input, Function], ...] = ()
     sync: Approximate | None = None
-    synchronised: tuple[Input, ...] = field(default=())
+    synchronised: tuple[Input, ...] = ()
 
     @property
     def period(self) -> float | None:
@@ -60,21 +60,22 @@ def declare_mode(
     where: str,
     name: object,
     function: object,
-    *,
     rate: object,
     inputs: Sequence[Input | AnyOf],
     outputs: Iterable[Output],
     guarantees: Mapping[Output, Promise] | None,
     sync: object,
-    associated_inputs: Sequence[Input],
-    associated_outputs: Sequence[Output],
+    associated: tuple[Sequence[Input], Sequence[Output]],
 ) -> DeclaredMode:
-    """Check what an author declared for a mode. Raises NodeError with what to write instead."""
+    """Check what an author declared for a mode. Raises NodeError with what to write instead.
+
+    ``associated``: the inputs and the outputs of its functionality.
+    """
     mode = check_name(name, f"{where}: a mode's name")
     where = f"{where}, mode {mode}"
     hertz = check_rate(rate, where)
-    assumptions = _assumptions(where, inputs, associated_inputs)
-    kept_outputs = _outputs(where, outputs, associated_outputs)
+    assumptions = _assumptions(where, inputs, associated[0])
+    kept_outputs = _outputs(where, outputs, associated[1])
     promises = _promises(where, guarantees or {}, kept_outputs)
     named = tuple(dict.fromkeys(port for assumption in assumptions for port in assumption))
     if sync is not None and not isinstance(sync, Approximate):
@@ -147,11 +148,7 @@ def _assumptions(
         else:
             raise NodeError(f"{where}: inputs= has {entry!r}, which is not an input; write what create_input returned")
         for port in alternatives:
-            if port not in associated:
-                raise NodeError(
-                    f"{where}: input {port.name} is not one of its functionality; "
-                    f"write create_functionality(…, inputs=[…, {port.name}])"
-                )
+            _check_associated(where, "input", port, associated)
         found.append(alternatives)
     return tuple(found)
 
@@ -163,12 +160,16 @@ def _outputs(where: str, outputs: Iterable[Output], associated: Sequence[Output]
             raise NodeError(
                 f"{where}: outputs= has {port!r}, which is not an output; write what create_output returned"
             )
-        if port not in associated:
-            raise NodeError(
-                f"{where}: output {port.name} is not one of its functionality; "
-                f"write create_functionality(…, outputs=[…, {port.name}])"
-            )
+        _check_associated(where, "output", port, associated)
     return tuple(found)
+
+
+def _check_associated(where: str, kind: str, port: Input | Output, associated: Sequence[object]) -> None:
+    if port not in associated:
+        raise NodeError(
+            f"{where}: {kind} {port.name} is not one of its functionality; "
+            f"write create_functionality(…, {kind}s=[…, {port.name}])"
+        )
 
 
 def _promises(where: str, guarantees: object, outputs: tuple[Output, ...]) -> dict[Output, Guarantee]:

@@ -8,8 +8,8 @@ thread; other threads only read counters.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
-from typing import Any, Final, Literal, Protocol, TypeAlias
+from collections.abc import Callable
+from typing import Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from midstride.errors import NodeError
 from midstride.model.contract import Predicate, QoS
@@ -125,12 +125,43 @@ class OutputLink:
         return f"{self.output.name} {self.topic}"
 
 
-class Output:
+class InputLink:
+    """One attachment of an input: a subscription, and the number of messages received on it."""
+
+    __slots__ = ("count", "subscription", "topic")
+
+    def __init__(self, topic: str) -> None:
+        self.topic = topic
+        self.count = 0
+        self.subscription: Subscription | None = None
+
+
+L = TypeVar("L", OutputLink, InputLink)
+
+
+class _Port(Generic[L]):
+    """A port, with its attachments: one for each topic."""
+
+    links: tuple[L, ...] = ()
+
+    @property
+    def attached(self) -> bool:
+        """Whether it is attached to some topic."""
+        return bool(self.links)
+
+    def link(self, topic: str) -> L | None:
+        return next((link for link in self.links if link.topic == topic), None)
+
+
+class Output(_Port[OutputLink]):
     """An output port. ``write`` publishes on every topic it is attached to; attached to none, it only counts.
 
     Write only on the data thread: in mode functions, ``on_stop``, ``on_change``, and timers of the ROS node. Do not
     write from other threads: there is no lock.
     """
+
+    # From when the component runs.
+    owner: OutputOwner
 
     def __init__(self, name: str, type_: type, qos: QoS) -> None:
         self.name = name
@@ -141,8 +172,6 @@ class Output:
         self.latched = qos.effective().durability == "transient_local"
         self.last: Any = None
         self.wrong_type: str | None = None
-        self.links: tuple[OutputLink, ...] = ()
-        self.owner: OutputOwner | None = None
 
     def write(self, message: Any) -> None:
         """Publish ``message``. Raises NodeError where it is not of the output's type.
@@ -164,14 +193,6 @@ class Output:
             else:
                 link.write_gated(message)
 
-    @property
-    def attached(self) -> bool:
-        """Whether it is attached to some topic."""
-        return bool(self.links)
-
-    def link(self, topic: str) -> OutputLink | None:
-        return next((link for link in self.links if link.topic == topic), None)
-
     def _refuse(self, message: Any) -> None:
         wrong = f"output {self.name} takes {type_name(self.type)}, not {type(message).__name__}"
         self.wrong_type = wrong
@@ -181,18 +202,7 @@ class Output:
         return f"<output {self.name}: {type_name(self.type)}>"
 
 
-class InputLink:
-    """One attachment of an input: a subscription, and the number of messages received on it."""
-
-    __slots__ = ("count", "subscription", "topic")
-
-    def __init__(self, topic: str) -> None:
-        self.topic = topic
-        self.count = 0
-        self.subscription: Subscription | None = None
-
-
-class Input:
+class Input(_Port[InputLink]):
     """An input port. ``latest`` is the newest message since it was attached, or None; ``age`` how old that is (s)."""
 
     def __init__(self, name: str, type_: type, assumption: Predicate) -> None:
@@ -200,7 +210,6 @@ class Input:
         self.type = type_
         self.assumption = assumption
         self.latest: Any = None
-        self.links: tuple[InputLink, ...] = ()
         self.listeners: tuple[Listener, ...] = ()
         self.receipts: deque[tuple[int, Any]] = deque(maxlen=REMEMBERED)
         self._received_at: int | None = None
@@ -212,14 +221,6 @@ class Input:
         if self._received_at is None or self._now is None:
             return None
         return (self._now() - self._received_at) / 1e9
-
-    @property
-    def attached(self) -> bool:
-        """Whether it is attached to some topic."""
-        return bool(self.links)
-
-    def link(self, topic: str) -> InputLink | None:
-        return next((link for link in self.links if link.topic == topic), None)
 
     def receiver(self, link: InputLink, host: Host) -> Callable[[Any, Any], None]:
         """The callback of one subscription. On the data path: it uses local variables and attributes only."""
@@ -254,9 +255,6 @@ class AnyOf:
 
     def __init__(self, inputs: tuple[Input, ...]) -> None:
         self.inputs = inputs
-
-    def __iter__(self) -> Iterator[Input]:
-        return iter(self.inputs)
 
     def __repr__(self) -> str:
         return f"any_of({', '.join(port.name for port in self.inputs)})"

@@ -47,7 +47,6 @@ def find() -> ProcessContext:
     if simulated is not None:
         return simulated
     return ProcessContext(
-        factory=None,
         instance=os.environ.get(ENV_INSTANCE) or None,
         namespace=os.environ.get(ENV_NAMESPACE, ""),
         token=os.environ.get(ENV_TOKEN, ""),
@@ -56,18 +55,21 @@ def find() -> ProcessContext:
     )
 
 
+def installed() -> str | None:
+    """The ROS that this Python can import, ROS 2 first; None where there is none."""
+    return next((name for name, (library, _) in BACKENDS.items() if importlib.util.find_spec(library)), None)
+
+
 def host_factory(context: ProcessContext) -> HostFactory:
     """The factory of the platform that this process runs on. Raises NodeError where there is none."""
     if context.factory is not None:
         return context.factory
-    name = os.environ.get(ENV_BACKEND)
+    name = os.environ.get(ENV_BACKEND) or installed()
     if name is None:
-        name = next((name for name, (library, _) in BACKENDS.items() if importlib.util.find_spec(library)), None)
-        if name is None:
-            raise NodeError(
-                "no ROS can be imported (neither rclpy nor rospy): source your ROS's setup file, "
-                "or `pip install '.[ros2]'` in a clone of Midstride, or run it in the simulator"
-            )
+        raise NodeError(
+            "no ROS can be imported (neither rclpy nor rospy): source your ROS's setup file, "
+            "or `pip install '.[ros2]'` in a clone of Midstride, or run it in the simulator"
+        )
     if name not in BACKENDS:
         raise NodeError(f"{ENV_BACKEND}={name!r} is not a back end: write one of {', '.join(BACKENDS)}")
     try:

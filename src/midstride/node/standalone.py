@@ -36,13 +36,13 @@ def remappings(arguments: Sequence[str], component: ComponentSpec) -> Attachment
     return attachments
 
 
-def best_modes(component: ComponentSpec, attachments: Attachments) -> dict[str, int]:
+def best_modes(component: ComponentSpec, attachments: Attachments) -> dict[str, str]:
     """The best mode of each functionality, assuming that an attached topic meets its assumptions."""
     modes = {}
     for functionality in component:
-        for index, mode in enumerate(functionality.modes):
+        for mode in functionality.modes:
             named = [assumption.inputs for assumption in mode.assumptions if isinstance(assumption, InputAlternatives)]
             if all(any(port in attachments for port in alternatives) for alternatives in named):
-                modes[functionality.name] = index
+                modes[functionality.name] = mode.name
                 break
     return modes

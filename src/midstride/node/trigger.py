@@ -7,7 +7,7 @@ places each call in time: a slot of the grid, or the messages that it answers.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
 from midstride.node.host import Host, Timer
@@ -88,12 +88,12 @@ class OnRate:
             runner.call(self._function, (), (first, last), None)
 
 
-class OnMessage:
-    """Called for every message of its inputs."""
+class _Listening:
+    """Listens to inputs: ``handlers`` has the function to call with each message of an input and its info."""
 
-    def __init__(self, runner: Caller, handlers: tuple[tuple[Input, Function], ...]) -> None:
+    def __init__(self, runner: Caller, handlers: Sequence[tuple[Input, Listener]]) -> None:
         self._runner = runner
-        self._listeners = [(port, self._listener(function)) for port, function in handlers]
+        self._listeners = [(port, self._watched(handler)) for port, handler in handlers]
 
     def begin(self) -> None:
         for port, listener in self._listeners:
@@ -103,45 +103,46 @@ class OnMessage:
         for port, listener in self._listeners:
             port.listeners = tuple(other for other in port.listeners if other is not listener)
 
-    def _listener(self, function: Function) -> Listener:
+    def _watched(self, handler: Listener) -> Listener:
         runner = self._runner
 
         def on_message(message: Any, info: Any) -> None:
             if runner.watch is not None:
                 runner.watch(info)
-            if runner.ready:
-                runner.call(function, (message,), None, info)
-            else:
-                runner.postpone(function, (message,), info)
+            handler(message, info)
 
         return on_message
 
+    def _call(self, function: Function, arguments: tuple[Any, ...], info: Any) -> None:
+        if self._runner.ready:
+            self._runner.call(function, arguments, None, info)
+        else:
+            self._runner.postpone(function, arguments, info)
 
-class OnSet:
+
+class OnMessage(_Listening):
+    """Called for every message of its inputs."""
+
+    def __init__(self, runner: Caller, handlers: tuple[tuple[Input, Function], ...]) -> None:
+        super().__init__(runner, [(port, self._handler(function)) for port, function in handlers])
+
+    def _handler(self, function: Function) -> Listener:
+        return lambda message, info: self._call(function, (message,), info)
+
+
+class OnSet(_Listening):
     """Called with one message of each input whose times lie within the slop: the closest ones."""
 
     def __init__(self, runner: Caller, host: Host, mode: DeclaredMode) -> None:
         assert mode.sync is not None and mode.function is not None
-        self._runner = runner
         self._host = host
         self._function = mode.function
-        self._inputs = mode.synchronised
         self._slop = int(mode.sync.slop * 1e9)
-        self._waiting: list[deque[tuple[int, Any, Any]]] = [deque(maxlen=mode.sync.queue) for _ in self._inputs]
-        self._listeners = [self._listener(index) for index in range(len(self._inputs))]
+        self._waiting: list[deque[tuple[int, Any, Any]]] = [deque(maxlen=mode.sync.queue) for _ in mode.synchronised]
+        super().__init__(runner, [(port, self._handler(index)) for index, port in enumerate(mode.synchronised)])
 
-    def begin(self) -> None:
-        for port, listener in zip(self._inputs, self._listeners, strict=True):
-            port.listeners = (*port.listeners, listener)
-
-    def end(self) -> None:
-        for port, listener in zip(self._inputs, self._listeners, strict=True):
-            port.listeners = tuple(other for other in port.listeners if other is not listener)
-
-    def _listener(self, index: int) -> Listener:
+    def _handler(self, index: int) -> Listener:
         def on_message(message: Any, info: Any) -> None:
-            if self._runner.watch is not None:
-                self._runner.watch(info)
             self._waiting[index].append((self._time(message, info), message, info))
             self._match(index)
 
@@ -174,10 +175,7 @@ class OnSet:
             while waiting and waiting[0][0] <= time:
                 waiting.popleft()
         messages, infos = tuple(message for _, message, _ in chosen), InfoSet(info for _, _, info in chosen)
-        if self._runner.ready:
-            self._runner.call(self._function, messages, None, infos)
-        else:
-            self._runner.postpone(self._function, messages, infos)
+        self._call(self._function, messages, infos)
 
 
 def trigger_of(mode: DeclaredMode, runner: Caller, host: Host) -> Trigger:
@@ -187,6 +185,3 @@ def trigger_of(mode: DeclaredMode, runner: Caller, host: Host) -> Trigger:
     if mode.period is not None:
         return OnRate(runner, host, mode.function, mode.period)
     return OnEntry(runner, mode.function)
-
-
-__all__ = ["InfoSet", "OnEntry", "OnMessage", "OnRate", "OnSet", "Trigger", "trigger_of"]

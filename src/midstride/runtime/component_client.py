@@ -1,8 +1,8 @@
 """The manager's control connections: every command with token, id and expected revision, and every state reported.
 
-There is one connection to each component, opened when it is first needed and kept open. The component has exited when
-it closes. Components push their state after every change and twice a second, so the latest one is known without
-polling.
+There is one connection to each component, opened when it is first needed and kept open; where it closes and the
+component has not exited, it is reopened. Components push their state after every change and twice a second, so the
+latest one is known without polling.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
-from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
+from midstride.errors import BackendError, CallTimeout, CommandRefused, ProtocolError, Unreachable
 from midstride.runtime.clock import Clock
 from midstride.wire.channel import Channel, Report, result_of
 from midstride.wire.commands import Command, ObserveCommand
@@ -32,6 +32,8 @@ SILENCE: Final = 2.0
 # The interval between attempts to connect to a component that is starting (s).
 CONNECT_INTERVAL: Final = 0.005
 CONNECT_INTERVAL_LONGEST: Final = 0.1
+# The shortest interval between attempts to reopen a connection that has closed (s).
+REOPEN_INTERVAL: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +45,14 @@ class Reported:
 
 @dataclass(frozen=True, slots=True)
 class Disconnected:
-    """A component's control connection has closed: its process has exited or is about to."""
+    """A component's control connection has closed and cannot be reopened.
+
+    ``exited``: its process has exited or is about to. Else it may still run: it does not answer, or what has ended is a
+    program that forwarded the connection.
+    """
 
     instance: str
+    exited: bool = True
 
 
 ComponentEvent = Reported | Disconnected
@@ -84,6 +91,8 @@ class ComponentClient:
         self._connecting: dict[str, asyncio.Lock] = {}
         self._latest: dict[str, LatestState] = {}
         self._lost: set[str] = set()
+        self._reopening: dict[str, asyncio.Task[None]] = {}
+        self._reopened_at: dict[str, float] = {}
         self._registrations: dict[str, asyncio.Future[Registration]] = {}
 
     # -- connections -------------------------------------------------------------------------------
@@ -154,8 +163,33 @@ class ComponentClient:
     def _on_closed(self, instance: str, channel: Channel) -> None:
         if self._channels.get(instance) is channel:
             self._drop(instance)
-            self._lost.add(instance)
-            self._on_event(Disconnected(instance))
+            reopening = self._reopening.get(instance)
+            if reopening is None or reopening.done():
+                loop = asyncio.get_running_loop()
+                self._reopening[instance] = loop.create_task(self._reopen(instance, channel))
+
+    async def _reopen(self, instance: str, closed: Channel) -> None:
+        """Connect again, until that succeeds or shows that the component has exited."""
+        exited = reported = False
+        while not exited:
+            earliest = self._reopened_at.get(instance, -REOPEN_INTERVAL) + REOPEN_INTERVAL
+            await self._clock.sleep(max(0.0, earliest - self._clock.steady()))
+            self._reopened_at[instance] = self._clock.steady()
+            try:
+                if (await self._channel(instance)).greeting.uuid == closed.greeting.uuid:
+                    return
+                exited = True
+            except CallTimeout:
+                pass
+            except Unreachable:
+                exited = closed.direct
+            except ProtocolError:
+                exited = True  # its name is another component's by now
+            if exited:
+                self._lost.add(instance)
+            if exited or not reported:
+                reported = True
+                self._on_event(Disconnected(instance, exited))
 
     def greeting(self, instance: str) -> Greeting | None:
         """The greeting of the component, while it is connected."""
@@ -167,7 +201,7 @@ class ComponentClient:
         return self._latest.get(instance)
 
     def is_lost(self, instance: str) -> bool:
-        """Whether the component has closed its last connection and has not returned."""
+        """Whether the component has exited, as far as its connection shows, and has not returned."""
         return instance in self._lost
 
     def responsive(self, instance: str) -> ComponentState | None:
@@ -179,6 +213,9 @@ class ComponentClient:
 
     def disconnect(self, instance: str) -> None:
         """Close the connection: the component was released or has exited. ``on_event`` is not called."""
+        if reopening := self._reopening.pop(instance, None):
+            reopening.cancel()
+        self._reopened_at.pop(instance, None)
         channel = self._channels.get(instance)
         self._drop(instance)
         if channel is not None:
@@ -195,7 +232,7 @@ class ComponentClient:
 
     def close(self) -> None:
         """Close every connection; the components keep running."""
-        for instance in list(self._channels):
+        for instance in {*self._channels, *self._reopening}:
             self.disconnect(instance)
 
     # -- commands ----------------------------------------------------------------------------------

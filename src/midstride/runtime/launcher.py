@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from midstride.errors import (
     BackendError,
+    CallTimeout,
     CommandRefused,
     MidstrideError,
     SpecificationError,
@@ -193,16 +194,12 @@ class Launcher:
         try:
             async with within(ADOPT_TIMEOUT):
                 await self._client.connect(handle.instance)
-        except asyncio.TimeoutError:
-            if not owned:
-                return None
-            raise Unreachable(
-                f"{handle.instance} runs (process {handle.pid}), but does not answer on its control socket"
-            ) from None
-        try:
             state = await self._client.observe(handle.instance)
         except CommandRefused:
             return None
+        except (asyncio.TimeoutError, CallTimeout, Unreachable):
+            which = f" (process {handle.pid})" if owned else ""
+            raise Unreachable(f"{handle.instance} runs{which}, but does not answer on its control socket") from None
         self._remember_grace(state)
         return state
 

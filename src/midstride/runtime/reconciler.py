@@ -82,9 +82,11 @@ class Reconciler:
         """A component has reported its state, or its connection has closed."""
         assert self._launcher is not None
         match event:
-            case Disconnected(instance):
+            case Disconnected(instance, exited) if instance in self._system.configuration.instances:
+                if not exited:
+                    self._events.add("note", f"{instance} cannot be reached any more; its process may still run")
                 # The only sign of exit for a component started by hand; for others the back end reports it.
-                if instance in self._system.configuration.instances and instance not in self._launcher.handles:
+                elif instance not in self._launcher.handles:
                     self._record_exit(Exited(instance, None))
             case Reported(state):
                 if not self._busy() and own_degradations_in(self._system.configuration, state):

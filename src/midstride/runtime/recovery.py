@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from midstride.errors import MidstrideError
+from midstride.errors import MidstrideError, ProtocolError, Unreachable
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.specification import Specification
@@ -29,11 +29,21 @@ async def recover(
     client: ComponentClient,
     add_event: AddEvent,
 ) -> Configuration:
-    """The configuration of the components that still run, after terminating those that were only partly started."""
+    """The configuration of the components that still run, after terminating those that were only partly started.
+
+    A component started by hand that does not answer is left out. Raises Unreachable for one that a manager started.
+    """
     found: dict[str, tuple[Instance, ComponentState]] = {}
     for entry in saved:
         instance, handle = entry.instance, entry.handle
-        state = await launcher.adopt(handle or Handle(instance.name), owned=handle is not None)
+        try:
+            state = await launcher.adopt(handle or Handle(instance.name), owned=handle is not None)
+        except (ProtocolError, Unreachable) as error:
+            if handle is not None:
+                raise
+            add_event("note", f"{error}; it is left out until it does")
+            client.disconnect(instance.name)
+            continue
         if state is None:
             add_event("gone", f"{instance.name} is no longer running")
             await launcher.abandon(instance.name)

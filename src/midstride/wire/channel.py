@@ -11,42 +11,32 @@ from typing import Any, TypeVar
 import msgspec
 
 from midstride.errors import CallTimeout, CommandRefused, ProtocolError, Unreachable
+from midstride.wire import frames
 from midstride.wire.commands import Command
-from midstride.wire.frames import (
-    INVALID,
-    PROTOCOL,
-    Greeting,
-    Hello,
-    Registration,
-    Reply,
-    Request,
-    StateChanged,
-    decode_from_component,
-    decode_greeting,
-    encode,
-    encode_value,
-)
+from midstride.wire.frames import Reply
 from midstride.wire.transport import Connection, Transport
 
 R = TypeVar("R")
 T = TypeVar("T")
-Report = Registration | StateChanged
+Report = frames.Registration | frames.StateChanged
 
 
 class Channel:
     """One connection to one component. ``report`` is called with each of its reports, ``ended`` once when it is gone.
 
-    ``greeting`` says which component answered. To be used on one event loop.
+    ``greeting`` says which component answered; ``direct`` whether its process is the other end, so that it has exited
+    where nothing listens any more. To be used on one event loop.
     """
 
     def __init__(
         self,
         connection: Connection,
-        greeting: Greeting,
+        greeting: frames.Greeting,
         report: Callable[[Report], None],
         ended: Callable[[], None],
     ) -> None:
         self.greeting = greeting
+        self.direct = connection.peer in (None, greeting.pid)
         self.closed = asyncio.Event()
         self._connection = connection
         self._report = report
@@ -84,21 +74,21 @@ class Channel:
 
         Raises CallTimeout where none comes within ``timeout`` seconds, Unreachable where the component is gone.
         """
-        request = Request(id=id or uuid.uuid4().hex, revision=revision, command=encode_value(command))
+        request = frames.Request(id=id or uuid.uuid4().hex, revision=revision, command=frames.encode_value(command))
         return await self.send(request, timeout)
 
-    async def send(self, request: Request, timeout: float) -> Reply:
+    async def send(self, request: frames.Request, timeout: float) -> Reply:
         """As :meth:`request`, for a complete request. Its id must not be that of one under way."""
         name = self.greeting.instance
         if self.closed.is_set():
             raise Unreachable(f"{name} has closed its control connection")
         return await _within(timeout, self._exchange(request), f"{name} did not answer within {timeout:g} s")
 
-    async def _exchange(self, request: Request) -> Reply:
+    async def _exchange(self, request: frames.Request) -> Reply:
         waiting: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
         self._waiting[request.id] = waiting
         try:
-            await self._connection.send(encode(request))
+            await self._connection.send(frames.encode(request))
             return await waiting
         finally:
             if self._waiting.get(request.id) is waiting:  # not that of a repetition
@@ -130,12 +120,12 @@ class Channel:
         ended()
 
     def _take(self, line: bytes) -> None:
-        frame = decode_from_component(line)
+        frame = frames.decode_from_component(line)
         if isinstance(frame, Reply):
             waiting = self._waiting.pop(frame.id, None)  # None: the request has timed out, and its reply is late
             if waiting is not None and not waiting.done():
                 waiting.set_result(frame)
-        elif isinstance(frame, (Registration, StateChanged)):
+        elif isinstance(frame, (frames.Registration, frames.StateChanged)):
             self._report(frame)
 
     def _end(self, words: str) -> None:
@@ -150,13 +140,13 @@ class Channel:
         self._waiting.clear()
 
 
-async def _greet(connection: Connection, address: str, token: str) -> Greeting:
+async def _greet(connection: Connection, address: str, token: str) -> frames.Greeting:
     with contextlib.suppress(Unreachable):  # closed at once, which is explained below
-        await connection.send(encode(Hello(protocol=PROTOCOL, token=token)))
+        await connection.send(frames.encode(frames.Hello(protocol=frames.PROTOCOL, token=token)))
     line = await connection.receive()
     if line is None:
         raise Unreachable(f"{address} closed the connection without a greeting: it may accept other users only")
-    return decode_greeting(line)
+    return frames.decode_greeting(line)
 
 
 async def _within(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T:
@@ -177,7 +167,7 @@ def result_of(reply: Reply, command: Command[R]) -> R:
         raise CommandRefused(reply.refused)
     try:
         result: Any = msgspec.json.decode(reply.result, type=command.reply)
-    except INVALID as error:
+    except frames.INVALID as error:
         raise ProtocolError(f"the reply to `{command.name}` is malformed: {error}") from None
     found: R = result
     return found

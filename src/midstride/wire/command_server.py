@@ -9,20 +9,9 @@ from collections.abc import Awaitable, Callable
 from typing import Final
 
 from midstride.errors import ProtocolError, Unreachable
-from midstride.wire.frames import (
-    PROTOCOL,
-    Frame,
-    FromClient,
-    Greeting,
-    Hello,
-    Registration,
-    Reply,
-    Request,
-    StateChanged,
-    decode_from_client,
-    encode,
-)
-from midstride.wire.transport import Connection, Listener, Transport
+from midstride.wire import frames
+from midstride.wire.frames import Reply, Request
+from midstride.wire.transport import Connection, StopListening, Transport
 
 # The reply to a request of a client with this token.
 Handler = Callable[[Request, str], Awaitable[Reply]]
@@ -43,20 +32,20 @@ class _Client:
     def __init__(self, connection: Connection) -> None:
         self.connection = connection
         self.room = asyncio.Semaphore(UNDER_WAY)
-        self._frames: deque[Frame] = deque()
-        self._state: StateChanged | None = None
+        self._frames: deque[frames.Frame] = deque()
+        self._state: frames.StateChanged | None = None
         self._arrived = asyncio.Event()
-        self._flushed = asyncio.Event()
-        self._flushed.set()
+        self.flushed = asyncio.Event()
+        self.flushed.set()
 
-    def put(self, frame: Frame) -> None:
+    def put(self, frame: frames.Frame) -> None:
         """Send ``frame`` after earlier ones; a state replaces an earlier one that is not yet sent."""
-        if isinstance(frame, StateChanged):
+        if isinstance(frame, frames.StateChanged):
             waiting, self._state = self._state, frame
             if waiting is not None:
                 return
         self._frames.append(frame)
-        self._flushed.clear()
+        self.flushed.clear()
         self._arrived.set()
 
     async def write(self) -> None:
@@ -64,45 +53,41 @@ class _Client:
         try:
             while True:
                 while not self._frames:
-                    self._flushed.set()
+                    self.flushed.set()
                     self._arrived.clear()
                     await self._arrived.wait()
                 frame = self._frames.popleft()
-                if isinstance(frame, StateChanged) and self._state is not None:
+                if isinstance(frame, frames.StateChanged) and self._state is not None:
                     frame, self._state = self._state, None
-                await self.connection.send(encode(frame))
+                await self.connection.send(frames.encode(frame))
                 if isinstance(frame, Reply):
                     self.room.release()
         except Unreachable:
             pass
         finally:
-            self._flushed.set()
-
-    async def flushed(self) -> None:
-        await self._flushed.wait()
+            self.flushed.set()
 
 
 class CommandServer:
     """Serves one component at its address. To be used on one event loop, which never runs user code."""
 
-    def __init__(self, greeting: Greeting, handler: Handler) -> None:
+    def __init__(self, greeting: frames.Greeting, handler: Handler) -> None:
         self._greeting = greeting
         self._handler = handler
         self._clients: list[_Client] = []
         self._connections: dict[Connection, asyncio.Task[None]] = {}
         self._answering: set[asyncio.Task[None]] = set()
-        self._registration: Registration | None = None
-        self._state: StateChanged | None = None
-        self._listener: Listener | None = None
+        self._registration: frames.Registration | None = None
+        self._state: frames.StateChanged | None = None
+        self._stop_listening: StopListening = lambda: None
 
     async def open(self, transport: Transport) -> None:
         """Listen. Raises NodeError where the name is taken."""
-        self._listener = await transport.listen(self._greeting.instance, self._serve)
+        self._stop_listening = await transport.listen(self._greeting.instance, self._serve)
 
     async def close(self, timeout: float) -> None:
         """Accept no further clients, answer the requests under way within ``timeout`` seconds, and disconnect."""
-        if self._listener is not None:
-            self._listener.close()
+        self._stop_listening()
         finishing = asyncio.ensure_future(self._finish())
         await asyncio.wait({finishing}, timeout=timeout)
         finishing.cancel()
@@ -112,19 +97,19 @@ class CommandServer:
 
     async def _finish(self) -> None:
         await asyncio.gather(*self._answering, return_exceptions=True)
-        await asyncio.gather(*(client.flushed() for client in self._clients))
+        await asyncio.gather(*(client.flushed.wait() for client in self._clients))
 
-    def register(self, registration: Registration) -> None:
+    def register(self, registration: frames.Registration) -> None:
         """The component is set up: report it to every client, and to each later one."""
         self._registration = registration
         self._broadcast(registration)
 
-    def report(self, state: StateChanged) -> None:
+    def report(self, state: frames.StateChanged) -> None:
         """The component's state now, to every client, and to each later one."""
         self._state = state
         self._broadcast(state)
 
-    def _broadcast(self, frame: Frame) -> None:
+    def _broadcast(self, frame: frames.Frame) -> None:
         for client in self._clients:
             client.put(frame)
 
@@ -133,7 +118,7 @@ class CommandServer:
         assert task is not None
         self._connections[connection] = task
         try:
-            await connection.send(encode(self._greeting))
+            await connection.send(frames.encode(self._greeting))
             hello = await self._hello(connection)
             if hello is not None:
                 await self._serve_client(_Client(connection), hello.token)
@@ -143,7 +128,7 @@ class CommandServer:
             del self._connections[connection]
             connection.close()
 
-    async def _hello(self, connection: Connection) -> Hello | None:
+    async def _hello(self, connection: Connection) -> frames.Hello | None:
         """The client's greeting; None where it is missing, or of another version (ours names the right one)."""
         receiving = asyncio.ensure_future(self._receive(connection))
         try:
@@ -151,7 +136,7 @@ class CommandServer:
             hello = receiving.result() if receiving.done() else None
         finally:
             receiving.cancel()
-        return hello if isinstance(hello, Hello) and hello.protocol == PROTOCOL else None
+        return hello if isinstance(hello, frames.Hello) and hello.protocol == frames.PROTOCOL else None
 
     async def _serve_client(self, client: _Client, token: str) -> None:
         for known in (self._registration, self._state):
@@ -176,9 +161,9 @@ class CommandServer:
                 answering.add_done_callback(self._answering.discard)
                 await client.room.acquire()
 
-    async def _receive(self, connection: Connection) -> FromClient | None:
+    async def _receive(self, connection: Connection) -> frames.FromClient | None:
         line = await connection.receive()
-        return None if line is None else decode_from_client(line)
+        return None if line is None else frames.decode_from_client(line)
 
     async def _answer(self, client: _Client, request: Request, token: str) -> None:
         client.put(await self._handler(request, token))

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias,
 
 import msgspec
 
-from midstride.wire.state import ComponentState, GateState, Value
+from midstride.wire.state import ComponentState, GateState, WireValue
 
 R_co = TypeVar("R_co", covariant=True)
 
@@ -26,11 +26,11 @@ CutOutcome: TypeAlias = Literal["waiting", "done", "resumed", "cancelled"]
 # -- replies -----------------------------------------------------------------------------------------
 
 
-class Done(Value, frozen=True, kw_only=True):
+class Done(WireValue, frozen=True, kw_only=True):
     """Carried out; there is nothing to report."""
 
 
-class Grid(Value, frozen=True, kw_only=True):
+class Grid(WireValue, frozen=True, kw_only=True):
     """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``; ``now`` is the ROS clock.
 
     ``readers`` is the number of matched subscriptions on the topic asked about.
@@ -52,7 +52,7 @@ class Receipt(msgspec.Struct, frozen=True, array_like=True):
     publisher: str | None
 
 
-class Records(Value, frozen=True, kw_only=True):
+class Records(WireValue, frozen=True, kw_only=True):
     """What an input has recorded. ``now`` is the steady clock (ns)."""
 
     rows: list[Receipt]
@@ -60,27 +60,27 @@ class Records(Value, frozen=True, kw_only=True):
     now: int
 
 
-class ExportedState(Value, frozen=True, kw_only=True):
+class ExportedState(WireValue, frozen=True, kw_only=True):
     """``state`` is None where the component keeps none."""
 
     state: bytes | None
 
 
-class GatedWrites(Value, frozen=True, kw_only=True):
+class GatedWrites(WireValue, frozen=True, kw_only=True):
     """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one."""
 
     gated: int
     wrong_type: str | None
 
 
-class LastWrite(Value, frozen=True, kw_only=True):
+class LastWrite(WireValue, frozen=True, kw_only=True):
     """An output's last number, and when it was written (None: not since the cut was agreed)."""
 
     number: int
     source: int | None
 
 
-class CutResult(Value, frozen=True, kw_only=True):
+class CutResult(WireValue, frozen=True, kw_only=True):
     """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
 
     Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
@@ -91,38 +91,38 @@ class CutResult(Value, frozen=True, kw_only=True):
     first: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
 
 
-class Attached(Value, frozen=True, kw_only=True):
+class Attached(WireValue, frozen=True, kw_only=True):
     """``matched``: how many compatible endpoints it is matched with."""
 
     matched: int
 
 
-class Detached(Value, frozen=True, kw_only=True):
+class Detached(WireValue, frozen=True, kw_only=True):
     """``acknowledged``: whether every reader has the last message, None where that is unknown; ``last``: its number."""
 
     acknowledged: bool | None
     last: int | None
 
 
-class ModesBefore(Value, frozen=True, kw_only=True):
+class ModesBefore(WireValue, frozen=True, kw_only=True):
     """The modes before the change, by functionality."""
 
     before: dict[str, str]
 
 
-class ParametersBefore(Value, frozen=True, kw_only=True):
+class ParametersBefore(WireValue, frozen=True, kw_only=True):
     """The values before the change, by name."""
 
     before: dict[str, Any]
 
 
-class Recording(Value, frozen=True, kw_only=True):
+class RecordingSwitched(WireValue, frozen=True, kw_only=True):
     """When recording started or stopped: steady ns."""
 
     now: int
 
 
-class Relieved(Value, frozen=True, kw_only=True):
+class Relieved(WireValue, frozen=True, kw_only=True):
     """``resumed``: it is too late, and the old side writes again."""
 
     resumed: bool
@@ -131,12 +131,16 @@ class Relieved(Value, frozen=True, kw_only=True):
 # -- commands ----------------------------------------------------------------------------------------
 
 
-class Command(Value, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
+class Command(WireValue, Generic[R_co], frozen=True, kw_only=True, tag_field="command"):
     """``timeout`` is how long the component may take (s); ``reply`` is the class of its reply."""
 
     kind: ClassVar[Kind] = "changing"
-    reply: ClassVar[type[Value]] = Done
+    reply: ClassVar[type[WireValue]]
     timeout: Seconds = 2.0
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        (cls.reply,) = get_args(cls.__orig_bases__[0])  # type: ignore[attr-defined]
 
     @property
     def name(self) -> str:
@@ -153,14 +157,12 @@ class ObserveCommand(Command[ComponentState], frozen=True, kw_only=True, tag="ob
     """The component's state."""
 
     kind = "reading"
-    reply = ComponentState
 
 
 class GridCommand(Command[Grid], frozen=True, kw_only=True, tag="grid"):
     """The time grid of an output; with a topic, its readers there as well."""
 
     kind = "reading"
-    reply = Grid
     port: str
     topic: str | None = None
 
@@ -169,7 +171,6 @@ class RecordsCommand(Command[Records], frozen=True, kw_only=True, tag="records")
     """What an input has recorded."""
 
     kind = "reading"
-    reply = Records
     input: str
 
 
@@ -177,14 +178,12 @@ class ExportStateCommand(Command[ExportedState], frozen=True, kw_only=True, tag=
     """The state of the component's user code, for its replacement."""
 
     kind = "reading"
-    reply = ExportedState
 
 
 class AwaitWriteCommand(Command[GatedWrites], frozen=True, kw_only=True, tag="await_write"):
     """Wait for a write behind the gate."""
 
     kind = "reading"
-    reply = GatedWrites
     port: str
     topic: str
     timeout: Seconds = 5.0
@@ -194,7 +193,6 @@ class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_
     """Wait until the cut is over on this side."""
 
     kind = "reading"
-    reply = CutResult
     cut: str
     timeout: Seconds = 5.0
 
@@ -202,7 +200,6 @@ class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_
 class WelcomeCommand(Command[ComponentState], frozen=True, kw_only=True, tag="welcome"):
     """The manager has accepted the registration; the component stops waiting for one."""
 
-    reply = ComponentState
     manager: str
 
 
@@ -212,7 +209,6 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
     ``everyone`` is how many readers to wait for beyond that, at most ``patience`` seconds.
     """
 
-    reply = Attached
     port: str
     topic: str
     gate: GateState = "open"
@@ -225,7 +221,6 @@ class AttachCommand(Command[Attached], frozen=True, kw_only=True, tag="attach"):
 class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
     """Close the gate, wait for acknowledgements, destroy the endpoint."""
 
-    reply = Detached
     port: str
     topic: str
 
@@ -233,7 +228,6 @@ class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
 class ModesCommand(Command[ModesBefore], frozen=True, kw_only=True, tag="modes"):
     """Change modes between two calls of user code; refused, and withdrawn, if a call does not return in time."""
 
-    reply = ModesBefore
     modes: dict[str, str]
     because: str = "the manager requested it"
 
@@ -241,7 +235,6 @@ class ModesCommand(Command[ModesBefore], frozen=True, kw_only=True, tag="modes")
 class SetParametersCommand(Command[ParametersBefore], frozen=True, kw_only=True, tag="set"):
     """Set changeable parameters, all of them or none."""
 
-    reply = ParametersBefore
     parameters: dict[str, Any]
 
 
@@ -251,10 +244,9 @@ class ImportStateCommand(Command[Done], frozen=True, kw_only=True, tag="import_s
     state: bytes
 
 
-class RecordCommand(Command[Recording], frozen=True, kw_only=True, tag="record"):
+class RecordCommand(Command[RecordingSwitched], frozen=True, kw_only=True, tag="record"):
     """Keep every receipt of these inputs from now on, or only the last few."""
 
-    reply = Recording
     inputs: list[str]
     on: bool
 
@@ -267,7 +259,7 @@ class MeetCommand(Command[Done], frozen=True, kw_only=True, tag="meet"):
     timeout: Seconds = 5.0
 
 
-class CutSwap(Value, frozen=True, kw_only=True):
+class CutSwap(WireValue, frozen=True, kw_only=True):
     """One output of a cut. ``latch``: the new side writes its last gated message again at the cut."""
 
     port: str
@@ -328,36 +320,10 @@ class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken")
     """From the new side of a cut to the old one: it has written."""
 
     kind = "between"
-    reply = Relieved
     cut: str
 
 
-AnyCommand: TypeAlias = (
-    PingCommand
-    | ObserveCommand
-    | GridCommand
-    | RecordsCommand
-    | ExportStateCommand
-    | AwaitWriteCommand
-    | AwaitCutCommand
-    | WelcomeCommand
-    | AttachCommand
-    | DetachCommand
-    | ModesCommand
-    | SetParametersCommand
-    | ImportStateCommand
-    | RecordCommand
-    | MeetCommand
-    | CutOutCommand
-    | CutInCommand
-    | CancelCutCommand
-    | GateCommand
-    | ReleaseCommand
-    | StopCommand
-    | CutTakenCommand
-)
-
 # Every command by its name on the wire.
 COMMANDS: Final[dict[str, type[Command[Any]]]] = {
-    str(command.__struct_config__.tag): command for command in get_args(AnyCommand)
+    str(command.__struct_config__.tag): command for command in Command.__subclasses__()
 }

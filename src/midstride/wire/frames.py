@@ -6,14 +6,16 @@ the system it acts for. Then the client sends requests, and the component replie
 
 from __future__ import annotations
 
-from typing import Any, Final, TypeAlias
+from functools import reduce
+from operator import or_
+from typing import Any, Final, TypeAlias, TypeVar
 
 import msgspec
 
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, ProtocolError
-from midstride.wire.commands import COMMANDS, AnyCommand, Command
-from midstride.wire.state import ComponentState, Endpoint, Value
+from midstride.wire.commands import COMMANDS, Command
+from midstride.wire.state import ComponentState, Endpoint, WireValue
 
 # Incremented with every change of a frame, command, reply or event that another version could misread.
 PROTOCOL: Final = 1
@@ -21,7 +23,7 @@ PROTOCOL: Final = 1
 LONGEST_FRAME: Final = 256 * 1024 * 1024
 
 
-class Frame(Value, frozen=True, kw_only=True, tag_field="frame"):
+class Frame(WireValue, frozen=True, kw_only=True, tag_field="frame"):
     """One line."""
 
 
@@ -79,6 +81,7 @@ class StateChanged(Frame, frozen=True, kw_only=True, tag="state"):
     state: ComponentState
 
 
+T = TypeVar("T")
 FromComponent: TypeAlias = Greeting | Reply | Registration | StateChanged
 FromClient: TypeAlias = Hello | Request
 
@@ -97,7 +100,7 @@ _versioned: Final[msgspec.json.Decoder[_Versioned]] = msgspec.json.Decoder(_Vers
 _encoder: Final = msgspec.json.Encoder()
 _from_component: Final[msgspec.json.Decoder[FromComponent]] = msgspec.json.Decoder(FromComponent)
 _from_client: Final[msgspec.json.Decoder[FromClient]] = msgspec.json.Decoder(FromClient)
-_command: Final[msgspec.json.Decoder[AnyCommand]] = msgspec.json.Decoder(AnyCommand)
+_command: Final[msgspec.json.Decoder[Command[Any]]] = msgspec.json.Decoder(reduce(or_, COMMANDS.values()))
 # What decoding raises for input that is not valid; msgspec does not translate the last two.
 INVALID: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)
 
@@ -107,22 +110,19 @@ def encode(frame: Frame) -> bytes:
     return _encoder.encode(frame)
 
 
-def encode_value(value: Value) -> msgspec.Raw:
+def encode_value(value: WireValue) -> msgspec.Raw:
     return msgspec.Raw(_encoder.encode(value))
 
 
 def decode_greeting(line: bytes) -> Greeting:
     """Raises ProtocolError, which says so where the component speaks another version of the protocol."""
-    try:
-        versioned = _versioned.decode(line)
-        if versioned.protocol != PROTOCOL:
-            raise ProtocolError(
-                f"{versioned.instance} speaks version {versioned.protocol} of the control protocol, and this is "
-                f"version {PROTOCOL}: it was started with another version of Midstride; restart it"
-            )
-        frame = _from_component.decode(line)
-    except INVALID as error:
-        raise ProtocolError(f"not a greeting: {error}") from None
+    versioned = _decode(_versioned, line, "a greeting")
+    if versioned.protocol != PROTOCOL:
+        raise ProtocolError(
+            f"{versioned.instance} speaks version {versioned.protocol} of the control protocol, and this is "
+            f"version {PROTOCOL}: it was started with another version of Midstride; restart it"
+        )
+    frame = _decode(_from_component, line, "a greeting")
     if not isinstance(frame, Greeting):
         raise ProtocolError("the component did not greet first")
     return frame
@@ -130,18 +130,19 @@ def decode_greeting(line: bytes) -> Greeting:
 
 def decode_from_component(line: bytes) -> FromComponent:
     """Raises ProtocolError."""
-    try:
-        return _from_component.decode(line)
-    except INVALID as error:
-        raise ProtocolError(f"not a frame of a component: {error}") from None
+    return _decode(_from_component, line, "a frame of a component")
 
 
 def decode_from_client(line: bytes) -> FromClient:
     """Raises ProtocolError."""
+    return _decode(_from_client, line, "a frame of a client")
+
+
+def _decode(decoder: msgspec.json.Decoder[T], line: bytes, what: str) -> T:
     try:
-        return _from_client.decode(line)
+        return decoder.decode(line)
     except INVALID as error:
-        raise ProtocolError(f"not a frame of a client: {error}") from None
+        raise ProtocolError(f"not {what}: {error}") from None
 
 
 def decode_command(request: Request) -> Command[Any]:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import asyncio
 from collections import deque
+from functools import partial
 
 from midstride.errors import NodeError, Unreachable
-from midstride.wire.transport import Connection, Serve
+from midstride.wire.transport import Connection, Serve, StopListening
 
 _SCHEME = "memory:"
 
@@ -16,6 +17,8 @@ class PipeEnd:
 
     What was sent before an end was closed still arrives, as on a socket.
     """
+
+    peer: int | None = None
 
     def __init__(self) -> None:
         self.other: PipeEnd | None = None
@@ -60,24 +63,11 @@ def pipe() -> tuple[PipeEnd, PipeEnd]:
     return left, right
 
 
-class PipeListener:
-    """Implements :class:`midstride.wire.transport.Listener`."""
-
-    def __init__(self, network: PipeNetwork, instance: str, serve: Serve) -> None:
-        self.serve = serve
-        self._network = network
-        self._instance = instance
-
-    def close(self) -> None:
-        if self._network.listeners.get(self._instance) is self:
-            del self._network.listeners[self._instance]
-
-
 class PipeNetwork:
     """Implements :class:`midstride.wire.transport.Transport` within one event loop."""
 
     def __init__(self) -> None:
-        self.listeners: dict[str, PipeListener] = {}
+        self.listeners: dict[str, Serve] = {}
         self._serving: set[asyncio.Future[None]] = set()
 
     def address(self, instance: str) -> str:
@@ -89,18 +79,23 @@ class PipeNetwork:
     def present(self) -> dict[str, str]:
         return {instance: self.address(instance) for instance in sorted(self.listeners)}
 
-    async def listen(self, instance: str, serve: Serve) -> PipeListener:
+    async def listen(self, instance: str, serve: Serve) -> StopListening:
         if instance in self.listeners:
             raise NodeError(f"a component {instance} is running already; end it, or give this one another name")
-        self.listeners[instance] = PipeListener(self, instance, serve)
-        return self.listeners[instance]
+        listening = self.listeners[instance] = partial(serve)  # another object for each listener
+
+        def stop() -> None:
+            if self.listeners.get(instance) is listening:
+                del self.listeners[instance]
+
+        return stop
 
     async def connect(self, address: str) -> PipeEnd:
-        listener = self.listeners.get(self.instance(address))
-        if listener is None:
+        serve = self.listeners.get(self.instance(address))
+        if serve is None:
             raise Unreachable(f"nothing listens at {address}")
         ours, theirs = pipe()
-        self.serve(listener.serve, theirs)
+        self.serve(serve, theirs)
         return ours
 
     def serve(self, serve: Serve, end: Connection) -> None:

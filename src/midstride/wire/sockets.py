@@ -24,7 +24,7 @@ from urllib.parse import quote, unquote
 
 from midstride.errors import NodeError, ProtocolError, Unreachable
 from midstride.wire.frames import LONGEST_FRAME
-from midstride.wire.transport import Serve
+from midstride.wire.transport import Serve, StopListening
 
 _SCHEME: Final = "unix:"
 _SUFFIX: Final = ".sock"
@@ -42,6 +42,15 @@ class SocketConnection:
         self._turn = asyncio.Lock()
         # Nothing is buffered here: what the other end does not read is kept, and given up, by the sender.
         writer.transport.set_write_buffer_limits(0)
+
+    @property
+    def peer(self) -> int | None:
+        pid = _credentials(self._writer.get_extra_info("socket"))[0]
+        try:
+            with open(f"/proc/{pid}/status", encoding="utf-8") as file:
+                return next(int(line.split()[-1]) for line in file if line.startswith("NSpid:"))
+        except (OSError, StopIteration):
+            return None
 
     async def send(self, frame: bytes) -> None:
         try:
@@ -65,21 +74,6 @@ class SocketConnection:
         self._writer.close()
 
 
-class SocketListener:
-    """Implements :class:`midstride.wire.transport.Listener`."""
-
-    def __init__(self, server: asyncio.AbstractServer, path: Path, inode: int) -> None:
-        self._server = server
-        self._path = path
-        self._inode = inode
-
-    def close(self) -> None:
-        with contextlib.suppress(OSError):
-            if self._path.stat().st_ino == self._inode:  # as long as this one listens, no other takes the name
-                self._path.unlink()
-        self._server.close()
-
-
 class SocketFolder:
     """Implements :class:`midstride.wire.transport.Transport` in ``folder``, which :meth:`listen` creates."""
 
@@ -97,7 +91,7 @@ class SocketFolder:
         instances = [unquote(name.removesuffix(_SUFFIX)) for name in names if name.endswith(_SUFFIX)]
         return {instance: self.address(instance) for instance in instances}
 
-    async def listen(self, instance: str, serve: Serve) -> SocketListener:
+    async def listen(self, instance: str, serve: Serve) -> StopListening:
         path = self._path(instance)
         try:
             self.folder.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -123,7 +117,14 @@ class SocketFolder:
                 writer.close()
 
         server = await asyncio.start_unix_server(accepted, sock=listening, limit=LONGEST_FRAME)
-        return SocketListener(server, path, inode)
+
+        def stop() -> None:
+            with contextlib.suppress(OSError):
+                if path.stat().st_ino == inode:  # as long as this one listens, no other takes the name
+                    path.unlink()
+            server.close()
+
+        return stop
 
     def _bind(self, path: Path) -> socket.socket:
         """A socket that listens at ``path``, in place of what a killed component has left there."""
@@ -214,7 +215,10 @@ async def locked(folder: Path) -> AsyncIterator[None]:
 
 
 def _peer_uid(connection: socket.socket) -> int:
-    """The user at the other end, as the kernel knows it."""
-    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
-    _, uid, _ = struct.unpack("3i", credentials)
-    return int(uid)
+    return _credentials(connection)[1]
+
+
+def _credentials(connection: socket.socket) -> tuple[int, int]:
+    """The process and the user at the other end, as the kernel knows them."""
+    pid, uid, _ = struct.unpack("3i", connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+    return pid, uid

@@ -9,18 +9,18 @@ import msgspec
 GateState: TypeAlias = Literal["open", "closed"]
 
 
-class Value(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class WireValue(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The base of everything on the wire: unknown and missing fields are refused by name."""
 
 
-class Endpoint(Value, frozen=True, kw_only=True):
+class Endpoint(WireValue, frozen=True, kw_only=True):
     """An endpoint of a component's node that is neither a port nor one of ROS's own."""
 
     kind: Literal["topic", "service", "ROS action"]
     name: str
 
 
-class FunctionalityState(Value, frozen=True, kw_only=True):
+class FunctionalityState(WireValue, frozen=True, kw_only=True):
     """``since``: seconds in this mode. ``busy``: for how many seconds a call of user code has been running."""
 
     mode: str
@@ -29,7 +29,7 @@ class FunctionalityState(Value, frozen=True, kw_only=True):
     busy: float | None = None
 
 
-class LinkState(Value, frozen=True, kw_only=True):
+class LinkState(WireValue, frozen=True, kw_only=True):
     """One attachment. ``count`` messages have passed, ``gated`` have not; an input has no gate."""
 
     gate: GateState | None
@@ -37,7 +37,7 @@ class LinkState(Value, frozen=True, kw_only=True):
     gated: int = 0
 
 
-class ComponentState(Value, frozen=True, kw_only=True):
+class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
 
     ``stopping`` is how long it may take to end in order (s). ``ports`` maps port -> topic -> attachment.

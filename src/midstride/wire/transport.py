@@ -9,6 +9,15 @@ from typing import Protocol
 class Connection(Protocol):
     """An ordered, reliable stream of frames. Used on one event loop."""
 
+    @property
+    def peer(self) -> int | None:
+        """The process at the other end, by its number in its own PID namespace; None where that is not known.
+
+        Where another program forwards the connection (SSH), it is that program, whose end says nothing about the
+        component.
+        """
+        ...
+
     async def send(self, frame: bytes) -> None:
         """Raises Unreachable where the other end is gone."""
         ...
@@ -21,20 +30,14 @@ class Connection(Protocol):
 
 
 Serve = Callable[[Connection], Awaitable[None]]
-
-
-class Listener(Protocol):
-    """A component that listens."""
-
-    def close(self) -> None:
-        """No further connections; those that are open stay."""
-        ...
+# Ends listening: no further connections; those that are open stay.
+StopListening = Callable[[], None]
 
 
 class Transport(Protocol):
     """Where the components of one system listen. An address is a string that can be sent and stored."""
 
-    async def listen(self, instance: str, serve: Serve) -> Listener:
+    async def listen(self, instance: str, serve: Serve) -> StopListening:
         """Have ``serve`` called with each connection to ``instance``. Raises NodeError where the name is taken."""
         ...
 

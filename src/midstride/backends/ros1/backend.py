@@ -10,41 +10,31 @@ import asyncio
 import contextlib
 import os
 import socket
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Final
 
-from midstride.backends import common
+from midstride.backends import processes
 from midstride.backends.ros1 import launching, master_process, names
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
-from midstride.runtime.clock import Clock, SystemClock
-from midstride.runtime.process import Process, find, spawn
+from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
-from midstride.wire.environment import ENV_INSTANCE
-from midstride.wire.sockets import SocketFolder
-from midstride.wire.transport import Transport
 
 # How long taking back the registrations of a dead node may delay the report of its end (s).
 _TIDY: Final = 1.0
 
 
-class Ros1Backend:
-    """To be opened, used and closed on one event loop. ``control`` is the folder of the control sockets."""
+class Ros1Backend(processes.ProcessBackend):
+    """To be opened, used and closed on one event loop."""
 
     name = "ros1"
 
     def __init__(self, control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:
-        self.clock: Clock = SystemClock()
-        self.transport: Transport = SocketFolder(control)
+        super().__init__(control, logs, guardian)
         self.started_master = False
-        self._control = control
-        self._logs = logs
-        self._guardian = guardian
-        self._children = common.Children(guardian, self._exited)
         self._mark: socket.socket | None = None  # while it is open
         self._tidying: set[asyncio.Task[None]] = set()
         self._dead: set[str] = set()  # nodes whose process has ended, and that the master may still list
@@ -83,7 +73,7 @@ class Ros1Backend:
     async def start(self, launch: Launch) -> Handle:
         master = self._opened()
         node = names.full(launch.instance, launch.namespace)
-        command = common.command(launch.arguments, launch.directory, os.environ, launching.require_interpreter)
+        command = processes.command(launch.arguments, launch.directory, os.environ, launching.require_interpreter)
         if await master.is_running(node):
             raise StartFailed(
                 f"{launch.instance}: a node {node} is running already, and a second one of its name would end it; "
@@ -91,52 +81,42 @@ class Ros1Backend:
             )
         environment = {
             **launching.environment(os.environ, master.uri),
-            **common.identity(launch, self.name, self._control),
+            **processes.identity(launch, self.name, self._control),
             launching.NAMESPACE: names.split(launch.instance, launch.namespace)[1],
         }
-        log = self._log_folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
-        process = spawn(command, launch.directory, environment, log)
+        handle = self._spawn(launch, node, command, environment)
         self._dead.discard(node)
-        self._children.take(launch.instance, process)
-        return Handle(launch.instance, process.pid, process.started, str(log))
+        return handle
 
     async def adopt(self, handle: Handle) -> bool:
         """Raises Unreachable for a component that runs on another master."""
-        instance = handle.instance
-        if instance in self._children:
-            return True
-        if handle.pid is None or handle.started is None:
-            return await common.listens(self.transport, instance)
-        log = None if handle.log is None else Path(handle.log)
-        process = find(handle.pid, handle.started, ENV_INSTANCE, instance, log)
-        if process is None:
-            await self._tidy(instance)
+        instance, known = handle.instance, handle.instance in self._children
+        running = await super().adopt(handle)
+        if handle.pid is None or known:
+            return running
+        if instance not in self._children:
+            await self._died(instance)
             return False
-        self._children.take(instance, process)
-        master, here = launching.master_of(process.pid), self._opened()
+        master, here = launching.master_of(handle.pid), self._opened()
         if master != here.uri and await here.address_of(names.full(instance)) is None:
             raise Unreachable(
-                f"{instance} runs (process {process.pid}) with {launching.MASTER_URI}={master}, and this manager has "
+                f"{instance} runs (process {handle.pid}) with {launching.MASTER_URI}={master}, and this manager has "
                 f"{here.uri}: set {launching.MASTER_URI}={master}, or end the component"
             )
-        return process.running
-
-    async def end(self, instance: str, grace: float) -> None:
-        if await self._children.end(instance, grace):
-            await self._tidy(instance)
+        return running
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
         """Clean up, then report: after the report another component may be started on the same port."""
 
         async def tidy_and_report() -> None:
-            await self._tidy(instance)
+            await self._died(instance)
             self._on_exit(Exited(instance, status, process.last_words()))
 
         task = asyncio.get_running_loop().create_task(tidy_and_report())
         self._tidying.add(task)
         task.add_done_callback(self._tidying.discard)
 
-    async def _tidy(self, instance: str) -> None:
+    async def _died(self, instance: str) -> None:
         """Take back what a component that has ended may have left with the master, in bounded time."""
         node = names.full(instance)
         self._dead.add(node)
@@ -144,9 +124,6 @@ class Ros1Backend:
             async with within(_TIDY):
                 await self._opened().forget(node)
                 self._dead.discard(node)
-
-    def _log_folder(self, token: str = "") -> Path:
-        return _ros_log_folder() / "midstride" / token[:12] if self._logs is None else self._logs
 
     # -- the graph -----------------------------------------------------------------------------------
 
@@ -168,11 +145,3 @@ class Ros1Backend:
         if self._mark is None:
             raise Unreachable("the back end is not open")
         return self._master
-
-
-def _ros_log_folder() -> Path:
-    """Where ROS 1 puts logs."""
-    if folder := os.environ.get("ROS_LOG_DIR"):
-        return Path(folder)
-    home = os.environ.get("ROS_HOME") or os.path.expanduser("~/.ros")
-    return Path(home) / "log" if os.path.isabs(home) else Path(tempfile.gettempdir()) / "ros-log"

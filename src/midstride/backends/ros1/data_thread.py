@@ -10,12 +10,8 @@ import asyncio
 import selectors
 import threading
 import traceback
-from collections.abc import Awaitable, Callable, Coroutine
-from typing import Any, TypeVar
-
-from midstride.backends.common import on_thread
-
-T = TypeVar("T")
+from collections.abc import Callable, Coroutine
+from typing import Any
 
 
 class DataThread:
@@ -56,10 +52,6 @@ class DataThread:
         """Queue ``function``. From any thread."""
         if not self.loop.is_closed():
             self.loop.call_soon_threadsafe(function, *arguments)
-
-    def run(self, function: Callable[[], T]) -> Awaitable[T]:
-        """Queue ``function`` at once; its result, on the calling event loop."""
-        return on_thread(function, self.post)
 
     def drive(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
         """Run ``coroutine`` to its end, then call ``done``. In the thread."""

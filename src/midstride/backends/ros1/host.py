@@ -51,8 +51,6 @@ _LATCHED: Final = QoS(durability="transient_local", depth=10)
 class Ros1Host:
     """Made and run in the thread that calls ``Component.start``. Raises NodeError where the name is taken."""
 
-    backend = "ros1"
-
     def __init__(self, name: str, namespace: str) -> None:
         managed = bool(os.environ.get(ENV_TOKEN))
         node_name, inside = names.split(name, namespace or rospy.names.get_namespace())
@@ -64,7 +62,7 @@ class Ros1Host:
         self._node_name = _renamed(given, node_name)
         self._node = names.full(self._node_name, inside)
         self.instance = self._node.lstrip("/")
-        transport, self._reachable = common.control_transport(os.environ, sys.argv[1:])
+        transport, self.reachable = common.control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
         self._master = Master(uri, self._node)
         asyncio.run(self._must_be_alone())
@@ -72,7 +70,7 @@ class Ros1Host:
         self._data = DataThread(
             lambda failure: self._logger.error(f"a callback raised; the component goes on:\n{failure}")
         )
-        self._parameters = node_parameters.Ros1NodeParameters(managed, self._show_parameter)
+        self.parameters = node_parameters.Ros1NodeParameters(managed, self._show_parameter)
         self._ended = threading.Event()
         self._shut_down_because = ""
         self.now: Callable[[], int] = time.time_ns  # until rospy knows whether the clock is simulated
@@ -104,7 +102,7 @@ class Ros1Host:
         return rospy
 
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
-        return self._data.run(function)
+        return common.on_thread(function, self._data.post)
 
     def run_coroutine(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
         self._data.drive(coroutine, done)
@@ -128,20 +126,11 @@ class Ros1Host:
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
 
-    def reachable(self) -> str:
-        return self._reachable
-
     def publish_state(self, state: ComponentState) -> None:
         self._states.publish(String(msgspec.json.encode(state).decode()))
 
     def extra_endpoints(self) -> list[Endpoint]:
         return node_parameters.endpoints()
-
-    def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
-        return self._parameters.declare(name, default, on_change)
-
-    def set_parameters(self, values: dict[str, Any]) -> None:
-        self._parameters.set(values)
 
     def _show_parameter(self, name: str, value: Any) -> None:
         """On the data thread, which does not wait for the parameter server."""
@@ -167,7 +156,9 @@ class Ros1Host:
         task = asyncio.ensure_future(main())  # it answers its manager, and waits for the data thread
         opened = False
         with common.ending_on_signals(task) as signals:
-            joining = asyncio.ensure_future(common.on_thread(self._join, _start_thread))
+            joining = asyncio.ensure_future(
+                common.on_thread(self._join, lambda join: threading.Thread(target=join, daemon=True).start())
+            )
             try:
                 await asyncio.wait({task, joining}, return_when=asyncio.FIRST_COMPLETED)
                 if joining.done() and not signals:
@@ -210,7 +201,7 @@ class Ros1Host:
     async def _take_down_parameters(self) -> None:
         """They are this instance's; the next one of its name must not find them."""
         with contextlib.suppress(BackendError):
-            for name in self._parameters.names():
+            for name in self.parameters.values:
                 await self._master.call("deleteParam", self._node, f"{self._node}/{name}", timeout=0.5)
 
     def _shut_down_by_others(self, loop: asyncio.AbstractEventLoop, main: asyncio.Future[None]) -> None:
@@ -235,10 +226,6 @@ class Ros1Host:
                 with manager.cond:
                     manager.cond.notify_all()
             leaving.join(0.01)
-
-
-def _start_thread(function: Callable[[], None]) -> None:
-    threading.Thread(target=function, daemon=True).start()
 
 
 def _renamed(given: list[str], name: str) -> str:

@@ -16,6 +16,7 @@ from urllib.parse import urlsplit
 
 import psutil
 
+from midstride.backends.common import drop_paths
 from midstride.errors import BackendError
 
 # Names the interpreter in which components run, and which has rospy, rosmaster and Midstride.
@@ -101,25 +102,15 @@ def environment(base: Mapping[str, str], uri: str) -> dict[str, str]:
     prefixes = [prefix for prefix in base.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     if "_ROS_WHEELS_BOOTSTRAP_COMPLETE" in base:
         prefixes.append(sys.prefix)
+
+    def is_of_ros2(path: str) -> bool:
+        inside = any(Path(path).is_relative_to(prefix) for prefix in prefixes)
+        return not path or inside or os.path.isdir(os.path.join(path, "rclpy"))
+
     for variable in ("PYTHONPATH", "LD_LIBRARY_PATH", "CMAKE_PREFIX_PATH"):
-        _drop(result, variable, prefixes)
+        drop_paths(result, variable, is_of_ros2)
     result[MASTER_URI] = uri
     if not result.get("ROS_HOSTNAME"):
         result["ROS_IP"] = own_host(base, uri)
     result["PYTHONUNBUFFERED"] = "1"
     return result
-
-
-def _drop(environment: dict[str, str], variable: str, prefixes: list[str]) -> None:
-    """Take the paths under ``prefixes``, and any that hold rclpy, out of a variable."""
-    paths = [path for path in environment.get(variable, "").split(os.pathsep) if path]
-    kept = [
-        path
-        for path in paths
-        if not any(Path(path).is_relative_to(prefix) for prefix in prefixes)
-        and not os.path.isdir(os.path.join(path, "rclpy"))
-    ]
-    if kept:
-        environment[variable] = os.pathsep.join(kept)
-    else:
-        environment.pop(variable, None)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, Final
 
 import rospy
 from rospy.impl.registration import get_service_manager, get_topic_manager
 
+from midstride.backends.common import KeptParameters
 from midstride.backends.ros1 import names
 from midstride.backends.ros1.publishing import NumberedTopic
 from midstride.backends.ros1.subscribing import FramedTopic
-from midstride.errors import CommandRefused, MidstrideError
 from midstride.wire.state import Endpoint
 
 # Endpoints of every node of rospy.
@@ -19,7 +19,7 @@ _TOPICS_OF_ROS: Final = frozenset({*names.INTERNAL, "/clock"})
 _SERVICES_OF_ROS: Final = ("/get_loggers", "/set_logger_level")
 
 
-class Ros1NodeParameters:
+class Ros1NodeParameters(KeptParameters):
     """Parameters of the component, shown on the parameter server under the node's name.
 
     They are shown to be read: setting them there changes nothing here. Only a component that no manager started begins
@@ -28,43 +28,11 @@ class Ros1NodeParameters:
 
     def __init__(self, managed: bool, show: Callable[[str, Any], None]) -> None:
         """``show`` sets a value on the parameter server; it must not block."""
+        super().__init__(show)
         self._managed = managed
-        self._show = show
-        self._values: dict[str, Any] = {}
-        self._on_change: dict[str, Callable[[Any], None] | None] = {}
 
     def declare(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
-        value = default if self._managed else rospy.get_param(f"~{name}", default)
-        self._values[name] = value
-        self._on_change[name] = on_change
-        self._show(name, value)
-        return value
-
-    def set(self, values: Mapping[str, Any]) -> None:
-        """All of them or none. Raises CommandRefused."""
-        if missing := [name for name in values if name not in self._values]:
-            raise CommandRefused(f"there is no parameter {', '.join(missing)}")
-        done: list[str] = []
-        try:
-            for name, value in values.items():
-                self._apply(name, value)
-                done.append(name)
-        except Exception as error:
-            for name in reversed(done):
-                self._apply(name, self._values[name])
-            words = str(error) if isinstance(error, MidstrideError) else f"{type(error).__name__}: {error}"
-            raise CommandRefused(words) from None
-        self._values.update(values)
-        for name, value in values.items():
-            self._show(name, value)
-
-    def _apply(self, name: str, value: Any) -> None:
-        on_change = self._on_change[name]
-        if on_change is not None:
-            on_change(value)
-
-    def names(self) -> list[str]:
-        return list(self._values)
+        return super().declare(name, default if self._managed else rospy.get_param(f"~{name}", default), on_change)
 
 
 def endpoints() -> list[Endpoint]:

@@ -18,18 +18,17 @@ import threading
 import time
 import uuid
 from collections.abc import Callable
+from functools import partial
 from itertools import count
 from typing import Any, Final
 
 import rospy.impl.tcpros_base
-from rospy.impl.registration import get_topic_manager
 from rospy.msg import serialize_message
 from rospy.topics import _PublisherImpl, _TopicImpl
 
 from midstride.backends.ros1 import connection_headers
 from midstride.backends.ros1.registrar import Registrar
 from midstride.backends.ros1.subscriber_connection import SubscriberConnection
-from midstride.errors import NodeError
 from midstride.model.contract import QoS
 
 # What follows a message where it was requested: its number, from 1, when it was published (ns), which output of the
@@ -43,6 +42,8 @@ _POLL: Final = 0.002
 
 # The header of the subscriber whose connection is being added, in the thread that adds it.
 _joining = threading.local()
+# Tells the outputs of this node apart.
+_indices: Final = count()
 
 
 def prepare() -> None:
@@ -87,7 +88,6 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         self.given_up = False
         self.is_latch = offered.is_transient_local  # said in headers; what is held for late joiners is each port's
         self.ports: tuple[PortPublisher, ...] = ()
-        self.indices = count()
         self._control = control
         self._buffer = io.BytesIO()
 
@@ -198,22 +198,11 @@ class PortPublisher:
         self.held: tuple[Any, int, int] | None = None
         self._now = now
         self._registrar = registrar
-        name, manager = rospy.names.resolve_name(topic), get_topic_manager()
-        with manager.lock:
-            found = manager.pubs.get(name)
-            if found is None:
-                found = NumberedTopic(name, type_, stated, registrar.loop)
-                manager.pubs[name] = found
-                manager.topics.add(name)
-                registrar.join(found)
-            elif not isinstance(found, NumberedTopic) or found.data_class._md5sum != type_._md5sum:
-                raise NodeError(f"this node publishes on {name} already, but not by a port of this type")
-            found.ref_count += 1  # an author's own use of the topic must not end it
-            self.topic: NumberedTopic = found
-            self.index = next(found.indices)
-            found.is_latch = found.is_latch or self.latched
-            found.ports = (*found.ports, self)
-        self._send = found.send
+        self.index = next(_indices)
+        make = partial(NumberedTopic, type_=type_, offered=stated, control=registrar.loop)
+        self.topic: NumberedTopic = registrar.attach(self, topic, type_, make)
+        self.topic.is_latch = self.topic.is_latch or self.latched
+        self._send = self.topic.send
 
     def publish(self, message: Any) -> None:
         self._send(self, message, self._now())
@@ -228,12 +217,6 @@ class PortPublisher:
 
     def destroy(self) -> None:
         """Messages already written still arrive."""
-        topic, manager = self.topic, get_topic_manager()
-        with manager.lock:
-            topic.ports = tuple(port for port in topic.ports if port is not self)
-            topic.ref_count -= 1
-            if topic.ref_count == 0 and manager.pubs.get(topic.resolved_name) is topic:
-                topic.given_up = topic.closed = True  # no further subscriber
-                del manager.pubs[topic.resolved_name]
-                manager._recalculate_topics()
-                self._registrar.leave(topic)
+        self._registrar.detach(self, self.topic)
+        if self.topic.given_up:
+            self.topic.closed = True  # no further subscriber

@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import asyncio
 from collections import defaultdict
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Final, Generic, Protocol, TypeVar, cast
 
-from rospy.impl.registration import RegManager, get_registration_listeners
+import rospy
+from rospy.impl.registration import RegManager, get_registration_listeners, get_topic_manager
 
 from midstride.backends.ros1.master import Master
-from midstride.errors import BackendError
+from midstride.errors import BackendError, NodeError
 
 # The pauses before each check that all nodes of a topic have connected (s).
 _CHECKS: Final = (0.25, 0.5, 1.0, 2.0, 4.0)
@@ -38,6 +40,8 @@ class RegisteredTopic(Protocol):
     type: str
     registered: bool
     given_up: bool
+    ports: tuple[Any, ...]
+    ref_count: int
 
     def joined(self) -> int:
         """How many others are connected, compatible or not."""
@@ -50,7 +54,7 @@ T = TypeVar("T", bound=RegisteredTopic)
 
 
 class Registrar(Generic[T]):
-    """``kind`` is ``Publisher`` or ``Subscriber``. ``join`` and ``leave`` may be called in any thread."""
+    """``kind`` is ``Publisher`` or ``Subscriber``. ``attach`` and ``detach`` may be called in any thread."""
 
     def __init__(self, kind: str, master: Master, node: str, uri: str, loop: asyncio.AbstractEventLoop) -> None:
         self.loop = loop
@@ -61,13 +65,39 @@ class Registrar(Generic[T]):
         self._tasks: set[asyncio.Task[None]] = set()
         self._leaving: set[asyncio.Task[None]] = set()
 
-    def join(self, topic: T) -> None:
-        """Register ``topic``."""
-        self.loop.call_soon_threadsafe(self._begin, self._join(topic), self._tasks)
+    def attach(self, port: Any, topic: str, type_: Any, make: Callable[[str], T]) -> T:
+        """rospy's object of ``topic`` with one more port; what ``make`` makes of its full name where it is new.
 
-    def leave(self, topic: T) -> None:
-        """``topic`` is given up: close it in order, and unregister it."""
-        self.loop.call_soon_threadsafe(self._begin, self._leave(topic), self._leaving)
+        Raises NodeError where the node uses the topic by other means, or with another type.
+        """
+        name, manager = rospy.names.resolve_name(topic), get_topic_manager()
+        with manager.lock:
+            found = self._topics_of(manager).get(name)
+            if found is None:
+                found = self._topics_of(manager)[name] = make(name)
+                manager.topics.add(name)
+                self.loop.call_soon_threadsafe(self._begin, self._join(found), self._tasks)
+            elif not hasattr(found, "ports") or found.data_class._md5sum != type_._md5sum:
+                does = "publishes on" if self._kind == "Publisher" else "is subscribed to"
+                raise NodeError(f"this node {does} {name} already, but not by a port of this type")
+            found.ref_count += 1  # an author's own use of the topic must not end it
+            found.ports = (*found.ports, port)
+        return cast("T", found)
+
+    def detach(self, port: Any, topic: T) -> None:
+        """Take a port from its topic. Without ports it is given up: it is closed in order and unregistered."""
+        manager = get_topic_manager()
+        with manager.lock:
+            topic.ports = tuple(other for other in topic.ports if other is not port)
+            topic.ref_count -= 1
+            if topic.ref_count == 0 and self._topics_of(manager).get(topic.resolved_name) is topic:
+                topic.given_up = True
+                del self._topics_of(manager)[topic.resolved_name]
+                manager._recalculate_topics()
+                self.loop.call_soon_threadsafe(self._begin, self._leave(topic), self._leaving)
+
+    def _topics_of(self, manager: Any) -> dict[str, Any]:
+        return manager.pubs if self._kind == "Publisher" else manager.subs  # type: ignore[no-any-return]
 
     async def end(self, timeout: float) -> None:
         """The component ends: topics that are being given up have ``timeout`` seconds."""

@@ -7,15 +7,12 @@ from collections.abc import Callable
 from typing import Any, Final, TypeAlias
 
 import genpy
-import rospy
-from rospy.impl.registration import get_topic_manager
 from rospy.topics import _SubscriberImpl
 
 from midstride.backends.ros1 import connection_headers
 from midstride.backends.ros1.data_thread import DataThread
 from midstride.backends.ros1.publishing import TRAILER
 from midstride.backends.ros1.registrar import Registrar
-from midstride.errors import NodeError
 from midstride.model.contract import QoS
 from midstride.node.host import MessageInfo
 
@@ -121,19 +118,8 @@ class PortSubscription:
         self._registrar = registrar
         depth = None if stated.history == "keep_all" else stated.depth or 1
         self._waiting: deque[tuple[Any, Info]] = deque(maxlen=depth)
-        name, manager = rospy.names.resolve_name(topic), get_topic_manager()
-        with manager.lock:
-            found = manager.subs.get(name)
-            if found is None:
-                found = FramedTopic(name, type_, stated, now)
-                manager.subs[name] = found
-                manager.topics.add(name)
-                registrar.join(found)
-            elif not isinstance(found, FramedTopic) or found.data_class._md5sum != type_._md5sum:
-                raise NodeError(f"this node is subscribed to {name} already, but not by a port of this type")
-            found.ref_count += 1
-            self.topic: FramedTopic = found
-            found.ports = (*found.ports, self)
+        found = registrar.attach(self, topic, type_, lambda name: FramedTopic(name, type_, stated, now))
+        self.topic: FramedTopic = found
         for connection in found.connections if self.wants_held else ():  # messages from before this input was attached
             if connection.latch is not None:
                 self.arrived(connection.latch.message, found.read(connection.latch, connection)[0])
@@ -155,15 +141,7 @@ class PortSubscription:
     def destroy(self) -> None:
         """No callback from now on."""
         self._callback = None
-        topic, manager = self.topic, get_topic_manager()
-        with manager.lock:
-            topic.ports = tuple(port for port in topic.ports if port is not self)
-            topic.ref_count -= 1
-            if topic.ref_count == 0 and manager.subs.get(topic.resolved_name) is topic:
-                topic.given_up = True
-                del manager.subs[topic.resolved_name]
-                manager._recalculate_topics()
-                self._registrar.leave(topic)
+        self._registrar.detach(self, self.topic)
 
 
 def read_info(info: Info) -> MessageInfo:

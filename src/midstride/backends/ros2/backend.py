@@ -10,7 +10,6 @@ import asyncio
 import logging
 import os
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable
@@ -24,19 +23,15 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
-from midstride.backends import common
-from midstride.backends.common import Children
+from midstride.backends import processes
+from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, launching, names
 from midstride.backends.ros2.graph import Graph
 from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
-from midstride.runtime.clock import Clock, SystemClock
-from midstride.runtime.process import Process, find, spawn
+from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
-from midstride.wire.environment import ENV_INSTANCE
-from midstride.wire.sockets import SocketFolder
-from midstride.wire.transport import Transport
 
 # A manager that has just joined knows no other node yet: that long it listens before it says that a name is free (s).
 _LISTEN: Final = 0.3
@@ -46,19 +41,15 @@ _LEAVE: Final = 5.0
 log = logging.getLogger(__name__)
 
 
-class Ros2Backend:
-    """To be opened, used and closed on one event loop. ``control`` is the folder of the components' control sockets."""
+class Ros2Backend(ProcessBackend):
+    """To be opened, used and closed on one event loop."""
 
     name = "ros2"
 
     def __init__(self, control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:
-        self.clock: Clock = SystemClock()
-        self.transport: Transport = SocketFolder(control)
+        super().__init__(control, logs, guardian)
         self.settings = dds_profiles.DdsSettings("")
         self.warnings: list[str] = []
-        self._control = control
-        self._logs = logs
-        self._children = Children(guardian, self._exited)
         self._opened = 0.0
         self._context: Any = None
 
@@ -116,50 +107,29 @@ class Ros2Backend:
 
     async def start(self, launch: Launch) -> Handle:
         full_name = names.full(launch.instance, launch.namespace)
-        command = common.command(launch.arguments, launch.directory, os.environ, lambda: sys.executable)
+        command = processes.command(launch.arguments, launch.directory, os.environ, lambda: sys.executable)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         if (
             launch.instance in self._children
-            or await common.listens(self.transport, launch.instance)
+            or await processes.listens(self.transport, launch.instance)
             or graph.has(full_name)
         ):
             raise StartFailed(f"{launch.instance}: a node {full_name} is running already; end it, or use another name")
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
-        log = self._log_of(launch)
-        process = spawn(command, launch.directory, environment, log)
-        self._children.take(launch.instance, process)
-        return Handle(launch.instance, process.pid, process.started, str(log))
-
-    async def adopt(self, handle: Handle) -> bool:
-        instance = handle.instance
-        if instance in self._children:
-            return True
-        if handle.pid is None or handle.started is None:
-            return instance in self.transport.present()
-        log = None if handle.log is None else Path(handle.log)
-        process = find(handle.pid, handle.started, ENV_INSTANCE, instance, log)
-        if process is None:
-            return False
-        self._children.take(instance, process)
-        return process.running
-
-    async def end(self, instance: str, grace: float) -> None:
-        if await self._children.end(instance, grace):
-            self._died(instance)
+        return self._spawn(launch, full_name, command, environment)
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
-        self._died(instance)
+        self._forget_node(instance)
         self._on_exit(Exited(instance, status, process.last_words()))
 
-    def _died(self, instance: str) -> None:
+    async def _died(self, instance: str) -> None:
+        self._forget_node(instance)
+
+    def _forget_node(self, instance: str) -> None:
         if self._context is not None:
             self._graph.died(names.full(instance))
-
-    def _log_of(self, launch: Launch) -> Path:
-        folder = self._logs or _log_folder() / "midstride" / launch.token[:12]
-        return folder / f"{names.full(launch.instance, launch.namespace).strip('/').replace('/', '.')}.log"
 
     # -- the graph -----------------------------------------------------------------------------------
 
@@ -173,11 +143,3 @@ class Ros2Backend:
         if self._context is None:
             raise Unreachable("the back end is not open")
         return self._graph
-
-
-def _log_folder() -> Path:
-    """Where ROS 2 puts logs."""
-    if folder := os.environ.get("ROS_LOG_DIR"):
-        return Path(folder)
-    home = os.environ.get("ROS_HOME") or os.path.expanduser("~/.ros")
-    return Path(home) / "log" if os.path.isabs(home) else Path(tempfile.gettempdir()) / "ros-log"

@@ -1,4 +1,4 @@
-"""The endpoints of ports: a publisher or a subscription of rclpy, and what the middleware tells of it."""
+"""The endpoints of ports: a publisher or a subscription of rclpy, and what the middleware reports about it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class RosPublisher:
             return 0
 
     async def acknowledged(self, timeout: float) -> bool | None:
-        """True as soon as it is so; None where that does not show in time, or nobody acknowledges.
+        """True as soon as it is so; None where that does not show in time, or where no reader acknowledges.
 
         rclpy's own wait holds the interpreter's lock for as long as it lasts, so it is asked again and again.
         """
@@ -68,7 +68,7 @@ class RosSubscription:
     __slots__ = ("_destroy", "_in_graph", "_subscription")
 
     def __init__(self, subscription: Any, destroy: Callable[[Any], object], in_graph: Callable[[str], int]) -> None:
-        """``in_graph`` counts the publishers of a topic, for an rclpy that does not tell the matched ones (humble)."""
+        """``in_graph`` counts the publishers of a topic, for an rclpy that does not count the matched ones (humble)."""
         self._subscription = subscription
         self._destroy = destroy
         self._in_graph = in_graph

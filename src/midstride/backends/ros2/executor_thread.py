@@ -31,7 +31,7 @@ class ExecutorThread:
         """
         self._stopping = True
         if self._thread.is_alive():
-            self.executor.create_task(_nothing)  # a mere wake-up would let it go back to waiting
+            self.executor.create_task(lambda: None)  # a mere wake-up would let it go back to waiting
             self._thread.join(timeout)
         if self._thread.is_alive():
             return False
@@ -46,7 +46,3 @@ class ExecutorThread:
                 return
             except Exception:
                 self._failed(traceback.format_exc())
-
-
-def _nothing() -> None:
-    pass

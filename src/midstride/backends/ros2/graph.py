@@ -2,8 +2,8 @@
 
 A process that was killed stays in the graph until its lease runs out. Its exit is known at once, so everything under
 its name is ignored from then on. Once another process of that name is about to start, what the graph shows under the
-name is remembered by endpoint instead. A node that nobody here started is alive as long as it has an endpoint: every
-node has one, and the graph may keep the name of one that is gone, for good.
+name is remembered by endpoint instead. A node that this manager did not start is alive as long as it has an endpoint:
+every node has one, and the graph may keep the name of one that is gone, for good.
 """
 
 from __future__ import annotations
@@ -39,10 +39,7 @@ class Graph:
             return
         now = time.monotonic()
         self._dead_endpoints = {gid: at for gid, at in self._dead_endpoints.items() if now - at < LINGER}
-        for topic in self._topics():
-            for info in (*self._publishers(topic), *self._subscriptions(topic)):
-                if _node(info) == full_name:
-                    self._dead_endpoints[_gid(info)] = now
+        self._dead_endpoints.update((_gid(info), now) for info in self._endpoints_of(full_name))
 
     def _lives(self, info: Any) -> bool:
         died = self._died.get(_node(info))
@@ -52,11 +49,7 @@ class Graph:
 
     def has(self, full_name: str) -> bool:
         """Whether a living node of that name is in the graph."""
-        return any(
-            _node(info) == full_name and self._lives(info)
-            for topic in self._topics()
-            for info in (*self._publishers(topic), *self._subscriptions(topic))
-        )
+        return any(map(self._lives, self._endpoints_of(full_name)))
 
     def endpoints(self) -> Endpoints:
         nodes: set[str] = set()
@@ -76,6 +69,12 @@ class Graph:
 
     def _visible(self, infos: list[Any]) -> list[str]:
         return [name for info in infos if self._lives(info) and not names.is_hidden(name := _node(info))]
+
+    def _endpoints_of(self, full_name: str) -> Iterator[Any]:
+        for topic in self._topics():
+            for info in (*self._publishers(topic), *self._subscriptions(topic)):
+                if _node(info) == full_name:
+                    yield info
 
     def _topics(self) -> Iterator[str]:
         return (topic for topic, _ in self._node.get_topic_names_and_types())

@@ -8,7 +8,6 @@ endpoints is a task of the data executor.
 from __future__ import annotations
 
 import asyncio
-import json
 import os
 import sys
 import time
@@ -26,8 +25,9 @@ from midstride.backends.ros2.nodes import ComponentNodes
 from midstride.backends.ros2.parameter_services import parameters_of
 from midstride.backends.ros2.timers import Ros2GridTimer
 from midstride.model.contract import QoS
-from midstride.node.host import MessageInfo
-from midstride.wire.environment import ENV_PARAMETERS, ENV_TOKEN
+from midstride.node import process_context
+from midstride.node.host import MessageInfo, NodeParameters
+from midstride.wire.environment import ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
@@ -40,15 +40,14 @@ _HEARTBEAT: Final = 0.1
 class Ros2Host:
     """Created and run in the thread that calls ``Component.start``; joins ROS in :meth:`run`."""
 
-    backend = "ros2"
-
     def __init__(self, name: str, namespace: str) -> None:
         self.instance = name
         self._name, self._namespace = names.split(name, namespace)
-        transport, self._reachable = control_transport(os.environ, sys.argv[1:])
+        transport, self.reachable = control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
         self.logger: Any = get_logger(names.full(name, namespace).strip("/").replace("/", "."))
-        self._given = _given_parameters()
+        # The node gets all that the manager gave, for ROS has parameters of its own (``use_sim_time``).
+        self._given = process_context.find().parameters
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
         self._simulated = False
@@ -68,7 +67,7 @@ class Ros2Host:
     def _clock_changed(self, jump: Any) -> None:
         self._simulated = bool(self._clock.ros_time_is_active)
 
-    # -- data side -----------------------------------------------------------------------------------
+    # -- data thread -----------------------------------------------------------------------------------
 
     @property
     def ros_node(self) -> Any:
@@ -121,13 +120,10 @@ class Ros2Host:
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros2GridTimer:
         return Ros2GridTimer(self._node, self._group, self.now, period, epoch, callback)
 
-    # -- control side --------------------------------------------------------------------------------
+    # -- control thread --------------------------------------------------------------------------------
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
-
-    def reachable(self) -> str:
-        return self._reachable
 
     def publish_state(self, state: ComponentState) -> None:
         if self._nodes is not None:
@@ -135,12 +131,6 @@ class Ros2Host:
 
     def extra_endpoints(self) -> list[Endpoint]:
         return node_parameters.endpoints(self._node, self._ports)
-
-    def parameter(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
-        return self._parameters.declare(name, default, on_change)
-
-    def set_parameters(self, values: dict[str, Any]) -> None:
-        self._parameters.set(values)
 
     # -- life ----------------------------------------------------------------------------------------
 
@@ -186,12 +176,14 @@ class Ros2Host:
             self._namespace,
             managed=bool(os.environ.get(ENV_TOKEN)),
             parameters=self._given,
-            failed=self._report_failure,
+            failed=lambda raised: self.logger.error(
+                f"a callback raised, and the component goes on without it:\n{raised}"
+            ),
         )
         self._node = nodes.data
         self._executor = nodes.data_executor
         self._group = ReentrantCallbackGroup()
-        self._parameters = node_parameters.Ros2NodeParameters(self._node, self._given)
+        self.parameters: NodeParameters = node_parameters.Ros2NodeParameters(self._node, self._given)
         self._clock = self._node.get_clock()
         self._simulated = bool(self._clock.ros_time_is_active)
         self._clock_changes = self._clock.create_jump_callback(
@@ -201,18 +193,9 @@ class Ros2Host:
         self._nodes = nodes
         return nodes
 
-    def _report_failure(self, traceback: str) -> None:
-        self.logger.error(f"a callback raised, and the component goes on without it:\n{traceback}")
-
     def _leave(self) -> None:
         if self._nodes is None:
             return
         self._clock_changes.unregister()
         if not self._nodes.leave():
             self.logger.error("user code has not returned; the process leaves without it")
-
-
-def _given_parameters() -> dict[str, Any]:
-    """What the manager gave: the node gets all of it, for ROS has parameters of its own (``use_sim_time``)."""
-    text = os.environ.get(ENV_PARAMETERS)
-    return dict(json.loads(text)) if text else {}

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from midstride.backends import common
+from midstride.backends import processes
+from midstride.backends.common import drop_paths
 from midstride.backends.ros2 import dds_profiles
 from midstride.backends.ros2.dds_profiles import DdsSettings
 from midstride.runtime.backend import Launch
@@ -25,32 +26,14 @@ def environment(
     ``control`` is the folder of the control sockets.
     """
     result = dict(base)
-    if program != sys.executable:
-        _leave_own_wheels(result)
-    _drop_ros1(result)
+    if program != sys.executable and result.pop(_BOOTSTRAPPED, None) is not None:
+        # It finds its own libraries: those of the wheels in this interpreter's prefix would come first.
+        drop_paths(result, "LD_LIBRARY_PATH", lambda path: not path or Path(path).is_relative_to(sys.prefix))
+    # ROS 1 and ROS 2 on one path break each other's messages.
+    drop_paths(result, "PYTHONPATH", lambda path: os.path.isdir(os.path.join(path, "rospy")))
     result.update(_variables(program, settings, base))
-    result.update(common.identity(launch, "ros2", control))
+    result.update(processes.identity(launch, "ros2", control))
     return result
-
-
-def _leave_own_wheels(environment: dict[str, str]) -> None:
-    """Another interpreter finds its own libraries: those of the wheels in this one's prefix would come first."""
-    if environment.pop(_BOOTSTRAPPED, None) is None:
-        return
-    paths = environment.get("LD_LIBRARY_PATH", "").split(os.pathsep)
-    kept = [path for path in paths if path and not Path(path).is_relative_to(sys.prefix)]
-    if kept:
-        environment["LD_LIBRARY_PATH"] = os.pathsep.join(kept)
-    else:
-        environment.pop("LD_LIBRARY_PATH", None)
-
-
-def _drop_ros1(environment: dict[str, str]) -> None:
-    """ROS 1 and ROS 2 on one path break each other's messages."""
-    paths = environment.get("PYTHONPATH")
-    if paths is not None:
-        kept = [path for path in paths.split(os.pathsep) if not os.path.isdir(os.path.join(path, "rospy"))]
-        environment["PYTHONPATH"] = os.pathsep.join(kept)
 
 
 def _variables(program: str, settings: DdsSettings, base: Mapping[str, str]) -> Mapping[str, str]:

@@ -74,8 +74,8 @@ class Ros2NodeParameters:
         return Parameter(name, value=value)
 
     def _changing(self, parameters: list[Any]) -> Any:
-        """What an author's function raises refuses the whole set; those told before are told the old values again."""
-        told: list[tuple[Callable[[Any], None], Any]] = []
+        """What an author's function raises refuses the whole set; those called before get the old values again."""
+        called: list[tuple[Callable[[Any], None], Any]] = []
         for parameter in parameters:
             on_change = self._on_change.get(parameter.name)
             if on_change is None:
@@ -84,10 +84,10 @@ class Ros2NodeParameters:
             try:
                 on_change(parameter.value)
             except Exception as error:
-                for tell, old in reversed(told):
-                    tell(old)
+                for undo, old in reversed(called):
+                    undo(old)
                 return SetParametersResult(successful=False, reason=f"{parameter.name}: {error}")
-            told.append((on_change, before))
+            called.append((on_change, before))
         return SetParametersResult(successful=True)
 
 

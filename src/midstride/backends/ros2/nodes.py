@@ -35,13 +35,7 @@ class ComponentNodes:
     """
 
     def __init__(
-        self,
-        name: str,
-        namespace: str,
-        *,
-        managed: bool,
-        parameters: Mapping[str, Any],
-        failed: Callable[[str], None],
+        self, name: str, namespace: str, *, managed: bool, parameters: Mapping[str, Any], failed: Callable[[str], None]
     ) -> None:
         self._own_context = not rclpy.ok()
         if self._own_context:

@@ -2,9 +2,9 @@
 
 rcl's timers know no phase. Setting the period to what remains until a slot, resetting, and setting
 the period back puts one there; from then on rcl itself adds whole periods, and skips those a late
-call has missed. What rcl is about to do is read back after each call: that tells which slot the next
+call has missed. What rcl is about to do is read back after each call: that shows which slot the next
 call belongs to, and whether the timer has left its grid (a clock that jumped back, a preemption in
-the middle of setting it), which is then mended.
+the middle of setting it), which is then corrected.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Ros2GridTimer:
         return self._epoch + (moment - self._epoch + self._period // 2) // self._period * self._period
 
     def _follow(self) -> None:
-        """Learn which slot comes next; mend the grid where rcl has left it."""
+        """Learn which slot comes next; put the timer back on its grid where rcl has left it."""
         if self._cancelled or self._epoch is None:  # by the callback
             return
         upcoming = self._next()

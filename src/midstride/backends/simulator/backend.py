@@ -13,9 +13,11 @@ from midstride.backends.simulator.clock import SimulatedClock
 from midstride.backends.simulator.control import SimulatedControl
 from midstride.backends.simulator.cooperative_thread import simulated_sleep
 from midstride.backends.simulator.faults import Faults
+from midstride.backends.simulator.host import SimulatedHost
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import BackendError, StartFailed
+from midstride.node.host import Host
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock
 from midstride.wire.state import ComponentState
@@ -106,7 +108,7 @@ class Simulator:
         if launch.instance in self.processes:
             raise StartFailed(f"a component named {launch.instance} is running already")
         self._pids += 1
-        process = SimulatedProcess(self, launch, self._pids, self._exited)
+        process = SimulatedProcess(launch, self._pids, self.time, self._host, self._exited)
         self.processes[launch.instance] = process
         self.time.loop.call_later(self._starting, process.resume)
         # No pid: it is not a process of this machine, and must not be sent a signal.
@@ -129,7 +131,7 @@ class Simulator:
     async def endpoints(self) -> Endpoints:
         topics = self.network.topics.items()
         return Endpoints(
-            nodes=frozenset(process.node for process in self.processes.values() if process.host is not None),
+            nodes=frozenset(process.node for process in self.processes.values() if process.main is not None),
             publishers=tuple((w.owner.node, name) for name, topic in topics for w in topic.writers),
             subscribers=tuple((r.owner.node, name) for name, topic in topics for r in topic.readers),
         )
@@ -137,14 +139,12 @@ class Simulator:
     async def lingering_readers(self, topic: str) -> int:
         return 0  # a process that has ended is not in the simulated graph
 
-    # -- for processes -----------------------------------------------------------------------------
-
-    def register(self, instance: str, process: SimulatedProcess) -> None:
-        """``process`` joins the platform as ``instance``. Raises StartFailed where the name is taken."""
-        if self.processes.get(instance) is not process:
-            raise StartFailed(f"a node named {instance} is in the graph already")
+    def _host(self, process: SimulatedProcess, name: str) -> Host:
+        return SimulatedHost(process, name, self.network, self.control.of(process))
 
     def _exited(self, process: SimulatedProcess) -> None:
+        self.network.remove_process(process)
+        self.control.remove(process)
         if self.processes.get(process.instance) is process:
             del self.processes[process.instance]
         if not process.exit_expected:
@@ -163,5 +163,4 @@ class Simulator:
 
     def state(self, instance: str) -> ComponentState | None:
         """What a running component last published of its state."""
-        host = self.processes[instance].host
-        return None if host is None else host.state
+        return self.processes[instance].state

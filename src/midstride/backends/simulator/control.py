@@ -8,106 +8,79 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Awaitable, Callable
-from typing import Literal, Protocol, TypeAlias
 
 from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.faults import Faults
+from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import NodeError, Unreachable
-from midstride.wire.frames import (
-    Reply,
-    Request,
-    StateChanged,
-    command_name,
-    decode_from_client,
-    decode_from_component,
-    encode,
-)
-from midstride.wire.pipe import PipeEnd, PipeListener, PipeNetwork
+from midstride.wire import frames
+from midstride.wire.frames import Reply, Request
+from midstride.wire.pipe import PipeEnd, PipeNetwork
 from midstride.wire.state import ComponentState
-from midstride.wire.transport import Connection, Serve
-
-RequestFault: TypeAlias = Literal["lost_request", "lost_reply", "refused", "unreachable"]
-
-
-class RequestFaults(Protocol):
-    """The faults injected into requests."""
-
-    def take_fault(self, instance: str, op: str) -> RequestFault | None:
-        """What is to happen to this request; counts it."""
-        ...
-
-
-class ConnectedProcess(Protocol):
-    """The process at one end of a connection."""
-
-    @property
-    def instance(self) -> str: ...
-
-    async def wait_while_frozen(self) -> None:
-        """Returns once it is not frozen. Raises CancelledError where it is dead."""
-        ...
+from midstride.wire.transport import Connection, Serve, StopListening
 
 
 class ClientEnd:
     """The end that sends requests: the manager's (``process`` is None), or that of a peer of a hand-over."""
 
+    peer: int | None = None
+
     def __init__(
-        self, control: SimulatedControl, instance: str, process: ConnectedProcess | None, end: PipeEnd
+        self, control: SimulatedControl, instance: str, process: SimulatedProcess | None, end: PipeEnd
     ) -> None:
         self._control = control
         self._instance = instance
         self._process = process
         self._end = end
         self._lost_replies: set[str] = set()
+        self.close = end.close
 
     async def send(self, frame: bytes) -> None:
         if self._process is not None:
             await self._process.wait_while_frozen()
-        request = decode_from_client(frame)
-        fault = None
+        request = frames.decode_from_client(frame)
         if isinstance(request, Request):
-            name = command_name(request)
+            name = frames.command_name(request)
             if self._control.before_request is not None:
                 await self._control.before_request(self._instance, name)
-            fault = self._control.faults.take_fault(self._instance, name)
-        if fault == "unreachable":
-            raise Unreachable("an injected fault makes it unreachable")
-        if isinstance(request, Request) and fault == "refused":
-            words = "an injected fault refuses this request"
-            self._end.arrive(encode(Reply(id=request.id, revision=-1, refused=words)))
-        elif isinstance(request, Request) and fault == "lost_reply":
-            self._lost_replies.add(request.id)
-        if fault in (None, "lost_reply"):
-            await self._end.send(frame)
+            match self._control.faults.take_fault(self._instance, name):
+                case "unreachable":
+                    raise Unreachable("an injected fault makes it unreachable")
+                case "refused":
+                    words = "an injected fault refuses this request"
+                    self._end.arrive(frames.encode(Reply(id=request.id, revision=-1, refused=words)))
+                    return
+                case "lost_request":
+                    return
+                case "lost_reply":
+                    self._lost_replies.add(request.id)
+        await self._end.send(frame)
 
     async def receive(self) -> bytes | None:
         while (line := await self._end.receive()) is not None:
             if self._process is not None:
                 await self._process.wait_while_frozen()
-            if self._control.rewrite_state is not None:
-                frame = decode_from_component(line)
-                if isinstance(frame, StateChanged):
-                    state = self._control.rewrite_state(frame.state)
-                    if state is None:
+            match frames.decode_from_component(line):
+                case frames.StateChanged(state=state) if self._control.rewrite_state is not None:
+                    if (rewritten := self._control.rewrite_state(state)) is None:
                         continue
-                    line = encode(StateChanged(state=state))
-            if self._lost_replies:
-                frame = decode_from_component(line)
-                if isinstance(frame, Reply) and frame.id in self._lost_replies:
-                    self._lost_replies.discard(frame.id)
+                    line = frames.encode(frames.StateChanged(state=rewritten))
+                case Reply(id=id) if id in self._lost_replies:
+                    self._lost_replies.discard(id)
                     continue
             return line
         return None
-
-    def close(self) -> None:
-        self._end.close()
 
 
 class ServerEnd:
     """The component's end: it neither sends nor receives while its process is frozen."""
 
-    def __init__(self, process: ConnectedProcess, end: PipeEnd) -> None:
+    peer: int | None = None
+
+    def __init__(self, process: SimulatedProcess, end: PipeEnd) -> None:
         self._process = process
         self._end = end
+        self.close = end.close
 
     async def send(self, frame: bytes) -> None:
         await self._process.wait_while_frozen()
@@ -117,9 +90,6 @@ class ServerEnd:
         line = await self._end.receive()
         await self._process.wait_while_frozen()
         return line
-
-    def close(self) -> None:
-        self._end.close()
 
 
 class DelayedEnd(PipeEnd):
@@ -143,7 +113,7 @@ class DelayedEnd(PipeEnd):
 class SimulatedControl:
     """Implements :class:`midstride.wire.transport.Transport` for the manager; :meth:`of` gives that of a process."""
 
-    def __init__(self, clock: SimulatedClock, latency: float, faults: RequestFaults) -> None:
+    def __init__(self, clock: SimulatedClock, latency: float, faults: Faults) -> None:
         self.faults = faults
         # Awaited before each request, with the component's name and the command's: for tests and rehearsals.
         self.before_request: Callable[[str, str], Awaitable[None]] | None = None
@@ -152,28 +122,25 @@ class SimulatedControl:
         self._clock = clock
         self._latency = latency
         self._pipes = PipeNetwork()
-        self._processes: dict[str, ConnectedProcess] = {}
-        self._ends: dict[ConnectedProcess, list[DelayedEnd]] = {}
+        self._processes: dict[str, SimulatedProcess] = {}
+        self._ends: dict[SimulatedProcess, list[DelayedEnd]] = {}
+        self.address = self._pipes.address
+        self.present = self._pipes.present
 
-    def of(self, process: ConnectedProcess) -> ProcessControl:
+    def of(self, process: SimulatedProcess) -> ProcessControl:
         return ProcessControl(self, process)
 
-    def address(self, instance: str) -> str:
-        return self._pipes.address(instance)
+    async def listen(self, instance: str, serve: Serve, process: SimulatedProcess | None = None) -> StopListening:
+        if process is None:
+            raise NodeError("the manager of a simulated system does not listen")
+        stop = await self._pipes.listen(instance, serve)
+        self._processes[instance] = process
+        return stop
 
-    def present(self) -> dict[str, str]:
-        return self._pipes.present()
-
-    async def listen(self, instance: str, serve: Serve) -> PipeListener:
-        raise NodeError("the manager of a simulated system does not listen")
-
-    async def connect(self, address: str) -> Connection:
-        return await self.connect_from(None, address)
-
-    async def connect_from(self, process: ConnectedProcess | None, address: str) -> Connection:
+    async def connect(self, address: str, process: SimulatedProcess | None = None) -> Connection:
         instance = self._pipes.instance(address)
-        listener = self._pipes.listeners.get(instance)
-        if listener is None:
+        serve = self._pipes.listeners.get(instance)
+        if serve is None:
             raise Unreachable(f"no component {instance} runs")
         ours, theirs = (DelayedEnd(self._clock, self._latency) for _ in range(2))
         ours.other, theirs.other = theirs, ours
@@ -182,15 +149,10 @@ class SimulatedControl:
         if process is not None:
             self._ends.setdefault(process, []).append(ours)
         await asyncio.sleep(self._latency)
-        self._pipes.serve(listener.serve, ServerEnd(server, theirs))
+        self._pipes.serve(serve, ServerEnd(server, theirs))
         return ClientEnd(self, instance, process, ours)
 
-    async def listen_as(self, process: ConnectedProcess, instance: str, serve: Serve) -> PipeListener:
-        listener = await self._pipes.listen(instance, serve)
-        self._processes[instance] = process
-        return listener
-
-    def remove(self, process: ConnectedProcess) -> None:
+    def remove(self, process: SimulatedProcess) -> None:
         """Close the listener and the connections of a process that has ended."""
         for instance in [name for name, other in self._processes.items() if other is process]:
             del self._processes[instance]
@@ -202,18 +164,14 @@ class SimulatedControl:
 class ProcessControl:
     """Implements :class:`midstride.wire.transport.Transport` for one simulated process."""
 
-    def __init__(self, control: SimulatedControl, process: ConnectedProcess) -> None:
+    def __init__(self, control: SimulatedControl, process: SimulatedProcess) -> None:
         self._control = control
         self._process = process
+        self.address = control.address
+        self.present = control.present
 
-    def address(self, instance: str) -> str:
-        return self._control.address(instance)
-
-    def present(self) -> dict[str, str]:
-        return self._control.present()
-
-    async def listen(self, instance: str, serve: Serve) -> PipeListener:
-        return await self._control.listen_as(self._process, instance, serve)
+    async def listen(self, instance: str, serve: Serve) -> StopListening:
+        return await self._control.listen(instance, serve, self._process)
 
     async def connect(self, address: str) -> Connection:
-        return await self._control.connect_from(self._process, address)
+        return await self._control.connect(address, self._process)

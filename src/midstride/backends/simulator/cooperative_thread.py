@@ -46,13 +46,8 @@ class Ended:
 Yielded: TypeAlias = Sleeps | Waits | Ended
 
 
-class _Here(threading.local):
-    """The cooperative thread that the current thread is, if it is one."""
-
-    thread: CooperativeThread | None = None
-
-
-_here: Final = _Here()
+# Its ``thread`` is the cooperative thread that the current thread is, if it is one.
+_here: Final = threading.local()
 
 
 class CooperativeThread:
@@ -130,7 +125,7 @@ _patches = 0
 
 
 def _simulated_sleep(seconds: Any) -> None:
-    thread = _here.thread
+    thread: CooperativeThread | None = getattr(_here, "thread", None)
     if thread is None:
         _sleep(seconds)
     elif seconds < 0:

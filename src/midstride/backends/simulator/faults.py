@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
-from midstride.backends.simulator.control import RequestFault
 from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import BackendError
+
+RequestFault: TypeAlias = Literal["lost_request", "lost_reply", "refused", "unreachable"]
 
 
 @dataclass(slots=True)

@@ -16,38 +16,21 @@ from midstride.errors import BackendError
 T = TypeVar("T")
 
 
-class _JumpingSelector(selectors.BaseSelector):
+class _JumpingSelector(selectors.DefaultSelector):
     """Never waits: where nothing is ready, it calls ``jump`` to advance the time."""
 
     def __init__(self, jump: Callable[[float | None], None]) -> None:
-        self._real = selectors.DefaultSelector()
+        super().__init__()
         self._jump = jump
 
-    def register(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
-        return self._real.register(fileobj, events, data)
-
-    def unregister(self, fileobj: Any) -> selectors.SelectorKey:
-        return self._real.unregister(fileobj)
-
-    def modify(self, fileobj: Any, events: int, data: Any = None) -> selectors.SelectorKey:
-        return self._real.modify(fileobj, events, data)
-
     def select(self, timeout: float | None = None) -> list[tuple[selectors.SelectorKey, int]]:
-        ready = self._real.select(0)
+        ready = super().select(0)
         if ready or (timeout is not None and timeout <= 0):
             return ready
-        if (
-            timeout is None and len(self._real.get_map()) > 1
-        ):  # more than the loop's own wake-up: a socket may become ready
-            return self._real.select(None)
+        if timeout is None and len(self.get_map()) > 1:  # more than the loop's own wake-up: a socket may become ready
+            return super().select(None)
         self._jump(timeout)
         return ready
-
-    def close(self) -> None:
-        self._real.close()
-
-    def get_map(self) -> Any:
-        return self._real.get_map()
 
 
 class VirtualLoop(asyncio.SelectorEventLoop):

@@ -10,30 +10,19 @@ import copy
 import random
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from midstride.backends.simulator.clock import SimulatedClock
+from midstride.backends.simulator.process import SimulatedProcess
 from midstride.model.contract import QoS
-
-
-class Participant(Protocol):
-    """The process an endpoint lives in."""
-
-    @property
-    def node(self) -> str:
-        """The full name of its node."""
-        ...
-
-    def frozen_until(self) -> float:
-        """Until when it is frozen (steady s); in the past where it is not."""
-        ...
 
 
 class SimulatedWriter:
     """A publishing endpoint."""
 
-    def __init__(self, network: Network, owner: Participant, topic: str, type_: str, qos: QoS) -> None:
+    def __init__(self, network: Network, owner: SimulatedProcess, topic: str, type_: str, qos: QoS) -> None:
         self.owner = owner
         self.topic = topic
         self.type = type_
@@ -70,7 +59,7 @@ class SimulatedReader:
     """A subscribing endpoint; ``wake`` has its process take one message from the queue."""
 
     def __init__(
-        self, network: Network, owner: Participant, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
+        self, network: Network, owner: SimulatedProcess, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
     ) -> None:
         self.owner = owner
         self.topic = topic
@@ -131,13 +120,13 @@ class Network:
 
     # -- endpoints ---------------------------------------------------------------------------------
 
-    def create_writer(self, owner: Participant, topic: str, type_: str, qos: QoS) -> SimulatedWriter:
+    def create_writer(self, owner: SimulatedProcess, topic: str, type_: str, qos: QoS) -> SimulatedWriter:
         writer = SimulatedWriter(self, owner, topic, type_, qos)
         self.topic(topic).writers.append(writer)
         return writer
 
     def create_reader(
-        self, owner: Participant, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
+        self, owner: SimulatedProcess, topic: str, type_: str, qos: QoS, wake: Callable[[], None]
     ) -> SimulatedReader:
         reader = SimulatedReader(self, owner, topic, type_, qos, wake)
         self.topic(topic).readers.append(reader)
@@ -146,16 +135,14 @@ class Network:
         return reader
 
     def remove_writer(self, writer: SimulatedWriter) -> None:
-        writers = self.topic(writer.topic).writers
-        if writer in writers:
-            writers.remove(writer)
+        with suppress(ValueError):  # it went with its process
+            self.topic(writer.topic).writers.remove(writer)
 
     def remove_reader(self, reader: SimulatedReader) -> None:
-        readers = self.topic(reader.topic).readers
-        if reader in readers:
-            readers.remove(reader)
+        with suppress(ValueError):
+            self.topic(reader.topic).readers.remove(reader)
 
-    def remove_process(self, owner: Participant) -> None:
+    def remove_process(self, owner: SimulatedProcess) -> None:
         """Remove the endpoints of a process that has ended."""
         for topic in self.topics.values():
             topic.writers = [writer for writer in topic.writers if writer.owner is not owner]

@@ -1,4 +1,4 @@
-"""Timers on a time grid: exact in virtual time, skipping and not bursting when the data side is busy."""
+"""Timers on a time grid: exact in virtual time, skipping and not bursting when the data thread is busy."""
 
 from __future__ import annotations
 

@@ -1,0 +1,194 @@
+"""The manager's side of real platforms: components as processes of the operating system."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Final
+
+from midstride.errors import StartFailed, Unreachable
+from midstride.runtime.backend import Handle, Launch
+from midstride.runtime.clock import Clock, SystemClock
+from midstride.runtime.process import Process, find, spawn
+from midstride.runtime.reaper import Reaper
+from midstride.wire import environment as variables
+from midstride.wire.sockets import SocketFolder
+from midstride.wire.transport import Transport
+
+_OURS: Final = ("python", "python3")
+# How often the logs of components are checked (s), how long one may get, and how much is then kept of it (bytes).
+CHECK_LOGS: Final = 60.0
+LONGEST_LOG: Final = 8 * 1024 * 1024
+KEPT_OF_LOG: Final = 1024 * 1024
+
+
+def command(
+    arguments: Sequence[str], directory: Path, environment: Mapping[str, str], python: Callable[[], str]
+) -> tuple[str, ...]:
+    """The command with its program found. Raises StartFailed, naming what cannot be found.
+
+    ``python`` and ``python3`` mean the interpreter that has the platform and Midstride, also where another one is first
+    on the PATH. Any other interpreter is named by its path.
+    """
+    program, *rest = arguments
+    if program in _OURS:
+        return (python(), *rest)
+    if "/" in program:
+        found = shutil.which(os.path.join(directory, program))
+    else:
+        found = shutil.which(program, path=environment.get("PATH"))
+    if found is None:
+        raise StartFailed(f"cannot start `{' '.join(arguments)}`: there is no program {program} that can be run")
+    return (found, *rest)
+
+
+def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
+    """The environment variables that make a process this component (wire/environment.py).
+
+    ``control`` is the folder of the system's control sockets.
+    """
+    return {
+        variables.ENV_BACKEND: backend,
+        variables.ENV_INSTANCE: launch.instance,
+        variables.ENV_NAMESPACE: launch.namespace,
+        variables.ENV_TOKEN: launch.token,
+        variables.ENV_PARAMETERS: json.dumps(launch.parameters),
+        variables.ENV_CONTROL: str(control.absolute()),
+        "PYTHONUNBUFFERED": "1",
+    }
+
+
+async def listens(transport: Transport, instance: str) -> bool:
+    """Whether a component of that name accepts control connections: one started by hand, whose process is not known."""
+    try:
+        connection = await transport.connect(transport.address(instance))
+    except Unreachable:
+        return False
+    connection.close()
+    return True
+
+
+class Children:
+    """The processes of components, by instance; to be used on one event loop.
+
+    ``exited`` is called for each that ends by itself, once it is no longer among them.
+    """
+
+    def __init__(self, guardian: Reaper | None, exited: Callable[[str, int | None, Process], None]) -> None:
+        self._guardian = guardian
+        self._exited = exited
+        self._processes: dict[str, Process] = {}
+        self._shortening: asyncio.Task[None] | None = None
+
+    def __contains__(self, instance: object) -> bool:
+        return instance in self._processes
+
+    def __len__(self) -> int:
+        return len(self._processes)
+
+    def take(self, instance: str, process: Process) -> None:
+        """Watch a process from now on."""
+        self._processes[instance] = process
+        if self._guardian is not None:
+            self._guardian.watch(process.pid, process.started)
+        process.on_exit(lambda status: self._ended(instance, process, status))
+        if self._shortening is None:
+            self._shortening = asyncio.get_running_loop().create_task(self._shorten_logs())
+
+    async def _shorten_logs(self) -> None:
+        while True:
+            await asyncio.sleep(CHECK_LOGS)
+            for process in list(self._processes.values()):
+                process.shorten_log(LONGEST_LOG, KEPT_OF_LOG)
+
+    def _ended(self, instance: str, process: Process, status: int | None) -> None:
+        self._forget(instance, process)
+        self._exited(instance, status, process)
+
+    async def end(self, instance: str, grace: float) -> bool:
+        """End a process, without a call of ``exited``; returns when it is gone. False where there is none."""
+        process = self._processes.get(instance)
+        if process is None:
+            return False
+        process.on_exit(None)
+        await process.end(grace)
+        self._forget(instance, process)
+        return True
+
+    def _forget(self, instance: str, process: Process) -> None:
+        if self._processes.get(instance) is process:
+            del self._processes[instance]
+        if self._guardian is not None:
+            self._guardian.release(process.pid)
+        process.close()
+
+    def close(self) -> None:
+        """Stop watching them; they go on."""
+        if self._shortening is not None:
+            self._shortening.cancel()
+            self._shortening = None
+        for process in self._processes.values():
+            process.close()
+        self._processes.clear()
+
+
+class ProcessBackend:
+    """What the back ends of real platforms share: components as processes, their control sockets and their logs.
+
+    ``control`` is the folder of the sockets, ``logs`` that of the logs (default: beside ROS's own). ``guardian`` ends
+    what is started should this process be killed.
+    """
+
+    def __init__(self, control: Path, logs: Path | None, guardian: Reaper | None) -> None:
+        self.clock: Clock = SystemClock()
+        self.transport: Transport = SocketFolder(control)
+        self._control = control
+        self._logs = logs
+        self._guardian = guardian
+        self._children = Children(guardian, self._exited)
+
+    def _exited(self, instance: str, status: int | None, process: Process) -> None:
+        """A process has ended by itself."""
+        raise NotImplementedError
+
+    async def _died(self, instance: str) -> None:
+        """A process has ended: the graph may still show its node."""
+        raise NotImplementedError
+
+    def _spawn(self, launch: Launch, node: str, command: Sequence[str], environment: Mapping[str, str]) -> Handle:
+        """Start the process of the node that has the full name ``node``. Raises StartFailed."""
+        log = self._log_folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
+        process = spawn(command, launch.directory, environment, log)
+        self._children.take(launch.instance, process)
+        return Handle(launch.instance, process.pid, process.started, str(log))
+
+    def _log_folder(self, token: str = "") -> Path:
+        if self._logs is not None:
+            return self._logs
+        folder = os.environ.get("ROS_LOG_DIR")
+        home = os.environ.get("ROS_HOME") or os.path.expanduser("~/.ros")
+        if not folder:
+            folder = f"{home}/log" if os.path.isabs(home) else f"{tempfile.gettempdir()}/ros-log"
+        return Path(folder) / "midstride" / token[:12]
+
+    async def adopt(self, handle: Handle) -> bool:
+        instance = handle.instance
+        if instance in self._children:
+            return True
+        if handle.pid is None or handle.started is None:
+            return await listens(self.transport, instance)
+        log = None if handle.log is None else Path(handle.log)
+        process = find(handle.pid, handle.started, variables.ENV_INSTANCE, instance, log)
+        if process is None:
+            return False
+        self._children.take(instance, process)
+        return process.running
+
+    async def end(self, instance: str, grace: float) -> None:
+        if await self._children.end(instance, grace):
+            await self._died(instance)
