@@ -194,7 +194,7 @@ def test_a_component_that_fails_on_its_way_up_is_reported_with_its_log(
             await until(lambda: r.exits)
             assert r.exits[0].status == status
             assert words in r.exits[0].log_tail
-            assert r.client.greeting("talker") is None
+            assert r.client.latest("talker") is None
 
     run(scenario())
 

@@ -296,9 +296,9 @@ def test_undoing_gives_up_silently() -> None:
 
 def test_states_are_kept_as_they_come() -> None:
     async def body(c: Control) -> None:
-        assert c.client.latest("talker") is None and c.client.greeting("talker") is None
+        assert c.client.latest("talker") is None
         greeting = await c.client.connect("talker")
-        assert c.client.greeting("talker") == greeting and greeting.uuid == "first"
+        assert (greeting.instance, greeting.uuid) == ("talker", "first")
         c.component.move()
         c.component.move()
         await settled()
@@ -339,7 +339,6 @@ def test_the_end_of_a_component_is_reported_once() -> None:
         assert c.client.is_lost("talker")
         assert c.events == [Reported(c.component.state()), Disconnected("talker")]
         assert c.client.latest("talker") is None and c.client.responsive("talker") is None
-        assert c.client.greeting("talker") is None
 
     play(body)
 
@@ -403,8 +402,7 @@ def test_a_component_that_comes_back_under_its_name_is_another_one() -> None:
         await c.client.change("talker", GATE)
         assert again.names() == ["observe", "gate"], "its revisions are its own"
         assert not c.client.is_lost("talker")
-        greeting = c.client.greeting("talker")
-        assert greeting is not None and greeting.uuid == "second"
+        assert (await c.client.peek("talker")).uuid == "second"
 
     play(body)
 

@@ -10,7 +10,7 @@ import pytest
 from immutables import Map
 
 from midstride.errors import CommandRefused, StepFailed, Unreachable
-from midstride.model.action import Handover, Swap
+from midstride.model.action import Swap
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.agreed_cut import RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
@@ -23,7 +23,7 @@ from midstride.runtime.handover import (
     OUTSIDE_READERS_TIMEOUT,
     PROBATION,
     HandoverResult,
-    hand_over,
+    LiveHandover,
 )
 from midstride.wire.commands import (
     AttachCommand,
@@ -64,7 +64,10 @@ CONFIGURATION = talking().with_instance(instance("talker_2", TALKER, "talker")).
 
 
 async def swapped(b: Bench, *swaps: Swap) -> HandoverResult:
-    return await hand_over(b.client, b.backend.lingering_readers, b.configuration, Handover(swaps or (SWAP,)))
+    handover = LiveHandover(
+        b.client, b.configuration, swaps or (SWAP,), b.backend.lingering_readers, b.system.crashed.__contains__
+    )
+    return await handover.run()
 
 
 async def fails(b: Bench, words: str, *swaps: Swap) -> None:
@@ -133,6 +136,15 @@ def test_the_new_publisher_waits_behind_its_gate_for_every_living_reader_of_the_
             patience=OUTSIDE_READERS_TIMEOUT,
             timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
         )
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_the_new_publisher_does_not_wait_for_a_subscriber_whose_process_has_exited(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.crash("listener")
+        await swapped(b)
+        assert only(b, AttachCommand, "talker_2").peers == 0
 
     bench(CONFIGURATION, tmp_path, body)
 

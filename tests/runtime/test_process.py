@@ -20,8 +20,7 @@ from midstride.backends import common
 from midstride.errors import StartFailed
 from midstride.runtime import reaper
 from midstride.runtime.logs import shorten, tail
-from midstride.runtime.orphans import end_orphans
-from midstride.runtime.process import Process, find, spawn
+from midstride.runtime.process import Process, end_orphans, find, spawn
 from midstride.runtime.reaper import Reaper, group_members, process_info
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 

@@ -13,7 +13,7 @@ from midstride.cli.systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
 from midstride.runtime.backend import Backend, Handle
 from midstride.runtime.launcher import STOP_GRACE
-from midstride.runtime.orphans import end_orphans
+from midstride.runtime.process import end_orphans
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 

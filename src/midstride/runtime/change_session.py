@@ -23,7 +23,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.degradation_timer import DegradationTimer
-from midstride.runtime.events import EventLog
+from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
 from midstride.runtime.observed_configuration import ObservedConfiguration, observe
 from midstride.runtime.reconciler import Reconciler
@@ -91,7 +91,7 @@ class ChangeSession:
         return structs.replace(outcome, verdict=VerdictForm.of(verdict))
 
     def _observe(self, configuration: Configuration) -> ObservedConfiguration:
-        return observe(configuration, self._client, self._reconciler.crashes.unreconciled)
+        return observe(configuration, self._client, self._system.crashed)
 
     def _verified(self, verdict: Verdict) -> None:
         self._events.add("verified", str(verdict), verdict=VerdictForm.of(verdict))
@@ -113,13 +113,13 @@ class ChangeSession:
     async def _carry_out(
         self, plan: Plan, target: Specification, recording: Recording, verifier: StepVerifier | None
     ) -> Outcome:
-        system, crashes = self._system, self._reconciler.crashes
+        system = self._system
         preview = PlanPreview.of(plan)
         self._events.add("plan", f"{counted(len(plan.steps), 'step')}, disruption {plan.disruption:g}", plan=preview)
         actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
         timer = DegradationTimer(plan.change, self._clock.steady)
-        started, before, missing = self._clock.steady(), system.configuration, dict(crashes.missing)
+        started, before, missing = self._clock.steady(), system.configuration, dict(system.missing)
         self._reconciler.degraded.clear()
         system.configuration = plan.change.start
         executor = self._executor()
@@ -134,7 +134,7 @@ class ChangeSession:
                 self._store.write_specification(target)
             system.specification = target
             system.configuration = plan.change.settled(system.configuration)
-            crashes.forget_filled(system.configuration, system.specification.nodes)
+            system.forget_filled_roles()
         except StepFailed as error:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
             if outcome == "rolled_back":
@@ -163,7 +163,7 @@ class ChangeSession:
             fallen=degraded_seconds,
             swaps=swaps,
             because=because,
-            ended=sorted(name for name, event in crashes.missing.items() if missing.get(name) is not event),
+            ended=sorted(name for name, event in system.missing.items() if missing.get(name) is not event),
             degraded=sorted(map(str, self._reconciler.degraded)),
         )
 
@@ -177,8 +177,3 @@ def _plan(
     else:
         change = Change.between(configuration, specification, target)
     return planner(request.strategy)(change), target
-
-
-def counted(count: int, what: str) -> str:
-    """``1 step``, ``2 steps``."""
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"

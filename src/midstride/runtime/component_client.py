@@ -62,8 +62,8 @@ class LatestState:
 class ComponentClient:
     """Sends commands to components, each change with the revision that the component is expected to be at.
 
-    A component refuses a change at any other revision. ``on_event`` is called for each reported state and each
-    disconnection. Not thread-safe: use it on one event loop.
+    A component refuses a change at any other revision. It recognizes its manager by ``token``. ``on_event`` is called
+    for each reported state and each disconnection. Not thread-safe: use it on one event loop.
     """
 
     def __init__(
@@ -73,10 +73,10 @@ class ComponentClient:
         token: str,
         on_event: Callable[[ComponentEvent], None] = lambda _: None,
     ) -> None:
+        self.token = token
+        self.on_event = on_event
         self._transport = transport
         self._clock = clock
-        self._token = token
-        self._on_event = on_event
         self._prefix = uuid.uuid4().hex[:12]
         self._count = 0
         self._revisions: dict[str, int] = {}
@@ -117,27 +117,18 @@ class ComponentClient:
     async def _channel(self, instance: str) -> Channel:
         """Raises Unreachable, CallTimeout or ProtocolError."""
         async with self._connecting.setdefault(instance, asyncio.Lock()):
-            channel = self._channels.get(instance)
-            if channel is not None and not channel.closed.is_set():
-                return channel
-            opened: list[Channel] = []  # for the callbacks, which are called once it is open
-
-            def report(frame: Report) -> None:
-                self._on_report(instance, frame)
-
-            def ended() -> None:
-                self._on_closed(instance, opened[0])
-
+            known = self._channels.get(instance)
+            if known is not None and not known.closed.is_set():
+                return known
             self._registrations[instance] = asyncio.get_running_loop().create_future()
             channel = await Channel.open(
                 self._transport,
                 self._transport.address(instance),
-                self._token,
+                self.token,
                 timeout=ANSWER_TIMEOUT,
-                report=report,
-                ended=ended,
+                report=lambda frame: self._on_report(instance, frame),
+                ended=lambda: self._on_closed(instance, channel),
             )
-            opened.append(channel)
             self._lost.discard(instance)
             self._channels[instance] = channel
             return channel
@@ -149,18 +140,13 @@ class ComponentClient:
                 registration.set_result(frame)
             return
         self._latest[instance] = LatestState(frame.state, self._clock.steady())
-        self._on_event(Reported(frame.state))
+        self.on_event(Reported(frame.state))
 
     def _on_closed(self, instance: str, channel: Channel) -> None:
         if self._channels.get(instance) is channel:
             self._drop(instance)
             self._lost.add(instance)
-            self._on_event(Disconnected(instance))
-
-    def greeting(self, instance: str) -> Greeting | None:
-        """The greeting of the component, while it is connected."""
-        channel = self._channels.get(instance)
-        return None if channel is None else channel.greeting
+            self.on_event(Disconnected(instance))
 
     def latest(self, instance: str) -> LatestState | None:
         """The state that the component last reported, while it is connected."""

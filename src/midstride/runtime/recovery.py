@@ -6,7 +6,7 @@ second instance of a role, left by a manager that was killed during a change, is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 from midstride.errors import MidstrideError
 from midstride.model.component import FunctionalityRef, PortRef
@@ -14,12 +14,11 @@ from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.events import EventLog
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.state_store import SavedInstance
 from midstride.wire.commands import GateCommand, RecordCommand
 from midstride.wire.state import ComponentState
-
-AddEvent = Callable[[str, str], object]
 
 
 async def recover(
@@ -27,7 +26,7 @@ async def recover(
     specification: Specification,
     launcher: Launcher,
     client: ComponentClient,
-    add_event: AddEvent,
+    events: EventLog,
 ) -> Configuration:
     """The configuration of the components that still run, after terminating those that were only partly started."""
     found: dict[str, tuple[Instance, ComponentState]] = {}
@@ -35,15 +34,15 @@ async def recover(
         instance, handle = entry.instance, entry.handle
         state = await launcher.adopt(handle or Handle(instance.name), owned=handle is not None)
         if state is None:
-            add_event("gone", f"{instance.name} is no longer running")
+            events.add("gone", f"{instance.name} is no longer running")
             await launcher.abandon(instance.name)
             continue
         found[instance.name] = (instance, state)
-        add_event("adopted", f"{instance.name} was reattached unchanged")
+        events.add("adopted", f"{instance.name} was reattached unchanged")
     for name in await launcher.end_orphans(found):
-        add_event("ended", f"ended {name}, which an earlier manager had just started")
+        events.add("ended", f"stopped {name}, which an earlier manager had just started")
     for name in _redundant(found):
-        add_event("ended", f"ended {name}, which an earlier manager had left half done")
+        events.add("ended", f"stopped {name}, which an earlier manager had left half done")
         await _end(found.pop(name)[0].name, launcher, client)
     for name, (instance, _) in found.items():
         # A cut that was in progress may have changed its gates and modes since it was adopted.

@@ -47,7 +47,7 @@ async def _still_running(workspace: Workspace) -> Specification | None:
     If none of its recorded components runs any more, stop the unrecorded ones and delete the state.
     """
     from midstride.runtime.launcher import STOP_GRACE
-    from midstride.runtime.orphans import end_orphans
+    from midstride.runtime.process import end_orphans
     from midstride.runtime.state_store import StateStore
 
     store = StateStore(workspace.state)
