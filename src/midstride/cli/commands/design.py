@@ -6,8 +6,13 @@ from pathlib import Path
 
 import click
 
-from midstride.cli import completion
+from midstride.cli import completion, graphviz
+from midstride.cli.files import load
 from midstride.cli.output import json_option, print_json, wants_json
+from midstride.generate.drawing import to_dot, to_mermaid
+from midstride.generate.view import view
+from midstride.plan.impact import ImpactForm, impacts
+from midstride.plan.specification_diff import differences
 
 _FILE = click.Path(path_type=Path)
 
@@ -25,11 +30,6 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 
     SVG and PNG need Graphviz; dot and Mermaid (mmd) do not.
     """
-    from midstride.cli import graphviz
-    from midstride.cli.files import load
-    from midstride.generate.drawing import to_dot, to_mermaid
-    from midstride.generate.view import view
-
     if output is not None:
         graphviz.kind_of(output)
     drawn = view(load(file), annotate=annotate, collapse=collapse)
@@ -52,9 +52,6 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 @json_option
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first."""
-    from midstride.cli.files import load
-    from midstride.plan.impact import ImpactForm, impacts
-
     found = impacts(load(file), nodes)
     if wants_json():
         print_json({"impacts": [ImpactForm.of(impact) for impact in found]})
@@ -77,9 +74,6 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
 @json_option
 def diff_command(old: Path, new: Path) -> int:
     """Show how the specification NEW differs from OLD. Exit status 0 if they are equivalent, else 1."""
-    from midstride.cli.files import load
-    from midstride.plan.specification_diff import differences
-
     found = differences(load(old), load(new))
     if wants_json():
         print_json({"same": not found, "differences": found})
