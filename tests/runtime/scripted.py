@@ -24,7 +24,7 @@ from midstride.model.specification import Specification
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock
-from midstride.runtime.component_client import ComponentClient, LatestState, Reported
+from midstride.runtime.component_client import ComponentClient, LatestState
 from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
@@ -123,7 +123,7 @@ class ScriptedClient(ComponentClient):
     def report(self, state: ComponentState) -> None:
         """The component reports ``state`` by itself."""
         self.states[state.instance] = state
-        self.on_event(Reported(state))
+        self.on_event(state)
 
     def register(self, instance: Instance, *, token: str = TOKEN, **options: Any) -> None:
         """The component of ``instance`` is up, and has said what it is."""

@@ -17,7 +17,6 @@ from midstride.runtime.component_client import (
     ComponentClient,
     ComponentEvent,
     Disconnected,
-    Reported,
 )
 from midstride.testing.clock import run
 from midstride.wire.command_server import CommandServer
@@ -303,7 +302,7 @@ def test_states_are_kept_as_they_come() -> None:
         c.component.move()
         await settled()
         latest = c.client.latest("talker")
-        assert latest is not None and latest.state == c.component.state() and c.events[-1] == Reported(latest.state)
+        assert latest is not None and latest.state == c.component.state() and c.events[-1] == latest.state
 
     play(body)
 
@@ -337,7 +336,7 @@ def test_the_end_of_a_component_is_reported_once() -> None:
         assert not c.client.is_lost("talker")
         await c.stop()
         assert c.client.is_lost("talker")
-        assert c.events == [Reported(c.component.state()), Disconnected("talker")]
+        assert c.events == [c.component.state(), Disconnected("talker")]
         assert c.client.latest("talker") is None and c.client.responsive("talker") is None
 
     play(body)

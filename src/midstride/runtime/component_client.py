@@ -35,20 +35,14 @@ CONNECT_INTERVAL_LONGEST: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Reported:
-    """A component has reported its state."""
-
-    state: ComponentState
-
-
-@dataclass(frozen=True, slots=True)
 class Disconnected:
     """A component's control connection has closed: its process has exited or is about to."""
 
     instance: str
 
 
-ComponentEvent = Reported | Disconnected
+# A component has reported its state, or it has disconnected.
+ComponentEvent = ComponentState | Disconnected
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +134,7 @@ class ComponentClient:
                 registration.set_result(frame)
             return
         self._latest[instance] = LatestState(frame.state, self._clock.steady())
-        self.on_event(Reported(frame.state))
+        self.on_event(frame.state)
 
     def _on_closed(self, instance: str, channel: Channel) -> None:
         if self._channels.get(instance) is channel:

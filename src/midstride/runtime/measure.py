@@ -41,6 +41,10 @@ class SwapReport(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=F
     duplicates: int | None
 
 
+def unknown_report(topic: str, subscriber: str, period: float | None) -> SwapReport:
+    return SwapReport(topic, subscriber, period, None, None, None, None, None)
+
+
 @dataclass(frozen=True, slots=True)
 class Observation:
     """What was recorded at one input between two times of its steady clock (ns).

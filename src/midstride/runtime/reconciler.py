@@ -12,6 +12,7 @@ import contextlib
 import logging
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
 from typing import Any
 
 from midstride.errors import CommandRefused
@@ -19,7 +20,7 @@ from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.backend import Exited
-from midstride.runtime.component_client import ComponentClient, ComponentEvent, Disconnected, Reported
+from midstride.runtime.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
@@ -30,38 +31,28 @@ from midstride.runtime.state_store import StateStore
 log = logging.getLogger(__name__)
 
 
+@dataclass
 class Reconciler:
     """Handles the events of a back end and of components.
 
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
+    ``degraded`` are those that degraded unexpectedly since the last change began.
     """
 
-    def __init__(
-        self,
-        system: RunningSystem,
-        client: ComponentClient,
-        launcher: Launcher,
-        events: EventLog,
-        store: StateStore,
-        executor: Callable[[], Executor],
-        lock: Callable[[], AbstractAsyncContextManager[Any]],
-        busy: Callable[[], bool],
-    ) -> None:
-        # Functionalities that degraded unexpectedly since the last change began.
-        self.degraded: set[FunctionalityRef] = set()
-        self._system = system
-        self._client = client
-        self._launcher = launcher
-        self._events = events
-        self._store = store
-        self._executor = executor
-        self._lock = lock
-        self._busy = busy
-        self._pending: set[FunctionalityRef] = set()  # could not be degraded yet
-        self._unanswered: set[str] = set()  # instances of these that did not answer
-        self._reconciling = asyncio.Lock()
-        self._tasks: set[asyncio.Task[None]] = set()
+    system: RunningSystem
+    client: ComponentClient
+    launcher: Launcher
+    events: EventLog
+    store: StateStore
+    executor: Callable[[], Executor]
+    lock: Callable[[], AbstractAsyncContextManager[Any]]
+    busy: Callable[[], bool]
+    degraded: set[FunctionalityRef] = field(default_factory=set)
+    _pending: set[FunctionalityRef] = field(default_factory=set)  # could not be degraded yet
+    _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
+    _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
     async def close(self) -> None:
         for task in self._tasks:
@@ -72,8 +63,8 @@ class Reconciler:
 
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
-        self._launcher.exited(event)
-        if event.instance in self._launcher.handles:
+        self.launcher.exited(event)
+        if event.instance in self.launcher.handles:
             self._record_exit(event)
 
     def on_component_event(self, event: ComponentEvent) -> None:
@@ -81,18 +72,18 @@ class Reconciler:
         match event:
             case Disconnected(instance):
                 # The only sign of exit for a component started by hand; for others the back end reports it.
-                if instance in self._system.configuration.instances and instance not in self._launcher.handles:
+                if instance in self.system.configuration.instances and instance not in self.launcher.handles:
                     self._record_exit(Exited(instance, None))
-            case Reported(state):
+            case state:
                 answers_again = state.instance in self._unanswered
                 self._unanswered.discard(state.instance)
-                if answers_again or own_degradations_in(self._system.configuration, state):
+                if answers_again or own_degradations_in(self.system.configuration, state):
                     self._reconcile_soon()
 
     def _record_exit(self, event: Exited) -> None:
-        self._system.crashed[event.instance] = event
+        self.system.crashed[event.instance] = event
         status = "" if event.status is None else f" (status {event.status})"
-        self._events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
+        self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
         self._reconcile_soon()
 
     # -- reconciling -------------------------------------------------------------------------------
@@ -106,11 +97,11 @@ class Reconciler:
             await self.reconcile()
         finally:
             # Something happened after that, or the command failed.
-            if self._system.crashed or own_degradations(self._system.configuration, self._client, ()):
+            if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
                 self._start_reconciling()
 
     def _reconcile_soon(self) -> None:
-        if not self._busy():
+        if not self.busy():
             self._start_reconciling()
 
     def _start_reconciling(self) -> None:
@@ -119,16 +110,16 @@ class Reconciler:
         task.add_done_callback(self._tasks.discard)
 
     async def _reconcile_in_background(self) -> None:
-        async with self._lock():
+        async with self.lock():
             try:
                 await self.reconcile()
             except Exception as error:  # nothing awaits this task, so errors are logged here
                 log.exception("reconciling failed")
-                self._events.add("note", f"reconciling failed: internal error: {error!r}")
+                self.events.add("note", f"reconciling failed: internal error: {error!r}")
 
     async def reconcile_crashes(self) -> None:
         """Reconcile if a component has crashed, and wait for a reconciliation in progress."""
-        if self._system.crashed or self._reconciling.locked():
+        if self.system.crashed or self._reconciling.locked():
             await self.reconcile()
 
     async def reconcile(self) -> None:
@@ -137,29 +128,29 @@ class Reconciler:
             await self._reconcile()
 
     async def _reconcile(self) -> None:
-        configuration = self._system.configuration
-        crashed = self._system.take_crashed()
+        configuration = self.system.configuration
+        crashed = self.system.take_crashed()
         for name in crashed:
-            self._launcher.handles.pop(name, None)
-            self._client.disconnect(name)
-            self._store.remove_instance(name)
-        degraded = own_degradations(configuration, self._client, crashed)
+            self.launcher.handles.pop(name, None)
+            self.client.disconnect(name)
+            self.store.remove_instance(name)
+        degraded = own_degradations(configuration, self.client, crashed)
         if not crashed and not degraded and not self._pending:
             return
         because = [f"{name} exited unexpectedly" for name in crashed]
         for name in {ref.instance for ref in degraded}:
-            self._client.accept(name)
+            self.client.accept(name)
         for ref, index in sorted(degraded.items()):
             words = f"{ref} degraded to {configuration.functionality(ref).modes[index].name}"
             if ref not in self._pending:  # else a command that timed out has been carried out after all
                 words += " by itself"
                 self.degraded.add(ref)
-            self._events.add("degraded", words, functionality=str(ref))
+            self.events.add("degraded", words, functionality=str(ref))
             because.append(words)
         after, to_lower = respond(configuration, crashed, degraded, self._pending)
-        self._system.moved(after)
+        self.system.moved(after)
         reason = "; ".join(because) or "its input was lost before it could be degraded"
-        failed = await self._executor().lower(to_lower, reason)
+        failed = await self.executor().lower(to_lower, reason)
         self._pending = set(failed)
         self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 

@@ -7,6 +7,7 @@ second instance of a role, left by a manager that was killed during a change, is
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 from midstride.errors import MidstrideError
 from midstride.model.component import FunctionalityRef, PortRef
@@ -16,6 +17,7 @@ from midstride.runtime.backend import Handle
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.observed_configuration import reported_modes
 from midstride.runtime.state_store import SavedInstance
 from midstride.wire.commands import GateCommand, RecordCommand
 from midstride.wire.state import ComponentState
@@ -43,7 +45,9 @@ async def recover(
         events.add("ended", f"stopped {name}, which an earlier manager had just started")
     for name in _redundant(found):
         events.add("ended", f"stopped {name}, which an earlier manager had left half done")
-        await _end(found.pop(name)[0].name, launcher, client)
+        del found[name]
+        with suppress(MidstrideError):
+            await launcher.end(name)
     for name, (instance, _) in found.items():
         # A cut that was in progress may have changed its gates and modes since it was adopted.
         found[name] = (instance, await client.observe(name))
@@ -69,13 +73,6 @@ def _open_gates(observed: ComponentState) -> int:
     return sum(link.gate == "open" for topics in observed.ports.values() for link in topics.values())
 
 
-async def _end(name: str, launcher: Launcher, client: ComponentClient) -> None:
-    try:
-        await launcher.end(name)
-    except MidstrideError:
-        client.forget(name)
-
-
 async def _configuration(
     specification: Specification, found: dict[str, tuple[Instance, ComponentState]], client: ComponentClient
 ) -> Configuration:
@@ -90,7 +87,5 @@ async def _configuration(
                 if view.gate == "closed":  # the only instance of its role: otherwise its topic would stay silent
                     await client.change(name, GateCommand(port=port, topic=topic, gate="open"))
                 attachments.append((PortRef(name, port), by_topic[topic]))
-        for functionality, current in observed.functionalities.items():
-            index = instance.component.functionalities[functionality].mode_index(current.mode)
-            modes[FunctionalityRef(name, functionality)] = index
+        modes |= reported_modes(instance.component, observed)
     return configure(specification.context, [instance for instance, _ in found.values()], attachments, modes)
