@@ -200,11 +200,9 @@ class ActionDriver:
                 await self._transfer_state(old, new)
         if self.before_handover is not None:
             await self.before_handover(configuration, action)
-        handover = LiveHandover(self.client, configuration, action.swaps, self.backend.lingering_readers, self._is_gone)
-        result = await handover.run()
-        self.last_numbers.update(result.last)
-        for warning in result.warnings:
-            self.events.add("note", warning)
+        lingering_readers = self.backend.lingering_readers
+        handover = LiveHandover(self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone)
+        self.last_numbers |= await handover.run()
 
     async def _transfer_state(self, old: str, new: str) -> None:
         try:

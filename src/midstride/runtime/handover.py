@@ -20,6 +20,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.runtime.agreed_cut import Cut, agree_cuts
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.events import EventLog
 from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
@@ -45,14 +46,6 @@ MEET_ATTEMPTS: Final = 10
 MEET_TIMEOUT: Final = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class HandoverResult:
-    """The number of each old output's last message, and warnings about what failed after the cut."""
-
-    last: dict[PortRef, int | None]
-    warnings: tuple[str, ...] = ()
-
-
 @dataclass(slots=True)
 class LiveHandover:
     """One hand-over on the components of ``configuration``.
@@ -62,6 +55,7 @@ class LiveHandover:
     """
 
     client: ComponentClient
+    events: EventLog
     configuration: Configuration
     swaps: Sequence[Swap]
     lingering_readers: Callable[[str], Awaitable[int]]
@@ -69,16 +63,16 @@ class LiveHandover:
     _begun: list[Swap] = field(default_factory=list)
     _cuts: list[Cut] = field(default_factory=list)
 
-    async def run(self) -> HandoverResult:
-        """Raises StepFailed with the reason.
+    async def run(self) -> dict[PortRef, int | None]:
+        """The number of each old output's last message. Raises StepFailed with the reason.
 
-        Then the old publishers publish as before, and the new ones have no endpoint on the topics.
+        Then the old publishers publish as before, and the new ones have no endpoint on the topics. What fails after the
+        cut is only noted.
         """
-        warnings: list[str | None] = []
         try:
             for swap in self.swaps:
                 self._begun.append(swap)
-                warnings.append(await self._attach_gated(swap))
+                await self._attach_gated(swap)
             for swap in self.swaps:
                 await self._await_probation(swap)
             for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
@@ -95,8 +89,13 @@ class LiveHandover:
         except (Exception, asyncio.CancelledError):
             await self._undo()
             raise
-        warnings += [await self._detach_old(swap) for swap in self.swaps]
-        return HandoverResult(last, tuple(warning for warning in warnings if warning))
+        for swap in self.swaps:
+            try:
+                await self.client.change(swap.old.instance, self._detachment(swap.old, swap))
+            except MidstrideError as error:
+                words = f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
+                self.events.add("note", words)
+        return last
 
     def _topic(self, swap: Swap) -> str:
         return self.configuration.context.connectors[swap.connector].topic
@@ -114,10 +113,10 @@ class LiveHandover:
                 return f"{ref} degraded to {view.mode} by itself: {view.because.strip()}"
         return None
 
-    async def _attach_gated(self, swap: Swap) -> str | None:
+    async def _attach_gated(self, swap: Swap) -> None:
         """Attach the new publisher with a closed gate, and wait until it is matched with the subscribers of the model.
 
-        It should also match as many readers as the old publisher does; returns a warning if it does not.
+        It should also match as many readers as the old publisher does; if it does not, that is noted.
         """
         topic = self._topic(swap)
         grid = await self.client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
@@ -133,12 +132,12 @@ class LiveHandover:
             timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
         )
         matched = (await self.client.change(swap.new.instance, attach)).matched
-        if matched >= readers:
-            return None
-        return (
-            f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
-            "subscribers outside this system may miss messages"
-        )
+        if matched < readers:
+            self.events.add(
+                "note",
+                f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
+                "subscribers outside this system may miss messages",
+            )
 
     async def _await_probation(self, swap: Swap) -> None:
         guarantee = self.configuration.guarantee(swap.new)
@@ -206,14 +205,6 @@ class LiveHandover:
         await self._cancel()
         for swap in self._begun:
             await self.client.undo(swap.new.instance, self._detachment(swap.new, swap))
-
-    async def _detach_old(self, swap: Swap) -> str | None:
-        """Detach the old publisher. The swap is done, so a failure is only a warning, which is returned."""
-        try:
-            await self.client.change(swap.old.instance, self._detachment(swap.old, swap))
-        except MidstrideError as error:
-            return f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
-        return None
 
     def _detachment(self, port: PortRef, swap: Swap) -> DetachCommand:
         return DetachCommand(port=port.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)

@@ -104,18 +104,16 @@ def remaining_groups(watched: dict[int, float], variable: str, token: str) -> se
 
 def end_groups(watched: dict[int, float], variable: str, token: str, grace: float = GRACE) -> None:
     """End all remaining groups: with SIGTERM, and after ``grace`` seconds with SIGKILL."""
-    deadline = time.monotonic() + grace
-    signalled: set[int] = set()
-    while (groups := remaining_groups(watched, variable, token)) and time.monotonic() < deadline:
-        for group in groups - signalled:
-            signal_group(group, signal.SIGTERM)
-            signal_group(group, signal.SIGCONT)
-        signalled |= groups
-        time.sleep(_TICK)
-    deadline = time.monotonic() + KILL_PATIENCE
-    while (groups := remaining_groups(watched, variable, token)) and time.monotonic() < deadline:
+    kill = time.monotonic() + grace
+    terminated: set[int] = set()
+    while (groups := remaining_groups(watched, variable, token)) and time.monotonic() < kill + KILL_PATIENCE:
         for group in groups:
-            signal_group(group, signal.SIGKILL)
+            if time.monotonic() >= kill:
+                signal_group(group, signal.SIGKILL)
+            elif group not in terminated:
+                signal_group(group, signal.SIGTERM)
+                signal_group(group, signal.SIGCONT)
+        terminated |= groups
         time.sleep(_TICK)
 
 
