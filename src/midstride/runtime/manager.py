@@ -14,7 +14,6 @@ import contextlib
 import secrets
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -45,14 +44,6 @@ from midstride.runtime.workspace import Workspace
 from midstride.wire.state import ComponentState
 
 
-@dataclass(frozen=True, slots=True)
-class CurrentCommand:
-    """The command in progress, and since when (steady s)."""
-
-    words: str
-    since: float
-
-
 class Manager:
     """One running system. Every public coroutine raises MidstrideError kinds only."""
 
@@ -69,7 +60,8 @@ class Manager:
         self._backend = backend
         self._workspace = workspace
         self._lock = asyncio.Lock()
-        self._current: CurrentCommand | None = None
+        self._current: str | None = None  # the command in progress
+        self._since = 0.0  # when it started (steady s)
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
         self._launcher = Launcher(backend, self._client, directory)
@@ -205,8 +197,7 @@ class Manager:
         """The live components and their modes, with reasons, as they report them; silent ones are marked."""
         running = None
         if self._current is not None:
-            seconds = self._backend.clock.steady() - self._current.since
-            running = RunningCommand(command=self._current.words, since=round(seconds, 3))
+            running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
         return status.status(
             self.system,
             self._client,
@@ -262,9 +253,9 @@ class Manager:
     async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
         """Run one command at a time, in order of arrival; an event says which command another one waits for."""
         if self._current is not None:
-            self.events.add("waiting", f"`{words}` waits for `{self._current.words}`", command=words, id=id)
+            self.events.add("waiting", f"`{words}` waits for `{self._current}`", command=words, id=id)
         async with self._lock:
-            self._current = CurrentCommand(words, self._backend.clock.steady())
+            self._current, self._since = words, self._backend.clock.steady()
             self.events.add("command", words, id=id)
             try:
                 async with self._reconciler.around():

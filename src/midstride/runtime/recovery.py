@@ -62,15 +62,12 @@ def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
     by_role: dict[str, list[str]] = {}
     for name, (instance, _) in found.items():
         by_role.setdefault(instance.role, []).append(name)
-    redundant: list[str] = []
-    for names in by_role.values():
-        ranked = sorted(names, key=lambda name: (-_open_gates(found[name][1]), len(name), name))
-        redundant.extend(ranked[1:])
-    return redundant
 
+    def rank(name: str) -> tuple[int, int, str]:
+        links = [link for topics in found[name][1].ports.values() for link in topics.values()]
+        return -sum(link.gate == "open" for link in links), len(name), name
 
-def _open_gates(observed: ComponentState) -> int:
-    return sum(link.gate == "open" for topics in observed.ports.values() for link in topics.values())
+    return [name for names in by_role.values() for name in sorted(names, key=rank)[1:]]
 
 
 async def _configuration(

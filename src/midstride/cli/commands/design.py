@@ -1,4 +1,4 @@
-"""``graph``, ``impact`` and ``diff``: a specification before anything runs."""
+"""``graph``, ``impact``, ``diff`` and ``export``: a specification before anything runs."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from pathlib import Path
 import click
 
 from midstride.cli import completion, graphviz
-from midstride.cli.files import load
+from midstride.cli.files import load, read
 from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.systems import find, system_option
+from midstride.codec.schema import specification_schema
+from midstride.codec.specification import encode_specification
 from midstride.generate.drawing import to_dot, to_mermaid
 from midstride.generate.view import view
 from midstride.plan.impact import ImpactForm, impacts
@@ -82,3 +85,19 @@ def diff_command(old: Path, new: Path) -> int:
     else:
         click.echo("No differences.")
     return int(bool(found))
+
+
+@click.command("export")
+@click.argument("file", required=False, type=_FILE)
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of specifications instead.")
+@system_option
+@json_option
+def export_command(file: Path | None, schema: bool, system: str | None) -> int:
+    """Print the specification in FILE, or that of the running system, as JSON."""
+    if schema:
+        print_json(specification_schema())
+    elif file is not None:
+        print_json(encode_specification(read(file)))
+    else:
+        print_json(find(system)[0].get("/specification"))
+    return 0

@@ -60,5 +60,5 @@ async def _still_running(workspace: Workspace) -> Specification | None:
 def _runs(handle: Handle | None) -> bool:
     if handle is None or handle.pid is None:
         return False
-    seen = process_info(handle.pid)
-    return seen is not None and seen.alive and seen.started == handle.started
+    process = process_info(handle.pid)
+    return process is not None and process.alive and process.started == handle.started

@@ -107,15 +107,11 @@ def _show(proof: Proof, verbose: bool) -> None:
             because = "no counterexample found" if weakened.needed else "needed after all"
             out.print(f"          without `{left_out}`: {because}", style="yellow", markup=False, soft_wrap=True)
         if weakened.counterexample is not None:
-            fails = weakened.counterexample if verbose else _shortened(weakened.counterexample)
+            # Without --verbose: the action and what fails, but not the configuration before.
+            fails = weakened.counterexample if verbose else weakened.counterexample.partition(". ")[2]
             out.print(f"          without `{left_out}`: {fails}", style="dim", markup=False, soft_wrap=True)
         elif verbose and weakened.as_expected:
             out.print(f"          without `{left_out}`: still holds", style="dim", markup=False, soft_wrap=True)
-
-
-def _shortened(counterexample: str) -> str:
-    """The action and what fails; `--verbose` shows the configuration before as well."""
-    return counterexample.partition(". ")[2]
 
 
 # -- by Alloy --------------------------------------------------------------------------------------------------
