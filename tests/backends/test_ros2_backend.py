@@ -334,6 +334,24 @@ def test_a_later_manager_finds_the_component_again(tmp_path: Path) -> None:
     run(scenario())
 
 
+def test_what_an_earlier_manager_started_leaves_the_graph_once_it_is_known_to_be_dead(tmp_path: Path) -> None:
+    """An orphan that had to be killed: its lease has not run out, but its name is free."""
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as earlier, rig(tmp_path) as later:
+            await earlier.start("talker", TALKER)
+            await until_async(lambda: later.shows_node("/talker"))
+            earlier.kill("talker")
+            await until(lambda: earlier.exits)
+            assert await later.shows_node("/talker")
+            await later.backend.end("talker", 0.0)
+            assert not await later.shows_node("/talker")
+            await later.start("talker", TALKER)
+            await until_async(lambda: later.shows_node("/talker"))
+
+    run(scenario())
+
+
 @pytest.mark.full
 @pytest.mark.parametrize("named_by", ["option", "environment"])
 def test_a_component_started_by_hand_is_found_in_the_system_that_it_names(tmp_path: Path, named_by: str) -> None:

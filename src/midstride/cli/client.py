@@ -37,7 +37,7 @@ class _UnixConnection(http.client.HTTPConnection):
 class Client:
     """Talks to one manager.
 
-    Raises NoManager where none is running, MidstrideError where this user may not connect to it, and the manager's own
+    Raises NoManager if none is running, MidstrideError if this user may not connect to it, and the manager's own
     errors by their kind.
     """
 

@@ -32,7 +32,7 @@ RUN_IN: Final = 1.0
 async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
     """Run an example; the outcome of each step, as `replace --json` prints it. Stops at the first step that fails.
 
-    Raises MidstrideError where the system does not come up, CancelledError on SIGINT and SIGTERM. Every process that
+    Raises MidstrideError if the system does not come up, CancelledError on SIGINT and SIGTERM. Every process that
     it started has ended when this returns or raises.
     """
     with demo_environment(example, backend) as environment, _cancelled_by_signals() as interrupted:

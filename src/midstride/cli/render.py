@@ -104,7 +104,7 @@ def _fall(document: Document, fall: Document) -> str:
 
 
 def _mode_entered(step: Document, functionality: str) -> str | None:
-    """The mode that a role's functionality enters in a step; None where the step does not change it."""
+    """The mode that a role's functionality enters in a step; None if the step does not change it."""
     role, _, name = functionality.rpartition(".")
     for ref, modes in step.get("modes", {}).items():
         instance, _, functionality_name = ref.rpartition(".")

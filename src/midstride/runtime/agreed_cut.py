@@ -48,7 +48,7 @@ class Cut:
         return max((RESUME_PERIODS - 1) * period, SHORTEST_RESUME)
 
     def _declared_period(self) -> float | None:
-        """The longest of the periods that the cut's topics require; None where one states no rate."""
+        """The longest of the periods that the cut's topics require; None if one states no rate."""
         rates = []
         for swap in self.swaps:
             guarantee = self.configuration.guarantee(swap.old)

@@ -193,7 +193,10 @@ class Launcher:
 
     async def end_orphans(self, known: Container[str]) -> list[str]:
         """Terminate the system's processes whose instance is not ``known``. Raises BackendError."""
-        return await end_orphans(self._client.token, known, STOP_GRACE)
+        ended = await end_orphans(self._client.token, known, STOP_GRACE)
+        for name in ended:
+            await self._backend.end(name, 0.0)  # the graph may still show it, and its name may be used again
+        return ended
 
     def _remember_grace(self, state: ComponentState) -> None:
         """Remember how long the component may take to terminate (``on_stop``)."""

@@ -43,7 +43,7 @@ _Statements: TypeAlias = dict[str, tuple[str, tuple[str | None, ...]]]
 
 @dataclass(frozen=True, slots=True)
 class SavedInstance:
-    """An instance that an earlier manager knew. ``handle`` is None where it was started elsewhere."""
+    """An instance that an earlier manager knew. ``handle`` is None if it was started elsewhere."""
 
     instance: Instance
     handle: Handle | None

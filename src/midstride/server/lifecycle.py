@@ -71,7 +71,7 @@ class Lifecycle:
         return self._report
 
     async def carry_out(self, work: Coroutine[Any, Any, T], *, breakable: bool = True) -> T:
-        """Await ``work`` even if the client that asked for it goes away meanwhile.
+        """Await ``work`` even if the client that requested it disconnects.
 
         ``breakable`` work is interrupted when the manager is terminated, and raises ManagerError then.
         """
@@ -84,7 +84,7 @@ class Lifecycle:
         except asyncio.CancelledError:
             if task.cancelled():
                 raise ManagerError(_INTERRUPTED) from None
-            if self.ended.is_set():  # the server closed before the roll-back was complete: tell the client so
+            if self.ended.is_set():  # the server closed before the roll-back was complete
                 raise ManagerError(_ROLLING_BACK) from None
             raise
 
@@ -104,7 +104,7 @@ class Lifecycle:
             raise ManagerError("the system is down")
 
     async def take_down(self) -> None:
-        """Stop the system and then the manager. Raises ManagerError where a component would not exit."""
+        """Stop the system and then the manager. Raises ManagerError if a component would not exit."""
         await self.manager.down()
         self.phase = "down"
         self.ended.set()

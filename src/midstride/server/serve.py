@@ -51,7 +51,7 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
     """Bring the system up and serve it until it is down, or until SIGTERM or SIGINT; components then keep running.
 
     A change in progress at such a signal is rolled back first. The caller holds the workspace's lock. Returns the exit
-    status: 1 where the system could not be brought up, or a server fails. Raises ManagerError where a socket cannot be
+    status: 1 if the system could not be brought up, or a server fails. Raises ManagerError if a socket cannot be
     opened; nothing has been started then.
     """
     lifecycle = Lifecycle(manager)

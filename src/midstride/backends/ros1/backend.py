@@ -122,8 +122,8 @@ class Ros1Backend:
         return process.running
 
     async def end(self, instance: str, grace: float) -> None:
-        if await self._children.end(instance, grace):
-            await self._tidy(instance)
+        await self._children.end(instance, grace)
+        await self._tidy(instance)
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
         """Clean up, then report: after the report another component may be started on the same port."""

@@ -146,8 +146,8 @@ class Ros2Backend:
         return process.running
 
     async def end(self, instance: str, grace: float) -> None:
-        if await self._children.end(instance, grace):
-            self._died(instance)
+        await self._children.end(instance, grace)
+        self._died(instance)
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
         self._died(instance)

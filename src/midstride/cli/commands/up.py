@@ -120,7 +120,7 @@ def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
 
 
 def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Path) -> None:
-    """Wait until the manager answers. Raises ManagerError, with the last line of its log, where it exits."""
+    """Wait until the manager answers. Raises ManagerError, with the last line of its log, if it exits."""
     end = time.monotonic() + START_TIMEOUT
     while time.monotonic() < end:
         service = client.service()
@@ -137,7 +137,7 @@ def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Pat
 
 
 def _wait_until_up(client: Client) -> Document:
-    """Show progress until the system is up. Raises the manager's error where it does not come up."""
+    """Show progress until the system is up. Raises the manager's error if it does not come up."""
     followed = FollowedRequest(client, lambda: dict(client.get("/up", timeout=None)), since=0, until="up")
     with Progress(console(stderr=wants_json())) as progress:
         for event in followed:
