@@ -35,8 +35,8 @@ async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
     Raises MidstrideError if the system does not come up, CancelledError on SIGINT and SIGTERM. Every process that
     it started has ended when this returns or raises.
     """
-    with demo_environment(example, backend) as environment, _cancelled_by_signals() as interrupted:
-        try:
+    with _cancelled_by_signals() as interrupted:
+        async with demo_environment(example, backend) as environment:
             out.print(f"[bold]{escape(example.title)}[/bold]  [dim](examples/{example.name}, on {backend})[/dim]")
             async with _progress(environment, example, out):
                 await environment.manager.up()
@@ -51,8 +51,6 @@ async def run_demo(example: Demo, backend: str, out: Console) -> list[Document]:
             out.print("\n[bold]Side by side[/bold]")
             out.print(_comparison(example, outcomes))
             return outcomes
-        finally:
-            await _shut_down(environment)
 
 
 async def _run_step(environment: DemoEnvironment, example: Demo, step: DemoStep, out: Console) -> Document:
@@ -118,16 +116,6 @@ def _comparison(example: Demo, outcomes: list[Document]) -> Table:
             measured = ["–"] * len(render.MEASUREMENTS) if swap is None else render.measurements(swap)
             table.add_row(step.name, render.fallen_line(outcome), *measured)
     return table
-
-
-async def _shut_down(environment: DemoEnvironment) -> None:
-    """Stop the components in order, and the simulator's threads."""
-    try:
-        await environment.manager.down()
-    finally:
-        await environment.manager.close()
-        if isinstance(environment.backend, Simulator):
-            await environment.backend.shutdown()
 
 
 @contextmanager
