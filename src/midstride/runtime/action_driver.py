@@ -60,36 +60,25 @@ class ActionDriver:
 
         ``because`` is the reason that components report for their new modes.
         """
-        if self._is_void(action):
-            return
         match action:
-            case Create():
-                await self._create(action)
-            case Remove():
-                await self._remove(action)
-            case Attach():
-                await self._attach(action)
-            case Detach():
-                await self._detach(action)
+            case Create(instance):
+                await self.launcher.registered(instance)
+                if (state := self._exported.get(instance.role)) is not None:
+                    await self._import_state(instance.name, state)
             case Degrade() | Upgrade():
                 await self._set_modes(action, because)
             case Handover():
                 await self._hand_over(action)
-            case SetParameters():
-                await self.client.change(action.instance, SetParametersCommand(parameters=dict(action.parameters)))
-
-    def _is_void(self, action: Action) -> bool:
-        """Whether no command is needed: the action only removes something from a process that has exited, or the port
-        keeps its endpoint because it is also attached to another connector of the same topic."""
-        match action:
-            case Attach(port, connector):
-                return self._has_endpoint(port, connector)
-            case Detach(port, connector):
-                return self._is_gone(port.instance) or self._has_endpoint(port, connector)
-            case Remove(instance):
-                return instance in self.system.crashed
-            case _:
-                return False
+            case SetParameters(instance, parameters):
+                await self.client.change(instance, SetParametersCommand(parameters=dict(parameters)))
+            # The others need no command where a process has exited, or where a port keeps its endpoint because it is
+            # attached to another connector of the same topic.
+            case Remove(instance) if instance not in self.system.crashed:
+                await self._remove(action)
+            case Attach(port, connector) if not self._has_endpoint(port, connector):
+                await self._attach(action)
+            case Detach(port, connector) if not (self._is_gone(port.instance) or self._has_endpoint(port, connector)):
+                await self._detach(action)
 
     def _is_gone(self, instance: str) -> bool:
         """Whether its process has exited, or is about to: the end of its connection is known first."""
@@ -105,12 +94,6 @@ class ActionDriver:
 
     def _topic(self, connector: str) -> str:
         return self.system.configuration.context.connectors[connector].topic
-
-    async def _create(self, action: Create) -> None:
-        await self.launcher.registered(action.instance)
-        state = self._exported.get(action.instance.role)
-        if state is not None:
-            await self._import_state(action.instance.name, state)
 
     async def _remove(self, action: Remove) -> None:
         instance = self.system.configuration.instances[action.instance]
