@@ -56,7 +56,7 @@ class Client:
         return self._request("POST", path, document, timeout)
 
     def service(self, timeout: float = 2.0) -> Document | None:
-        """The manager's description of itself; None where no manager answers in time."""
+        """The manager's description of itself; None if no manager answers in time."""
         try:
             found: Document = self.get("", timeout=timeout)
             return found
