@@ -240,7 +240,7 @@ def test_a_new_side_that_degraded_is_the_reason_whatever_it_refused(tmp_path: Pa
             return REFUSED
 
         b.client.reply("talker_2", AwaitWriteCommand, degrades)
-        await fails(b, r"talker_2\.work degraded to degraded by itself: it entered degraded")
+        await fails(b, r"talker_2\.work entered mode degraded unexpectedly: it entered degraded")
 
     bench(CONFIGURATION, tmp_path, body)
 

@@ -190,7 +190,7 @@ def test_a_degradation_that_was_carried_out_late_is_not_called_unexpected(tmp_pa
         r.degrades("listener")
         await moment()
         assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
-        assert r.words("degraded") == ["listener.work degraded to degraded"]
+        assert r.words("degraded") == ["listener.work entered mode degraded"]
         assert r.reconciler.degraded == set() and len(r.client.of(ModesCommand)) == 1
 
     reconciling(talking(), tmp_path, body)
@@ -221,7 +221,7 @@ def test_a_component_that_degrades_is_believed_and_what_relies_on_it_is_lowered(
         assert r.client.accepted == ["talker"]
         assert r.reconciler.degraded == {work("talker")}
         [event, _] = [event for event in r.events.since() if event.kind == "degraded"]
-        assert event.words == "talker.work degraded to degraded by itself" and event.functionality == "talker.work"
+        assert event.words == "talker.work entered mode degraded unexpectedly" and event.functionality == "talker.work"
         r.degrades("talker")
         await moment()
         assert r.system.revision == 2, "it is no news"

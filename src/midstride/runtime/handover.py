@@ -110,7 +110,7 @@ class LiveHandover:
                 continue
             ref = FunctionalityRef(swap.new.instance, owner.name)
             if view is not None and owner.mode_index(view.mode) > self.configuration.modes[ref]:
-                return f"{ref} degraded to {view.mode} by itself: {view.because.strip()}"
+                return f"{ref} entered mode {view.mode} unexpectedly: {view.because.strip()}"
         return None
 
     async def _attach_gated(self, swap: Swap) -> None:

@@ -141,9 +141,9 @@ class Reconciler:
         for name in {ref.instance for ref in degraded}:
             self.client.accept(name)
         for ref, index in sorted(degraded.items()):
-            words = f"{ref} degraded to {configuration.functionality(ref).modes[index].name}"
+            words = f"{ref} entered mode {configuration.functionality(ref).modes[index].name}"
             if ref not in self._pending:  # else a command that timed out has been carried out after all
-                words += " by itself"
+                words += " unexpectedly"
                 self.degraded.add(ref)
             self.events.add("degraded", words, functionality=str(ref))
             because.append(words)
