@@ -194,7 +194,7 @@ def test_a_component_that_fails_on_its_way_up_is_reported_with_its_log(
             await until(lambda: r.exits)
             assert r.exits[0].status == status
             assert words in r.exits[0].log_tail
-            assert r.client.greeting("talker") is None
+            assert r.client.latest("talker") is None
 
     run(scenario())
 
@@ -330,6 +330,24 @@ def test_a_later_manager_finds_the_component_again(tmp_path: Path) -> None:
                 assert not await later.adopt(handle)
             finally:
                 await later.close()
+
+    run(scenario())
+
+
+def test_what_an_earlier_manager_started_leaves_the_graph_once_it_is_known_to_be_dead(tmp_path: Path) -> None:
+    """An orphan that had to be killed: its lease has not run out, but its name is free."""
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as earlier, rig(tmp_path) as later:
+            await earlier.start("talker", TALKER)
+            await until_async(lambda: later.shows_node("/talker"))
+            earlier.kill("talker")
+            await until(lambda: earlier.exits)
+            assert await later.shows_node("/talker")
+            await later.backend.end("talker", 0.0)
+            assert not await later.shows_node("/talker")
+            await later.start("talker", TALKER)
+            await until_async(lambda: later.shows_node("/talker"))
 
     run(scenario())
 

@@ -107,12 +107,16 @@ def test_as_a_command(midstride: Midstride) -> None:
     assert document["swaps"] == document["acts"][0]["swaps"]
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_demo_shuts_down_in_order(midstride: Midstride, number: signal.Signals) -> None:
+@pytest.mark.parametrize(
+    ("number", "moment"),
+    [(signal.SIGINT, "hand over"), (signal.SIGTERM, "hand over"), (signal.SIGINT, "watching the subscribers")],
+)
+def test_an_interrupted_demo_shuts_down_in_order(midstride: Midstride, number: signal.Signals, moment: str) -> None:
+    """In the middle of a plan's steps, and while it measures."""
     demo = midstride.start("demo", "--backend", "sim")
     try:
         assert demo.stdout is not None
-        assert any("hand over" in line and "✓" in line for line in demo.stdout)
+        assert any(f" {moment}" in line and ("✓" in line or moment != "hand over") for line in demo.stdout)
         demo.send_signal(number)
         assert "Interrupted; all processes have been stopped." in demo.stdout.read()
         assert demo.wait(20) == 130

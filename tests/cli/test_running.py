@@ -7,6 +7,7 @@ import os
 import re
 import signal
 import socket
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
@@ -16,6 +17,8 @@ from typing import Any
 import httpx
 import pytest
 
+from midstride.cli import main
+from midstride.runtime.workspace import Workspace
 from tests.cli.conftest import EXAMPLES, Midstride, alive, running, unwritten
 from tests.cli.terminal import Terminal
 
@@ -64,6 +67,30 @@ def test_status_shows_the_live_components(talker: Midstride) -> None:
     assert shown.status == 0
     assert "talker on sim, valid" in shown.out
     assert "/chatter: " in shown.out
+
+
+def test_a_manager_that_this_user_may_not_connect_to_is_not_said_to_have_exited(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with tempfile.TemporaryDirectory(prefix="ms") as folder, socket.socket(socket.AF_UNIX) as listening:
+        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
+        workspace = Workspace.of("patrol")
+        workspace.state.touch()
+        listening.bind(str(workspace.socket))
+        listening.listen()
+        for path in (Path(folder), workspace.path.parent, workspace.path):
+            path.chmod(0o755)
+        workspace.socket.chmod(0)
+        with workspace.lock():
+            before = os.geteuid()
+            if before == 0:  # whom no permission stops
+                os.seteuid(65534)
+            try:
+                status = main(["status"])
+            finally:
+                os.seteuid(before)
+    expected = f"midstride status: this user may not connect to {workspace.socket}: "
+    assert (status, capsys.readouterr().err) == (1, f"{expected}run the command as the user that runs the manager\n")
 
 
 def test_why_and_log(talker: Midstride) -> None:

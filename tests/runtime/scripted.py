@@ -24,7 +24,7 @@ from midstride.model.specification import Specification
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.clock import Clock
-from midstride.runtime.component_client import ComponentClient, ComponentEvent, LatestState, Reported
+from midstride.runtime.component_client import ComponentClient, LatestState
 from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
@@ -111,7 +111,6 @@ class ScriptedClient(ComponentClient):
         self.disconnected: list[str] = []
         self.accepted: list[str] = []
         self.lost: set[str] = set()  # the connections that their components have ended
-        self.on_event: Callable[[ComponentEvent], None] = lambda _: None
         self._replies: dict[tuple[str, type[Command[Any]]], list[Any]] = {}
         self._registered: dict[str, asyncio.Event] = {}
 
@@ -124,7 +123,7 @@ class ScriptedClient(ComponentClient):
     def report(self, state: ComponentState) -> None:
         """The component reports ``state`` by itself."""
         self.states[state.instance] = state
-        self.on_event(Reported(state))
+        self.on_event(state)
 
     def register(self, instance: Instance, *, token: str = TOKEN, **options: Any) -> None:
         """The component of ``instance`` is up, and has said what it is."""
@@ -283,19 +282,12 @@ class Bench:
         self.client = ScriptedClient(self.clock)
         self.backend = ScriptedBackend(self.clock, self.client)
         self.events = EventLog()
-        self.launcher = Launcher(self.backend, self.client, TOKEN, self.path)
+        self.launcher = Launcher(self.backend, self.client, self.path)
         self.system = RunningSystem(self.specification, self.configuration)
         self.store = StateStore(self.path / "state.db")
         self.store.begin(self.backend.name, TOKEN, self.specification)
-        self.gone: set[str] = set()
-        self.driver = ActionDriver(
-            self.client,
-            self.launcher,
-            lambda kind, words, details: self.events.add(kind, words, **details),
-            has_exited=self.gone.__contains__,
-            lingering_readers=self.backend.lingering_readers,
-        )
-        self.executor = Executor(self.driver, self.system, self.store)
+        self.driver = ActionDriver(self.client, self.launcher, self.backend, self.system, self.events)
+        self.executor = Executor(self.driver, self.store)
         for instance in self.configuration.instances.values():
             self.attend(instance)
 
@@ -312,6 +304,10 @@ class Bench:
     def startable(self, *instances: Instance) -> None:
         """These register as soon as they are started."""
         self.backend.instances.update({instance.name: instance for instance in instances})
+
+    def crash(self, name: str) -> None:
+        """The process of an instance has exited unexpectedly; the model still has it."""
+        self.system.crashed[name] = Exited(name, -9)
 
     def words(self, kind: str | None = None) -> list[str]:
         """What the events say, of that kind where given."""
@@ -339,9 +335,15 @@ class ReconcilingBench(Bench):
         self.turn = asyncio.Lock()
         self.busy = False
         self.reconciler = Reconciler(
-            self.system, self.events, self.store, lambda: self.executor, lambda: self.turn, lambda: self.busy
+            self.system,
+            self.client,
+            self.launcher,
+            self.events,
+            self.store,
+            lambda: self.executor,
+            lambda: self.turn,
+            lambda: self.busy,
         )
-        self.reconciler.connect(self.client, self.launcher)
         self.client.on_event = self.reconciler.on_component_event
         for live in self.configuration.instances.values():
             self.store.write_instance(live, self.launcher.handles.get(live.name))

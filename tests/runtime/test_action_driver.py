@@ -68,7 +68,7 @@ def replacing(role: str = "talker") -> Configuration:
 
 
 async def perform(b: Bench, action: Action) -> None:
-    await b.driver.perform(action, b.system.configuration, "for the test")
+    await b.driver.perform(action, "for the test")
 
 
 # -- attaching and detaching ---------------------------------------------------------------------------
@@ -86,6 +86,21 @@ def test_a_port_is_attached_once_it_is_matched_with_the_other_side(tmp_path: Pat
         assert attach.peers == 0, "an output waits for subscribers, and there is none"
 
     bench(configuration, tmp_path, body)
+
+
+def test_a_port_does_not_wait_for_the_other_side_where_its_process_has_exited(tmp_path: Path) -> None:
+    """Nor where its connection has closed, which is known first."""
+    instances = {"talker": TALKER, "second": TALKER, "third": TALKER, "listener": LISTENER}
+    attached = ["talker.out /chatter", "second.out /chatter", "third.out /chatter"]
+
+    async def body(b: Bench) -> None:
+        b.crash("second")
+        b.client.lost.add("third")
+        await perform(b, Attach(IN, "/chatter"))
+        [attach] = b.client.of(AttachCommand)
+        assert attach.peers == 1
+
+    bench(build.system(instances, attached), tmp_path, body)
 
 
 @pytest.mark.parametrize("error", [REFUSED, TIMEOUT, UNREACHABLE])
@@ -157,7 +172,7 @@ def test_an_endpoint_that_another_contract_of_its_topic_needs_is_kept(tmp_path: 
 @pytest.mark.parametrize("action", [Detach(OUT, "/chatter"), Degrade(Map({work("talker"): 1})), Remove("talker")])
 def test_nothing_is_taken_from_a_process_that_has_ended(action: Action, tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.gone.add("talker")
+        b.crash("talker")
         await perform(b, action)
         assert b.client.sent == [] and b.backend.ended == []
 
@@ -169,7 +184,7 @@ def test_the_end_of_its_connection_is_known_before_the_end_of_a_process(action: 
     async def body(b: Bench) -> None:
         b.client.lost.add("talker")
         await perform(b, action)
-        await b.driver.lower("talker", {work("talker"): 1}, b.system.configuration, "")
+        await b.driver.lower("talker", {work("talker"): 1}, "")
         assert b.client.sent == []
 
     bench(talking(), tmp_path, body)
@@ -177,7 +192,7 @@ def test_the_end_of_its_connection_is_known_before_the_end_of_a_process(action: 
 
 def test_of_several_only_those_that_run_are_degraded(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.gone.add("listener")
+        b.crash("listener")
         await perform(b, Degrade(Map({work("listener"): 1, work("talker"): 1})))
         assert b.client.changes == [("talker", "modes")]
 
@@ -186,7 +201,7 @@ def test_of_several_only_those_that_run_are_degraded(tmp_path: Path) -> None:
 
 def test_a_process_that_has_ended_cannot_be_given_anything(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.gone.add("listener")
+        b.crash("listener")
         b.client.reply("listener", ModesCommand, UNREACHABLE)
         with pytest.raises(type(UNREACHABLE)):
             await perform(b, Upgrade(Map({work("listener"): 0})))

@@ -19,7 +19,8 @@ from midstride.model.specification import initial
 from midstride.plan.plan import Plan
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend import Exited
-from midstride.runtime.change_session import ChangeSession, counted
+from midstride.runtime.change_session import ChangeSession
+from midstride.runtime.events import counted
 from midstride.runtime.measure import WINDOW_PERIODS
 from midstride.runtime.reports import Outcome
 from midstride.runtime.runtime_verification import Verifier
@@ -316,7 +317,6 @@ def test_a_crash_during_the_steps_is_handled_before_measuring(tmp_path: Path) ->
     async def body(s: SessionBench) -> None:
         def dies(_: AwaitWriteCommand) -> Exception:
             s.exits(Exited("talker", -9))
-            s.gone.add("talker")
             return TIMEOUT
 
         s.client.reply("talker_2", AwaitWriteCommand, dies)
@@ -335,14 +335,14 @@ def test_a_role_that_is_filled_again_is_missing_no_longer(tmp_path: Path) -> Non
         s.busy = False
         s.exits(Exited("talker", -9))
         await asyncio.sleep(0.1)
-        assert list(s.reconciler.crashes.missing) == ["talker"]
+        assert list(s.system.missing) == ["talker"]
         s.busy = True
         for instance in (TALKER.instance("talker"), TALKER.instance("talker", "talker_2")):
             s.startable(instance)
         outcome = await s.session.change(PlanRequest(to=TALKER))
         assert outcome.outcome == "done", outcome.because
         assert outcome.ended == [], "that was before"
-        assert s.reconciler.crashes.missing == {}
+        assert s.system.missing == {}
 
     session(tmp_path, body)
 

@@ -192,11 +192,11 @@ def test_creations_in_a_row_are_started_at_once(tmp_path: Path) -> None:
     third = instance("third", TALKER)
 
     async def body(b: Bench) -> None:
-        begun: list[str] = []
-        b.executor.on_started = lambda instance: begun.append(instance.name)
+        b.crash("third")
         running = asyncio.ensure_future(b.executor.run([Create(SECOND), Create(third)]))
         await asyncio.sleep(1)
-        assert [launch.instance for launch in b.backend.launches] == begun == ["second", "third"]
+        assert [launch.instance for launch in b.backend.launches] == ["second", "third"]
+        assert b.system.crashed == {}, "another process has the name"
         assert b.system.configuration == talking(), "none of them has registered"
         b.client.register(third)
         b.client.register(SECOND)
@@ -259,7 +259,7 @@ def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_pat
         b.executor.on_moved = lambda *step: moved.append(step)
         b.client.reply("talker", ModesCommand, UNREACHABLE)
         left = await b.executor.lower({work("talker"): 1, work("listener"): 1}, "the camera exited unexpectedly")
-        assert left == {work("talker")}
+        assert left == {work("talker"): UNREACHABLE}
         assert b.system.configuration == DEGRADE.effect(talking())
         assert moved == [(b.system.configuration, {"listener"})]
         [command] = b.client.of(ModesCommand, "listener")
@@ -274,8 +274,8 @@ def test_lowering_needs_no_precondition_and_notes_only_those_that_answer(tmp_pat
 def test_where_nothing_can_be_lowered_the_model_stays(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("listener", ModesCommand, TIMEOUT)
-        assert await b.executor.lower({work("listener"): 1}, "") == {work("listener")}
-        assert await b.executor.lower({}, "") == set()
+        assert await b.executor.lower({work("listener"): 1}, "") == {work("listener"): TIMEOUT}
+        assert await b.executor.lower({}, "") == {}
         assert (b.system.configuration, b.system.revision) == (talking(), 0)
 
     bench(talking(), tmp_path, body)

@@ -10,7 +10,7 @@ import pytest
 from immutables import Map
 
 from midstride.errors import CommandRefused, StepFailed, Unreachable
-from midstride.model.action import Handover, Swap
+from midstride.model.action import Swap
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.agreed_cut import RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
@@ -22,8 +22,7 @@ from midstride.runtime.handover import (
     MEET_TIMEOUT,
     OUTSIDE_READERS_TIMEOUT,
     PROBATION,
-    HandoverResult,
-    hand_over,
+    LiveHandover,
 )
 from midstride.wire.commands import (
     AttachCommand,
@@ -63,8 +62,16 @@ SWAP = Swap("/chatter", OUT, NEW_OUT)
 CONFIGURATION = talking().with_instance(instance("talker_2", TALKER, "talker")).with_modes({work("talker_2"): 0})
 
 
-async def swapped(b: Bench, *swaps: Swap) -> HandoverResult:
-    return await hand_over(b.client, b.backend.lingering_readers, b.configuration, Handover(swaps or (SWAP,)))
+async def swapped(b: Bench, *swaps: Swap) -> dict[PortRef, int | None]:
+    handover = LiveHandover(
+        b.client,
+        b.events,
+        b.configuration,
+        swaps or (SWAP,),
+        b.backend.lingering_readers,
+        b.system.crashed.__contains__,
+    )
+    return await handover.run()
 
 
 async def fails(b: Bench, words: str, *swaps: Swap) -> None:
@@ -87,7 +94,7 @@ def test_the_two_sides_are_asked_in_the_order_that_loses_nothing(tmp_path: Path)
     async def body(b: Bench) -> None:
         last: dict[str, LastWrite | None] = {"out /chatter": LastWrite(number=17, source=5)}
         b.client.reply("talker", AwaitCutCommand, CutResult(outcome="done", last=last))
-        assert await swapped(b) == HandoverResult({OUT: 17})
+        assert await swapped(b) == {OUT: 17}
         assert [(sent.instance, sent.command.name) for sent in b.client.sent] == [
             ("talker", "grid"),
             ("talker_2", "attach"),
@@ -123,7 +130,8 @@ def test_the_new_publisher_waits_behind_its_gate_for_every_living_reader_of_the_
         b.backend.lingering["/chatter"] = lingering
         b.client.reply("talker", GridCommand, Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=readers))
         b.client.reply("talker_2", AttachCommand, Attached(matched=expected))
-        assert (await swapped(b)).warnings == ()
+        await swapped(b)
+        assert b.words("note") == []
         assert only(b, AttachCommand, "talker_2") == AttachCommand(
             port="out",
             topic="/chatter",
@@ -137,11 +145,21 @@ def test_the_new_publisher_waits_behind_its_gate_for_every_living_reader_of_the_
     bench(CONFIGURATION, tmp_path, body)
 
 
+def test_the_new_publisher_does_not_wait_for_a_subscriber_whose_process_has_exited(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.crash("listener")
+        await swapped(b)
+        assert only(b, AttachCommand, "talker_2").peers == 0
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
 def test_readers_that_the_new_publisher_does_not_find_are_a_warning(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker", GridCommand, Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=3))
         b.client.reply("talker_2", AttachCommand, Attached(matched=2))
-        [warning] = (await swapped(b)).warnings
+        await swapped(b)
+        [warning] = b.words("note")
         assert warning.startswith("talker.out had 3 readers on /chatter, and talker_2.out has found 2 of them")
 
     bench(CONFIGURATION, tmp_path, body)
@@ -150,7 +168,8 @@ def test_readers_that_the_new_publisher_does_not_find_are_a_warning(tmp_path: Pa
 def test_an_old_side_that_does_not_detach_is_a_warning_since_the_new_one_writes(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker", DetachCommand, TIMEOUT)
-        [warning] = (await swapped(b)).warnings
+        await swapped(b)
+        [warning] = b.words("note")
         assert warning == f"talker.out could not be taken off /chatter after the hand-over: {TIMEOUT}"
 
     bench(CONFIGURATION, tmp_path, body)
@@ -221,7 +240,7 @@ def test_a_new_side_that_degraded_is_the_reason_whatever_it_refused(tmp_path: Pa
             return REFUSED
 
         b.client.reply("talker_2", AwaitWriteCommand, degrades)
-        await fails(b, r"talker_2\.work degraded to degraded by itself: it entered degraded")
+        await fails(b, r"talker_2\.work entered mode degraded unexpectedly: it entered degraded")
 
     bench(CONFIGURATION, tmp_path, body)
 
@@ -414,7 +433,7 @@ def test_outputs_of_one_functionality_share_a_cut(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         last = {"left /left": LastWrite(number=3, source=0), "right /right": None}
         b.client.reply("old", AwaitCutCommand, CutResult(outcome="done", last=last))
-        assert (await swapped(b, *swaps)).last == {swaps[0].old: 3, swaps[1].old: None}
+        assert await swapped(b, *swaps) == {swaps[0].old: 3, swaps[1].old: None}
         [cut] = b.client.of(CutOutCommand, "old")
         assert cut.swaps == [CutSwap(port="left", topic="/left"), CutSwap(port="right", topic="/right")]
         assert [command.name for command in b.client.commands("old")][-2:] == ["detach", "detach"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Container
 from dataclasses import replace as changed
 from pathlib import Path
 
@@ -273,5 +274,19 @@ def test_a_component_of_another_system_is_not_adopted(tmp_path: Path) -> None:
         b.client.reply("listener", ObserveCommand, REFUSED)
         assert await b.launcher.adopt(Handle("listener"), owned=False) is None
         assert b.launcher.handles == {}
+
+    bench(NOTHING, tmp_path, body)
+
+
+def test_the_graph_forgets_what_was_started_and_not_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    async def ended(token: str, known: Container[str], grace: float) -> list[str]:
+        assert token == TOKEN and "talker" in known
+        return ["late"]
+
+    monkeypatch.setattr("midstride.runtime.launcher.end_orphans", ended)
+
+    async def body(b: Bench) -> None:
+        assert await b.launcher.end_orphans({"talker"}) == ["late"]
+        assert b.backend.ended == [("late", 0.0)]
 
     bench(NOTHING, tmp_path, body)

@@ -403,7 +403,7 @@ def test_whoever_relies_on_one_that_has_degraded_by_itself_is_lowered_at_once(tm
     async def body(manager: Manager, simulator: Simulator) -> None:
         await asyncio.sleep(10)
         view = (await manager.peek("listener")).functionalities["listen"]
-        assert (view.mode, view.because) == ("degraded", "talker.talk degraded to degraded by itself")
+        assert (view.mode, view.because) == ("degraded", "talker.talk entered mode degraded unexpectedly")
         assert view.because in [event.words for event in manager.log() if event.kind == "degraded"]
         state = await manager.status()
         assert state.valid and not state.topics[0].satisfied

@@ -19,6 +19,7 @@ from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import (
     LISTENER,
+    REFUSED,
     TALKER,
     TIMEOUT,
     UNREACHABLE,
@@ -68,7 +69,7 @@ def test_a_crash_takes_the_instance_out_of_the_model_and_lowers_what_relied_on_i
         assert (event.words, event.log) == ("talker exited unexpectedly (status -9)", "no device")
         assert "talker" not in r.launcher.handles and r.client.disconnected == ["talker"]
         assert r.saved() == ["listener"]
-        assert r.reconciler.crashes.all() == {"talker": TALKER_EXITED}
+        assert {**r.system.missing, **r.system.crashed} == {"talker": TALKER_EXITED}
 
     reconciling(talking(), tmp_path, body)
 
@@ -159,6 +160,54 @@ def test_what_could_not_be_lowered_is_lowered_the_next_time(tmp_path: Path) -> N
     reconciling(talking(), tmp_path, body)
 
 
+def test_a_component_that_did_not_answer_is_degraded_as_soon_as_it_answers_again(tmp_path: Path) -> None:
+    """As after SIGSTOP and SIGCONT: no command and no crash is needed."""
+
+    async def body(r: ReconcilingBench) -> None:
+        listener = reported(r.configuration.instances["listener"], talking())
+        r.client.reply("listener", ModesCommand, TIMEOUT, TIMEOUT, None)
+        r.exits(TALKER_EXITED)
+        await moment()
+        for attempts in (2, 3, 3):
+            r.client.report(listener)
+            r.client.report(listener)  # during the attempt
+            await moment()
+            assert len(r.client.of(ModesCommand)) == attempts
+        assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_a_component_that_refuses_to_degrade_is_not_asked_again_at_each_report(tmp_path: Path) -> None:
+    async def body(r: ReconcilingBench) -> None:
+        r.client.reply("listener", ModesCommand, REFUSED)
+        r.exits(TALKER_EXITED)
+        await moment()
+        r.client.report(reported(r.configuration.instances["listener"], talking()))
+        await moment()
+        assert len(r.client.of(ModesCommand)) == 1
+        await r.reconciler.reconcile()
+        assert len(r.client.of(ModesCommand)) == 2
+
+    reconciling(talking(), tmp_path, body)
+
+
+def test_a_degradation_that_was_carried_out_late_is_not_called_unexpected(tmp_path: Path) -> None:
+    """The component was stopped when the command arrived, and reads it once it continues."""
+
+    async def body(r: ReconcilingBench) -> None:
+        r.client.reply("listener", ModesCommand, TIMEOUT)
+        r.exits(TALKER_EXITED)
+        await moment()
+        r.degrades("listener")
+        await moment()
+        assert r.system.configuration == talking().without_instance("talker").with_modes(DEGRADED_LISTENER)
+        assert r.words("degraded") == ["listener.work entered mode degraded"]
+        assert r.reconciler.degraded == set() and len(r.client.of(ModesCommand)) == 1
+
+    reconciling(talking(), tmp_path, body)
+
+
 def test_what_could_not_be_lowered_and_crashes_as_well_is_forgotten(tmp_path: Path) -> None:
     async def body(r: ReconcilingBench) -> None:
         r.client.reply("listener", ModesCommand, UNREACHABLE)
@@ -184,7 +233,7 @@ def test_a_component_that_degrades_is_believed_and_what_relies_on_it_is_lowered(
         assert r.client.accepted == ["talker"]
         assert r.reconciler.degraded == {work("talker")}
         [event, _] = [event for event in r.events.since() if event.kind == "degraded"]
-        assert event.words == "talker.work degraded to degraded by itself" and event.functionality == "talker.work"
+        assert event.words == "talker.work entered mode degraded unexpectedly" and event.functionality == "talker.work"
         r.degrades("talker")
         await moment()
         assert r.system.revision == 2, "it is no news"
@@ -271,7 +320,7 @@ def test_waiting_for_crashes_includes_those_that_are_being_reconciled(tmp_path: 
         await r.reconciler.reconcile_crashes()
         r.exits(TALKER_EXITED)
         await moment()
-        assert r.reconciler.crashes.unreconciled == {}
+        assert r.system.crashed == {}
         waiting = asyncio.ensure_future(r.reconciler.reconcile_crashes())
         await moment()
         assert not waiting.done()

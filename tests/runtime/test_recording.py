@@ -93,7 +93,7 @@ def test_an_input_that_sees_two_exchanges_is_recorded_once(tmp_path: Path) -> No
         b.client.reply("listener", RecordCommand, commands.RecordingSwitched(now=7))
         await under_test.begin(talking(), pair)
         assert b.client.of(RecordCommand) == [START_RECORDING]
-        assert [each.begun for each in under_test.recorded] == [7, 7]
+        assert [each.observation.begun for each in under_test.recorded] == [7, 7]
 
     bench(talking(), tmp_path, body)
 

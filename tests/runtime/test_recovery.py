@@ -42,7 +42,7 @@ async def recovered(b: Bench, *saved: Instance) -> Configuration:
     known = saved or tuple(b.configuration.instances[name] for name in sorted(b.configuration.instances))
     b.launcher.handles.clear()
     entries: Sequence[SavedInstance] = [entry(instance) for instance in known]
-    return await recover(entries, SPECIFICATION, b.launcher, b.client, b.events.add)
+    return await recover(entries, SPECIFICATION, b.launcher, b.client, b.events)
 
 
 def test_what_still_runs_is_in_the_model_as_it_reports_it(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_of_two_instances_of_a_role_the_one_behind_its_gate_is_ended(
         b.client.report(reported(b.configuration.instances[other], b.configuration, gates={"out /chatter": "closed"}))
         assert await recovered(b) == b.configuration.without_instance(other)
         assert [name for name, _ in b.backend.ended] == [other]
-        assert f"ended {other}, which an earlier manager had left half done" in b.words("ended")
+        assert f"stopped {other}, which an earlier manager had left half done" in b.words("ended")
         assert b.client.of(GateCommand) == []
 
     bench(TWICE, tmp_path, body)

@@ -317,5 +317,5 @@ def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) ->
     outcome = managed("talker", tmp_path, body, directory=rewritten("talker", tmp_path / "programs", broken))
     assert outcome.outcome == "rolled_back"
     assert outcome.seconds < 4  # of the simulator's own time: its first write is not waited for any more
-    told = "talker_2.talk degraded to degraded by itself: mode normal raised: ValueError: unplugged"
+    told = "talker_2.talk entered mode degraded unexpectedly: mode normal raised: ValueError: unplugged"
     assert told in str(outcome.because)

@@ -183,7 +183,7 @@ def test_a_disk_that_refuses_is_reported_once_and_caught_up_with(path: Path, mon
 @pytest.mark.parametrize("content", [b"", b"{", b"SQLite format 3\0 and then nothing", b"\0" * 5000])
 def test_a_state_that_cannot_be_read_says_what_to_do(path: Path, content: bytes) -> None:
     path.write_bytes(content)
-    with pytest.raises(ManagerError, match="not known what still runs of patrol: end that yourself"):
+    with pytest.raises(ManagerError, match="it is unknown which components of patrol still run: stop them yourself"):
         StateStore(path).load()
 
 

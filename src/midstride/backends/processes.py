@@ -110,15 +110,13 @@ class Children:
         self._forget(instance, process)
         self._exited(instance, status, process)
 
-    async def end(self, instance: str, grace: float) -> bool:
-        """End a process, without a call of ``exited``; returns when it is gone. False where there is none."""
+    async def end(self, instance: str, grace: float) -> None:
+        """End a process if there is one, without a call of ``exited``; returns when it is gone."""
         process = self._processes.get(instance)
-        if process is None:
-            return False
-        process.on_exit(None)
-        await process.end(grace)
-        self._forget(instance, process)
-        return True
+        if process is not None:
+            process.on_exit(None)
+            await process.end(grace)
+            self._forget(instance, process)
 
     def _forget(self, instance: str, process: Process) -> None:
         if self._processes.get(instance) is process:
@@ -190,5 +188,5 @@ class ProcessBackend:
         return process.running
 
     async def end(self, instance: str, grace: float) -> None:
-        if await self._children.end(instance, grace):
-            await self._died(instance)
+        await self._children.end(instance, grace)
+        await self._died(instance)

@@ -26,7 +26,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "verify": ("verify", "verify a specification, a plan or the running system with Alloy"),
         "prove": ("prove", "prove that every action is safe, for systems of any size"),
         "generate": ("generate", "generate node skeletons, launch and package files"),
-        "export": ("files", "print a specification as JSON"),
+        "export": ("design", "print a specification as JSON"),
     },
     "Running system": {
         "up": ("up", "start a system and its manager, and watch it"),

@@ -35,7 +35,11 @@ class _UnixConnection(http.client.HTTPConnection):
 
 
 class Client:
-    """Talks to one manager. Raises NoManager where none is running, and the manager's own errors by their kind."""
+    """Talks to one manager.
+
+    Raises NoManager if none is running, MidstrideError if this user may not connect to it, and the manager's own
+    errors by their kind.
+    """
 
     def __init__(self, path: Path) -> None:
         self._socket = path
@@ -52,7 +56,7 @@ class Client:
         return self._request("POST", path, document, timeout)
 
     def service(self, timeout: float = 2.0) -> Document | None:
-        """The manager's description of itself; None where no manager answers in time."""
+        """The manager's description of itself; None if no manager answers in time."""
         try:
             found: Document = self.get("", timeout=timeout)
             return found
@@ -95,6 +99,10 @@ class Client:
         except (FileNotFoundError, ConnectionRefusedError):
             name = self._socket.parent.name
             raise errors.NoManager(f"no manager of {name} is running; start one with `midstride up FILE`") from None
+        except PermissionError:
+            raise errors.MidstrideError(
+                f"this user may not connect to {self._socket}: run the command as the user that runs the manager"
+            ) from None
         body = None if document is None else json.dumps(document)
         connection.request(method, f"/api/v1{path}", body, {"Content-Type": "application/json"} if body else {})
         response = connection.getresponse()

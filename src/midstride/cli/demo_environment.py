@@ -11,8 +11,8 @@ import secrets
 import shutil
 import socket
 import tempfile
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import AsyncIterator, Iterator
+from contextlib import ExitStack, asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,9 +38,9 @@ class DemoEnvironment:
     workspace: Workspace
 
 
-@contextmanager
-def demo_environment(example: Demo, backend: str) -> Iterator[DemoEnvironment]:
-    """Everything an example needs to run under a manager in this process."""
+@asynccontextmanager
+async def demo_environment(example: Demo, backend: str) -> AsyncIterator[DemoEnvironment]:
+    """Everything an example needs to run under a manager in this process. At the end, its components are stopped."""
     token = secrets.token_hex(16)
     with ExitStack() as stack:
         folder = stack.enter_context(_folder())
@@ -51,39 +51,40 @@ def demo_environment(example: Demo, backend: str) -> Iterator[DemoEnvironment]:
         platform: Backend = (
             Simulator(starting=COLD_START) if backend == "sim" else backends.make(backend, workspace, guardian=reaper)
         )
-        yield DemoEnvironment(Manager(example.specification, platform, workspace, example.folder), platform, workspace)
+        manager = Manager(example.specification, platform, workspace, example.folder)
+        try:
+            yield DemoEnvironment(manager, platform, workspace)
+        finally:
+            try:
+                await manager.down()
+            finally:
+                await manager.close()
+                if isinstance(platform, Simulator):
+                    await platform.shutdown()
 
 
 @contextmanager
 def _folder() -> Iterator[Path]:
     """A folder for the demo's files. Removes the folders of demos that were killed."""
     checkout = repository()
-    root = None if checkout is None else checkout / ".midstride"
-    try:
-        if root is None:
-            raise OSError
-        root.mkdir(exist_ok=True)
-        folder = root / f"demo-{os.getpid()}"
-        shutil.rmtree(folder, ignore_errors=True)
-        folder.mkdir(mode=0o700)
-    except OSError:  # no repository, or a read-only one
-        root, folder = None, Path(tempfile.mkdtemp(prefix="midstride-demo-"))
-    if root is not None:
-        _remove_stale(root)
+    if checkout is None or not os.access(checkout, os.W_OK):
+        with tempfile.TemporaryDirectory(prefix="midstride-demo-", ignore_cleanup_errors=True) as name:
+            yield Path(name)
+        return
+    root = checkout / ".midstride"
+    for stale in root.glob("demo-*"):
+        pid = stale.name.removeprefix("demo-")
+        if not (pid.isdigit() and psutil.pid_exists(int(pid))):
+            shutil.rmtree(stale, ignore_errors=True)
+    folder = root / f"demo-{os.getpid()}"
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(mode=0o700, parents=True)
     try:
         yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
-        if root is not None:
-            with suppress(OSError):  # another demo is running
-                root.rmdir()
-
-
-def _remove_stale(root: Path) -> None:
-    for folder in root.glob("demo-*"):
-        pid = folder.name.removeprefix("demo-")
-        if not (pid.isdigit() and psutil.pid_exists(int(pid))):
-            shutil.rmtree(folder, ignore_errors=True)
+        with suppress(OSError):  # another demo is running
+            root.rmdir()
 
 
 def _isolate_network(folder: Path, backend: str) -> None:

@@ -47,7 +47,7 @@ def known_examples() -> dict[str, Path]:
 
 
 def find(name: str) -> Demo:
-    """The example called ``name``, or in the folder ``name``. Raises UsageError where there is none."""
+    """The example called ``name``, or in the folder ``name``. Raises UsageError if there is none."""
     known = known_examples()
     folder = known.get(name) or Path(name)
     if not (folder / "demo.json").is_file():

@@ -29,7 +29,7 @@ def read(path: Path) -> Specification:
 
 
 def read_json(path: Path) -> Any:
-    """The value in a JSON file; ``-`` is standard input. Raises SpecificationError where it cannot be read."""
+    """The value in a JSON file; ``-`` is standard input. Raises SpecificationError if it cannot be read."""
     try:
         if str(path) == "-":
             return parse_json(_bounded("standard input", sys.stdin.read(MAX_CHARACTERS + 1)))
@@ -53,7 +53,7 @@ def load(path: Path) -> Specification:
 
 
 def require_file(path: Path) -> None:
-    """Raises SpecificationError where the file cannot be read, with the name that was probably meant."""
+    """Raises SpecificationError if the file cannot be read, with the name that was probably meant."""
     _text(path)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from typing import Any
 
 from midstride.cli.client import Client, Document, Event
@@ -14,24 +15,22 @@ from midstride.errors import MidstrideError
 LAST_EVENTS = 0.5
 
 
+@dataclass
 class FollowedRequest:
     """Runs ``request`` in one thread and the event stream in another; iterate over it for the events.
 
     ``id`` limits the events to those of one command: while it waits, and from its start to the start of the next.
     """
 
-    def __init__(
-        self, client: Client, request: Callable[[], Document], *, since: int, until: str, id: str | None = None
-    ) -> None:
-        self._client = client
-        self._request = request
-        self._until = until
-        self._queue: queue.Queue[Event | None] = queue.Queue()
-        self._answer: Document | None = None
-        self._error: MidstrideError | None = None
-        self._since = since
-        self._id = id
-        self._in_command = id is None
+    client: Client
+    request: Callable[[], Document]
+    since: int
+    until: str
+    id: str | None = None
+    _queue: queue.Queue[Event | None] = field(default_factory=queue.Queue)
+    _answer: Document | None = None
+    _error: MidstrideError | None = None
+    _in_command: bool = False
 
     def __iter__(self) -> Iterator[Event]:
         """Each event, until the answer and the event of kind ``until`` have come or no more events follow."""
@@ -47,13 +46,15 @@ class FollowedRequest:
                 answered = True
             elif self._belongs(event):
                 yield event
-                complete = complete or event["kind"] == self._until
+                complete = complete or event["kind"] == self.until
 
     def _belongs(self, event: Event) -> bool:
         """Whether an event is about this command. The manager runs one at a time, and each starts with an event."""
-        if self._id is None or event["kind"] not in {"command", "waiting"}:
+        if self.id is None:
+            return True
+        if event["kind"] not in {"command", "waiting"}:
             return self._in_command
-        matches = bool(event.get("id") == self._id)
+        matches = bool(event.get("id") == self.id)
         if event["kind"] == "command":
             self._in_command = matches
         return matches
@@ -67,14 +68,14 @@ class FollowedRequest:
 
     def _send(self) -> None:
         try:
-            self._answer = self._request()
+            self._answer = self.request()
         except MidstrideError as error:
             self._error = error
         self._queue.put(None)
 
     def _read_events(self) -> None:
         try:
-            for event in self._client.events(self._since):
+            for event in self.client.events(self.since):
                 self._queue.put(event)
         except MidstrideError:  # the request reports it
             return

@@ -24,7 +24,7 @@ def kind_of(path: Path) -> str:
 
 
 def write(path: Path, dot: Callable[[], str], mermaid: Callable[[], str]) -> None:
-    """Write a diagram. Raises MidstrideError where the file cannot be written or Graphviz is needed and missing."""
+    """Write a diagram. Raises MidstrideError if the file cannot be written or Graphviz is needed and missing."""
     kind = kind_of(path)
     text = mermaid() if kind == "mmd" else dot()
     data = _graphviz(text, kind) if kind in {"svg", "png"} else text.encode()

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Protocol
+
+from midstride.cli.render import time_of_day
 
 # ROS's format: [INFO] [1795230947.628793895] [listener]: I heard: …; the simulator's has no time.
 _LINE = re.compile(r"\[(?P<level>[A-Z]+)\] (?:\[(?P<at>\d+\.\d+)\] )?\[[^\]]*\]: (?P<text>.*)")
@@ -22,8 +22,7 @@ class LogLine:
     def __str__(self) -> str:
         if self.at is None:
             return self.text
-        whole, millis = divmod(round(self.at * 1000), 1000)
-        return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}  {self.text}"
+        return f"{time_of_day(self.at)}  {self.text}"
 
     @property
     def kind(self) -> str:
@@ -31,33 +30,16 @@ class LogLine:
         return re.sub(r"\d+", "#", self.text)
 
 
-class LogSource(Protocol):
-    def read(self) -> str: ...
-
-
-class LogFile:
-    """The log file of a process."""
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-
-    def read(self) -> str:
-        try:
-            return self._path.read_text(encoding="utf-8", errors="replace")
-        except OSError:
-            return ""
-
-
 class LogFollower:
-    """Reads a log piece by piece."""
+    """Reads a log piece by piece; ``read`` returns all of it."""
 
-    def __init__(self, log: LogSource) -> None:
-        self._log = log
+    def __init__(self, read: Callable[[], str]) -> None:
+        self._read = read
         self._seen = 0
 
     def new_lines(self) -> list[LogLine]:
         """The lines since the last call."""
-        lines = self._log.read().splitlines()
+        lines = self._read().splitlines()
         fresh, self._seen = lines[self._seen :], len(lines)
         return [parsed for line in fresh if (parsed := parse(line)) is not None]
 

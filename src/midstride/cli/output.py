@@ -45,14 +45,10 @@ def wants_json() -> bool:
 
 
 def print_json(document: Any) -> None:
-    print(json.dumps(document, indent=2, ensure_ascii=False, default=_plain))
-
-
-def _plain(form: Any) -> Any:
-    """A form (midstride.codec) as plain dicts and lists."""
+    """Print a document, in which there may be forms (midstride.codec)."""
     import msgspec
 
-    return msgspec.to_builtins(form)
+    print(json.dumps(document, indent=2, ensure_ascii=False, default=msgspec.to_builtins))
 
 
 def console(stderr: bool = False) -> Console:

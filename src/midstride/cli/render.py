@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
 
 from rich.console import Group, RenderableType
 from rich.markup import escape
@@ -14,7 +15,25 @@ from midstride.model import wording
 
 Document = Mapping[str, Any]
 
-UNKNOWN = "unknown"
+UNKNOWN: Final = "unknown"
+MEASUREMENTS: Final = ("longest gap", "in periods", "missed", "lost", "duplicates")
+_STYLES: Final = {
+    "step_failed": "red",
+    "up_failed": "red",
+    "exited": "red",
+    "degraded": "yellow",
+    "rollback": "yellow",
+}
+
+
+def table(left: Iterable[str], right: Iterable[str] = ()) -> Table:
+    """An empty table with these columns, the last ones aligned to the right."""
+    made = Table(box=None, pad_edge=False, header_style="dim")
+    for name in left:
+        made.add_column(name)
+    for name in right:
+        made.add_column(name, justify="right")
+    return made
 
 
 def seconds(value: float | None) -> str:
@@ -53,23 +72,22 @@ def plan(document: Document, title: str) -> RenderableType:
     """The steps, the functionalities that degrade, how far and for how long, and the cost."""
     if not document["steps"]:
         return Group(Text(title, style="bold"), Text("Nothing to do: the system already matches the target."))
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    table.add_column("#", justify="right", style="dim")
-    table.add_column("step")
-    table.add_column("takes about", justify="right")
+    steps = table(["#", "step"], ["takes about"])
+    steps.columns[0].justify = "right"
     for number, step in enumerate(document["steps"], 1):
-        table.add_row(str(number), escape(step_text(step)), seconds(step.get("seconds")))
-    return Group(Text(title, style="bold"), table, Text.from_markup(falls(document)), Text(cost(document), style="dim"))
+        steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), seconds(step.get("seconds")))
+    return Group(Text(title, style="bold"), steps, Text.from_markup(falls(document)), Text(cost(document), style="dim"))
 
 
 def falls(document: Document) -> str:
     """What degrades on the way, how far, for how long and why; and what is lower or higher afterwards."""
     lines = [f"[yellow]Degrades:[/yellow] {escape(_fall(document, fall))}" for fall in document["falls"]]
-    lower, higher = _afterwards(document)
+    lower = [shift for shift in document["afterwards"] if shift["levels"] > 0]
+    higher = [shift for shift in document["afterwards"] if shift["levels"] <= 0]
     if not lines and not lower:
         lines = ["[green]Nothing degrades:[/green] every functionality keeps its level throughout."]
-    lines += [f"[yellow]Stays lower:[/yellow] {escape(shift)}" for shift in lower]
-    lines += [f"[green]Improves:[/green] {escape(shift)}" for shift in higher]
+    lines += [f"[yellow]Stays lower:[/yellow] {escape(_shift(shift))}" for shift in lower]
+    lines += [f"[green]Improves:[/green] {escape(_shift(shift))}" for shift in higher]
     return "\n".join(lines)
 
 
@@ -86,22 +104,13 @@ def _fall(document: Document, fall: Document) -> str:
 
 
 def _mode_entered(step: Document, functionality: str) -> str | None:
-    """The mode that a role's functionality enters in a step; None where the step does not change it."""
+    """The mode that a role's functionality enters in a step; None if the step does not change it."""
     role, _, name = functionality.rpartition(".")
     for ref, modes in step.get("modes", {}).items():
         instance, _, functionality_name = ref.rpartition(".")
         if functionality_name == name and (instance == role or instance.removeprefix(f"{role}_").isdecimal()):
             return str(modes["to"])
     return None
-
-
-def _afterwards(document: Document) -> tuple[list[str], list[str]]:
-    """The functionalities that end lower than they started, and those that end higher."""
-    lower: list[str] = []
-    higher: list[str] = []
-    for shift in document["afterwards"]:
-        (lower if shift["levels"] > 0 else higher).append(_shift(shift))
-    return lower, higher
 
 
 def _shift(shift: Document) -> str:
@@ -113,33 +122,17 @@ def cost(document: Document) -> str:
     """The cost of a plan, and whether its disruption is proved minimal."""
     bound = "proved minimal" if document.get("proved_minimal") else f"at least {document.get('lower_bound', 0):.3g}"
     disruption = f"Disruption {document['disruption']:.3g} weighted functionality-seconds ({bound})"
-    return f"{disruption}; takes about {_duration(document)}; strategy {document['strategy']}."
-
-
-def _duration(document: Document) -> str:
-    """The steps run one after another; the critical path is beside it, where that is shorter."""
+    # The steps run one after another; the critical path is beside it, where that is shorter.
     total, critical = seconds(document["seconds"]), seconds(document["makespan"])
-    return total if total == critical else f"{total} (critical path {critical})"
+    duration = total if total == critical else f"{total} (critical path {critical})"
+    return f"{disruption}; takes about {duration}; strategy {document['strategy']}."
 
 
-def swaps(document: Document) -> RenderableType:
-    """The measurements at each subscriber; unknown ones are marked."""
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("topic", "subscriber"):
-        table.add_column(name)
-    for name in ("longest gap", "in periods", "missed", "lost", "duplicates"):
-        table.add_column(name, justify="right")
-    for swap in document["swaps"]:
-        periods = swap.get("gap_periods")
-        counts = [swap.get(name) for name in ("missed", "lost", "duplicates")]
-        table.add_row(
-            swap["topic"],
-            swap["subscriber"],
-            seconds(swap.get("gap")),
-            UNKNOWN if periods is None else f"{periods:.2f}",
-            *(_count(count) for count in counts),
-        )
-    return table
+def measurements(swap: Document) -> list[RenderableType]:
+    """What was measured at one subscriber, in the order of ``MEASUREMENTS``; unknown values are marked."""
+    periods = swap.get("gap_periods")
+    counts = [_count(swap.get(name)) for name in ("missed", "lost", "duplicates")]
+    return [seconds(swap.get("gap")), UNKNOWN if periods is None else f"{periods:.2f}", *counts]
 
 
 def _count(count: int | None) -> Text:
@@ -149,7 +142,7 @@ def _count(count: int | None) -> Text:
 
 
 def outcome(document: Document) -> RenderableType:
-    """How a change ended, and what was measured."""
+    """How a change ended, what degraded and what was measured."""
     kind, because = document["outcome"], document.get("because")
     headline = {
         "done": f"[green]Done[/green] in {seconds(document['seconds'])}",
@@ -157,16 +150,18 @@ def outcome(document: Document) -> RenderableType:
         "rolled_back": f"[red]Rolled back[/red] in {seconds(document['seconds'])}, every step undone",
         "failed": f"[red bold]Failed[/red bold] in {seconds(document['seconds'])}",
     }[kind]
-    lines: list[RenderableType] = []
-    lines.append(Text.from_markup(headline + (f": {escape(str(because))}" if because else ".")))
+    lines: list[RenderableType] = [Text.from_markup(headline + (f": {escape(str(because))}" if because else "."))]
     if kind != "refused":
-        lines.extend(Text(line) for line in fallen_lines(document))
+        lines += map(Text, _fallen_lines(document))
     if document.get("swaps"):
-        lines.append(swaps(document))
+        swaps = table(["topic", "subscriber"], MEASUREMENTS)
+        for swap in document["swaps"]:
+            swaps.add_row(swap["topic"], swap["subscriber"], *measurements(swap))
+        lines.append(swaps)
     return Group(*lines)
 
 
-def fallen_lines(document: Document) -> list[str]:
+def _fallen_lines(document: Document) -> list[str]:
     """What was degraded and for how long, as measured, and what stays lower as planned."""
     lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in _fallen(document)]
     lines += [f"Stays lower: {_shift(shift)}." for shift in _lowered(document)]
@@ -196,16 +191,14 @@ def _lowered(document: Document) -> list[Document]:
 
 def status(document: Document) -> RenderableType:
     """The live components, one line for each functionality."""
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    for name in ("node", "component", "process", "functionality", "mode", "why"):
-        table.add_column(name)
+    live = table(["node", "component", "process", "functionality", "mode", "why"])
     for component in document["components"]:
         first = [component["name"], component["component"], _process(component)]
         rows: list[Document] = component["functionalities"] or [{}]
         for row in rows:
-            table.add_row(*first, *_functionality(row, component["reachable"]))
+            live.add_row(*first, *_functionality(row, component["reachable"]))
             first = ["", "", ""]
-    return Group(Text.from_markup(_heading(document)), table, *_topics(document), *_problems(document))
+    return Group(Text.from_markup(_heading(document)), live, *_topics(document), *_problems(document))
 
 
 def _heading(document: Document) -> str:
@@ -236,36 +229,33 @@ def _functionality(row: Document, reachable: bool) -> tuple[Text, Text, Text]:
     return name, mode, Text("; ".join(why))
 
 
-def _topics(document: Document) -> list[RenderableType]:
-    lines = []
+def _topics(document: Document) -> Iterable[Text]:
     for topic in document["topics"]:
         # A topic that is satisfied without a publisher in scope is served by the environment.
         publishers = ", ".join(topic["publishers"]) or ("the environment" if topic["satisfied"] else "no publisher")
         subscribers = ", ".join(topic["subscribers"]) or "no subscriber"
         style = "dim" if topic["satisfied"] else "yellow"
         remark = "" if topic["satisfied"] else "  (not satisfied)"
-        lines.append(Text(f"{topic['name']}: {publishers} → {subscribers}{remark}", style=style))
-    return list(lines)
+        yield Text(f"{topic['name']}: {publishers} → {subscribers}{remark}", style=style)
 
 
-def _problems(document: Document) -> list[RenderableType]:
-    problems = [Text(str(violation), style="red") for violation in document["violations"]]
+def _problems(document: Document) -> Iterable[Text]:
+    problems = list(document["violations"])
     for crash in document.get("crashed") or ():
-        problems.append(Text(f"{crash['name']} exited unexpectedly (status {crash['status']})", style="red"))
+        problems.append(f"{crash['name']} exited unexpectedly (status {crash['status']})")
     if document.get("unwritten"):
-        problems.append(Text(str(document["unwritten"]), style="red"))
-    return list(problems)
+        problems.append(document["unwritten"])
+    return [Text(problem, style="red") for problem in problems]
+
+
+def time_of_day(at: float) -> str:
+    """A Unix time (s) as the local time, to the millisecond."""
+    whole, millis = divmod(round(at * 1000), 1000)
+    return f"{time.strftime('%H:%M:%S', time.localtime(whole))}.{millis:03d}"
 
 
 def event(document: Document) -> Text:
     """One event on one line."""
-    import time
-
-    whole, millis = divmod(round(document["at"] * 1000), 1000)
-    at = time.strftime("%H:%M:%S", time.localtime(whole))
-    styles = {"step_failed": "red", "up_failed": "red", "exited": "red", "degraded": "yellow", "rollback": "yellow"}
-    text = str(document["words"])
-    if document["kind"] == "outcome":
-        text = f"outcome: {text}"
-    line = Text(f"{at}.{millis:03d} ", style="dim")
-    return line.append(text, style=styles.get(document["kind"], "default"))
+    words = f"outcome: {document['words']}" if document["kind"] == "outcome" else document["words"]
+    line = Text(f"{time_of_day(document['at'])} ", style="dim")
+    return line.append(words, style=_STYLES.get(document["kind"], "default"))

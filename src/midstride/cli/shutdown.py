@@ -13,7 +13,7 @@ from midstride.cli.systems import find
 from midstride.errors import BackendError, ManagerBusy, ManagerError, MidstrideError, NoManager
 from midstride.runtime.backend import Backend, Handle
 from midstride.runtime.launcher import STOP_GRACE
-from midstride.runtime.orphans import end_orphans
+from midstride.runtime.process import end_orphans
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 
@@ -23,7 +23,7 @@ POLL = 0.02
 
 
 def shut_down(system: str | None) -> str:
-    """Stop a system and return its name. Raises NoManager where none is running, ManagerError where parts remain."""
+    """Stop a system and return its name. Raises NoManager if none is running, ManagerError if parts remain."""
     try:
         client, workspace = find(system)
     except NoManager:
@@ -41,7 +41,7 @@ def shut_down(system: str | None) -> str:
 
 
 def wait_for_manager_exit(workspace: Workspace) -> None:
-    """Wait until the next `up` can take the workspace. Raises ManagerError where the manager does not exit."""
+    """Wait until the next `up` can take the workspace. Raises ManagerError if the manager does not exit."""
     end = time.monotonic() + MANAGER_EXIT_TIMEOUT
     while time.monotonic() < end:
         try:

@@ -31,7 +31,7 @@ def system_option(function: Any) -> Any:
 def find(system: str | None) -> tuple[Client, Workspace]:
     """The manager of ``system``, or of the only running system.
 
-    Raises NoManager where none is running, ManagerError where it does not answer, UsageError where several are running.
+    Raises NoManager if none is running, ManagerError if it does not answer, UsageError if several are running.
     """
     known = {workspace.name: workspace for workspace in Workspace.all()}
     if system is not None:

@@ -14,15 +14,12 @@ from midstride.errors import CallTimeout, MidstrideError, Unreachable
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.handover import (
-    ATTACH_TIMEOUT,
-    DETACH_TIMEOUT,
-    LingeringReaders,
-    hand_over,
-    no_lingering_readers,
-)
+from midstride.runtime.events import EventLog
+from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, LiveHandover
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.running_system import RunningSystem
 from midstride.wire.commands import (
     AttachCommand,
     Command,
@@ -38,87 +35,78 @@ R = TypeVar("R")
 # How long a call of user code may take to return before a mode change is given up (s).
 DRAIN_TIMEOUT: Final = 5.0
 
-AddEvent = Callable[[str, str, dict[str, Any]], object]
-
 
 @dataclass(slots=True)
 class ActionDriver:
-    """Performs actions on the components of one change. ``report`` is called with notes for the user.
+    """Performs the actions of one change on the components of ``system``, whose configuration is that before an action.
 
-    ``has_exited`` says whether an instance's process has exited. While ``rolling_back``, a removed instance gets back
-    its own state, and a failure to transfer state does not fail the action. ``last_numbers`` holds the number of the
-    last message of each output that was detached.
+    While ``rolling_back``, a removed instance gets back its own state, and a failure to transfer state does not fail
+    the action. ``last_numbers`` holds the number of the last message of each output that was detached.
     """
 
     client: ComponentClient
     launcher: Launcher
-    add_event: AddEvent
-    has_exited: Callable[[str], bool] = lambda _: False
-    lingering_readers: LingeringReaders = no_lingering_readers
+    backend: Backend
+    system: RunningSystem
+    events: EventLog
     before_handover: Callable[[Configuration, Handover], Awaitable[None]] | None = None
     drain_timeout: float = DRAIN_TIMEOUT
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
-    async def perform(self, action: Action, configuration: Configuration, because: str) -> None:
-        """Carry out ``action``, whose precondition holds in ``configuration``. Raises MidstrideError.
+    async def perform(self, action: Action, because: str) -> None:
+        """Carry out ``action``, whose precondition holds. Raises MidstrideError.
 
         ``because`` is the reason that components report for their new modes.
         """
-        if self._is_void(action, configuration):
-            return
         match action:
-            case Create():
-                await self._create(action)
-            case Remove():
-                await self._remove(action, configuration)
-            case Attach():
-                await self._attach(action, configuration)
-            case Detach():
-                await self._detach(action, configuration)
+            case Create(instance):
+                await self.launcher.registered(instance)
+                if (state := self._exported.get(instance.role)) is not None:
+                    await self._import_state(instance.name, state)
             case Degrade() | Upgrade():
-                await self._set_modes(action, configuration, because)
+                await self._set_modes(action, because)
             case Handover():
-                await self._hand_over(action, configuration)
-            case SetParameters():
-                await self.client.change(action.instance, SetParametersCommand(parameters=dict(action.parameters)))
-
-    def _is_void(self, action: Action, configuration: Configuration) -> bool:
-        """Whether no command is needed: the action only removes something from a process that has exited, or the port
-        keeps its endpoint because it is also attached to another connector of the same topic."""
-        match action:
-            case Attach(port, connector):
-                return _has_endpoint(configuration, port, connector)
-            case Detach(port, connector):
-                return self._is_gone(port.instance) or _has_endpoint(configuration, port, connector)
-            case Remove(instance):
-                return self.has_exited(instance)
-            case _:
-                return False
+                await self._hand_over(action)
+            case SetParameters(instance, parameters):
+                await self.client.change(instance, SetParametersCommand(parameters=dict(parameters)))
+            # The others need no command where a process has exited, or where a port keeps its endpoint because it is
+            # attached to another connector of the same topic.
+            case Remove(instance) if instance not in self.system.crashed:
+                await self._remove(action)
+            case Attach(port, connector) if not self._has_endpoint(port, connector):
+                await self._attach(action)
+            case Detach(port, connector) if not (self._is_gone(port.instance) or self._has_endpoint(port, connector)):
+                await self._detach(action)
 
     def _is_gone(self, instance: str) -> bool:
         """Whether its process has exited, or is about to: the end of its connection is known first."""
-        return self.has_exited(instance) or self.client.is_lost(instance)
+        return instance in self.system.crashed or self.client.is_lost(instance)
 
-    async def _create(self, action: Create) -> None:
-        await self.launcher.registered(action.instance)
-        state = self._exported.get(action.instance.role)
-        if state is not None:
-            await self._import_state(action.instance.name, state)
+    def _has_endpoint(self, port: PortRef, connector: str) -> bool:
+        """Whether ``port`` is attached to another connector of the same topic, as while a topic's contract changes.
 
-    async def _remove(self, action: Remove, configuration: Configuration) -> None:
-        instance = configuration.instances[action.instance]
+        Components know topics, not connectors.
+        """
+        others = self.system.configuration.attached_to(port)
+        return any(other != connector and self._topic(other) == self._topic(connector) for other in others)
+
+    def _topic(self, connector: str) -> str:
+        return self.system.configuration.context.connectors[connector].topic
+
+    async def _remove(self, action: Remove) -> None:
+        instance = self.system.configuration.instances[action.instance]
         if not self.rolling_back:  # else this change created it, and the instance that returns has its own state
             try:
                 exported = await self.client.read(action.instance, ExportStateCommand())
                 if exported.state is not None:
                     self._exported[instance.role] = exported.state
             except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
-                self.add_event("note", f"the state of {action.instance} is lost: {error}", {})
+                self.events.add("note", f"the state of {action.instance} is lost: {error}")
         if instance.component.run is None:
             await self.launcher.release(action.instance)
-            self.add_event("note", f"{action.instance} was started elsewhere: it is released, and left running", {})
+            self.events.add("note", f"{action.instance} was started elsewhere: it is released, and left running")
         else:
             await self.launcher.end(action.instance)
 
@@ -128,68 +116,76 @@ class ActionDriver:
         except MidstrideError as error:
             if not self.rolling_back:
                 raise
-            self.add_event("note", f"{instance} did not restore its state: {error}", {})
+            self.events.add("note", f"{instance} did not restore its state: {error}")
 
-    async def _attach(self, action: Attach, configuration: Configuration) -> None:
-        port, output = action.port, configuration.is_output(action.port)
-        others = configuration.subscribers_on if output else configuration.publishers_on
-        topic = configuration.context.connectors[action.connector].topic
-        attach = AttachCommand(port=port.port, topic=topic, peers=len(others(action.connector)), timeout=ATTACH_TIMEOUT)
+    async def _attach(self, action: Attach) -> None:
+        port, topic, configuration = action.port, self._topic(action.connector), self.system.configuration
+        output = configuration.is_output(port)
+        others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
+        peers = sum(not self._is_gone(other.instance) for other in others)
+        attach = AttachCommand(port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT)
         detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        await self._or_undo(self.client.change(port.instance, attach), port.instance, detach)
+        await self._or_undo(port.instance, attach, detach)
 
-    async def _detach(self, action: Detach, configuration: Configuration) -> None:
-        port, topic = action.port, configuration.context.connectors[action.connector].topic
+    async def _detach(self, action: Detach) -> None:
+        port, topic = action.port, self._topic(action.connector)
         detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
         attach = AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        reply = await self._or_undo(self.client.change(port.instance, detach), port.instance, attach)
+        reply = await self._or_undo(port.instance, detach, attach)
         if reply.last:
             self.last_numbers[port] = reply.last
-        if reply.acknowledged is None and configuration.is_output(port):
-            self.add_event("note", f"{port}: unknown whether its last messages on {topic} arrived", {})
+        if reply.acknowledged is None and self.system.configuration.is_output(port):
+            self.events.add("note", f"{port}: unknown whether its last messages on {topic} arrived")
 
-    async def _set_modes(self, action: Degrade | Upgrade, configuration: Configuration, because: str) -> None:
+    async def _or_undo(self, instance: str, command: Command[R], undo: Command[Any]) -> R:
+        """The reply to ``command``; if it fails, send ``undo`` in case it was partly carried out."""
+        try:
+            return await self.client.change(instance, command)
+        except Exception:
+            await self.client.undo(instance, undo)
+            raise
+
+    async def _set_modes(self, action: Degrade | Upgrade, because: str) -> None:
         """The functionalities of each instance at once, the instances one after the other."""
         changed: list[tuple[str, ModesCommand]] = []
         try:
             for instance, modes in by_instance(action.modes).items():
                 if isinstance(action, Degrade) and self._is_gone(instance):
                     continue
-                before = {ref: configuration.modes[ref] for ref in modes}
-                changed.append((instance, self._modes_command(configuration, before, "roll-back")))
-                await self.client.change(instance, self._modes_command(configuration, modes, because))
+                before = {ref: self.system.configuration.modes[ref] for ref in modes}
+                changed.append((instance, self._modes_command(before, "roll-back")))
+                await self.client.change(instance, self._modes_command(modes, because))
         except Exception:
             for instance, undo in reversed(changed):
                 await self.client.undo(instance, undo)
             raise
 
-    async def lower(
-        self, instance: str, modes: Mapping[FunctionalityRef, int], configuration: Configuration, because: str
-    ) -> None:
+    async def lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> None:
         """Degrade functionalities of ``instance`` whose assumptions no longer hold. Raises MidstrideError.
 
         A failure is not undone: if only the reply was lost, undoing would upgrade them without their inputs.
         """
         if not self._is_gone(instance):
-            await self.client.change(instance, self._modes_command(configuration, modes, because))
+            await self.client.change(instance, self._modes_command(modes, because))
 
-    def _modes_command(
-        self, configuration: Configuration, modes: Mapping[FunctionalityRef, int], because: str
-    ) -> ModesCommand:
-        names = {ref.functionality: configuration.functionality(ref).modes[index].name for ref, index in modes.items()}
+    def _modes_command(self, modes: Mapping[FunctionalityRef, int], because: str) -> ModesCommand:
+        names = {
+            ref.functionality: self.system.configuration.functionality(ref).modes[index].name
+            for ref, index in modes.items()
+        }
         return ModesCommand(modes=names, because=because, timeout=self.drain_timeout)
 
-    async def _hand_over(self, action: Handover, configuration: Configuration) -> None:
+    async def _hand_over(self, action: Handover) -> None:
+        configuration = self.system.configuration
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in action.swaps}):
             same_role = configuration.instances[old].role == configuration.instances[new].role
             if old != new and same_role:  # else nothing is replaced
                 await self._transfer_state(old, new)
         if self.before_handover is not None:
             await self.before_handover(configuration, action)
-        result = await hand_over(self.client, self.lingering_readers, configuration, action)
-        self.last_numbers.update(result.last)
-        for warning in result.warnings:
-            self.add_event("note", warning, {})
+        lingering_readers = self.backend.lingering_readers
+        handover = LiveHandover(self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone)
+        self.last_numbers |= await handover.run()
 
     async def _transfer_state(self, old: str, new: str) -> None:
         try:
@@ -197,18 +193,10 @@ class ActionDriver:
         except MidstrideError as error:
             if not self.rolling_back:
                 raise
-            self.add_event("note", f"{new} keeps its own state: {error}", {})
+            self.events.add("note", f"{new} keeps its own state: {error}")
             return
         if exported.state is not None:
             await self._import_state(new, exported.state)
-
-    async def _or_undo(self, attempt: Awaitable[R], instance: str, undo: Command[Any]) -> R:
-        """The result of ``attempt``; if it fails, send ``undo`` in case it was partly carried out."""
-        try:
-            return await attempt
-        except Exception:
-            await self.client.undo(instance, undo)
-            raise
 
 
 def by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:
@@ -217,15 +205,3 @@ def by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[Functio
     for ref, index in sorted(modes.items()):
         found.setdefault(ref.instance, {})[ref] = index
     return found
-
-
-def _has_endpoint(configuration: Configuration, port: PortRef, connector: str) -> bool:
-    """Whether ``port`` is attached to another connector of the same topic, as while the contract of a topic changes.
-
-    Components know topics, not connectors.
-    """
-    connectors = configuration.context.connectors
-    return any(
-        other != connector and connectors[other].topic == connectors[connector].topic
-        for other in configuration.attached_to(port)
-    )

@@ -29,85 +29,68 @@ RESUME_WITHOUT_RATE: Final = 2.0
 class Cut:
     """One cut between two components, for the outputs of one functionality, which share a time grid."""
 
+    configuration: Configuration
     old: str
     new: str
-    swaps: list[Swap]
+    swaps: list[Swap] = field(default_factory=list)
     id: str = field(default_factory=lambda: uuid.uuid4().hex)
     trigger: Trigger = "none"
     epoch: int | None = None
     period: float | None = None
     at: int = 0
 
-    def resume_after(self, configuration: Configuration) -> float:
+    def resume_after(self) -> float:
         """How long the old side waits for the new one's first write (s)."""
-        period = self.period if self.period is not None else _declared_period(configuration, self)
+        period = self.period if self.period is not None else self._declared_period()
         if period is None:
             return RESUME_WITHOUT_RATE
         # The old side then writes in its next slot, which may be a period later.
         return max((RESUME_PERIODS - 1) * period, SHORTEST_RESUME)
 
+    def _declared_period(self) -> float | None:
+        """The longest of the periods that the cut's topics require; None if one states no rate."""
+        rates = []
+        for swap in self.swaps:
+            guarantee = self.configuration.guarantee(swap.old)
+            own = guarantee.rate if isinstance(guarantee, Predicate) else None
+            rates.append(self.configuration.context.connectors[swap.connector].guarantee.rate or own)
+        return None if None in rates else max(1 / rate for rate in rates if rate)
 
-def topic_of(configuration: Configuration, connector: str) -> str:
-    return configuration.context.connectors[connector].topic
+    def outgoing(self) -> CutOutCommand:
+        """The cut as the old side is sent it."""
+        swaps = [CutSwap(port=swap.old.port, topic=self._topic(swap)) for swap in self.swaps]
+        return CutOutCommand(cut=self.id, swaps=swaps, at=self.at, resume_after=self.resume_after())
+
+    def incoming(self, address: str) -> CutInCommand:
+        """The cut as the new side is sent it; ``address`` is that of the old side."""
+        # An output without a rate or a driving message is written once, so the cut repeats its last message.
+        latch = self.trigger == "none"
+        swaps = [CutSwap(port=swap.new.port, topic=self._topic(swap), latch=latch) for swap in self.swaps]
+        epoch = self.at if self.trigger == "rate" else None
+        return CutInCommand(cut=self.id, swaps=swaps, at=self.at, epoch=epoch, peer=self.old, address=address)
+
+    def _topic(self, swap: Swap) -> str:
+        return self.configuration.context.connectors[swap.connector].topic
 
 
 async def agree_cuts(
     client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap], lead: float
 ) -> list[Cut]:
     """One cut for the outputs of each old functionality, all at the first slot after one common moment."""
-    groups: dict[tuple[str, str, str], Cut] = {}
-    moment: int | None = None
+    cuts: dict[tuple[str, str, str], Cut] = {}
+    now = 0
     for swap in swaps:
-        owner = configuration.component(swap.old.instance).owner(swap.old.port).name
-        cut = groups.setdefault(
-            (swap.old.instance, swap.new.instance, owner), Cut(swap.old.instance, swap.new.instance, [])
-        )
-        cut.swaps.append(swap)
-        if len(cut.swaps) > 1:
-            continue
-        grid = await client.read(swap.old.instance, GridCommand(port=swap.old.port))
-        cut.trigger, cut.epoch, cut.period = grid.trigger, grid.epoch, grid.period
-        moment = max(moment or 0, grid.now)
-    assert moment is not None
-    moment += int(lead * 1e9)
-    for cut in groups.values():
+        old, new = swap.old.instance, swap.new.instance
+        key = (old, new, configuration.component(old).owner(swap.old.port).name)
+        if key not in cuts:
+            grid = await client.read(old, GridCommand(port=swap.old.port))
+            cuts[key] = Cut(configuration, old, new, trigger=grid.trigger, epoch=grid.epoch, period=grid.period)
+            now = max(now, grid.now)
+        cuts[key].swaps.append(swap)
+    moment = now + int(lead * 1e9)
+    for cut in cuts.values():
         cut.at = moment
         if cut.trigger == "rate" and cut.epoch is not None and cut.period:
             step = cut.period * 1e9
             cut.at = cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
-    return list(groups.values())
-
-
-def _declared_period(configuration: Configuration, cut: Cut) -> float | None:
-    """The longest of the periods that the cut's topics require; None where one states no rate."""
-    rates = [configuration.context.connectors[swap.connector].guarantee.rate for swap in cut.swaps]
-    rates = [
-        rate or (g.rate if isinstance(g := configuration.guarantee(swap.old), Predicate) else None)
-        for rate, swap in zip(rates, cut.swaps, strict=True)
-    ]
-    return None if any(rate is None for rate in rates) else max(1 / rate for rate in rates if rate)
-
-
-def cut_out(configuration: Configuration, cut: Cut) -> CutOutCommand:
-    return CutOutCommand(
-        cut=cut.id,
-        swaps=[CutSwap(port=swap.old.port, topic=topic_of(configuration, swap.connector)) for swap in cut.swaps],
-        at=cut.at,
-        resume_after=cut.resume_after(configuration),
-    )
-
-
-def cut_in(configuration: Configuration, cut: Cut, address: str) -> CutInCommand:
-    # An output without a rate or a driving message is written once, so its last message is written again at the cut.
-    latch = cut.trigger == "none"
-    return CutInCommand(
-        cut=cut.id,
-        swaps=[
-            CutSwap(port=swap.new.port, topic=topic_of(configuration, swap.connector), latch=latch)
-            for swap in cut.swaps
-        ],
-        at=cut.at,
-        epoch=cut.at if cut.trigger == "rate" else None,
-        peer=cut.old,
-        address=address,
-    )
+    return list(cuts.values())

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import cast
 
 from msgspec import UNSET, UnsetType, structs
@@ -23,7 +24,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.degradation_timer import DegradationTimer
-from midstride.runtime.events import EventLog
+from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
 from midstride.runtime.observed_configuration import ObservedConfiguration, observe
 from midstride.runtime.reconciler import Reconciler
@@ -35,94 +36,84 @@ from midstride.runtime.state_store import StateStore
 from midstride.verify.verdict import Verdict
 
 
+@dataclass
 class ChangeSession:
     """Carries out one change at a time; the caller holds the manager's lock. ``executor`` makes an executor.
 
     ``measuring`` is true once all steps are done and only the measurement is left.
     """
 
-    def __init__(
-        self,
-        system: RunningSystem,
-        client: ComponentClient,
-        clock: Clock,
-        events: EventLog,
-        store: StateStore,
-        reconciler: Reconciler,
-        verifier: Verifier,
-        executor: Callable[[], Executor],
-    ) -> None:
-        self.measuring = False
-        self._system = system
-        self._client = client
-        self._clock = clock
-        self._events = events
-        self._store = store
-        self._reconciler = reconciler
-        self._verifier = verifier
-        self._executor = executor
+    system: RunningSystem
+    client: ComponentClient
+    clock: Clock
+    events: EventLog
+    store: StateStore
+    reconciler: Reconciler
+    verifier: Verifier
+    executor: Callable[[], Executor]
+    measuring: bool = False
 
     # -- planning ----------------------------------------------------------------------------------
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
-        specification, configuration = self._system.specification, self._system.configuration
+        specification, configuration = self.system.specification, self.system.configuration
         return await asyncio.to_thread(_plan, request, specification, configuration)
 
     async def change(self, request: PlanRequest, *, expected: int | None = None, verify: bool = False) -> Outcome:
         """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
-        if expected is not None and expected != self._system.revision:
+        if expected is not None and expected != self.system.revision:
             because = "the configuration has changed since the plan was shown; look at the new plan"
             return Outcome(outcome="refused", because=because)
         try:
             plan, target = await self.plan(request)
-            self._store.require()
+            self.store.require()
         except (PlanRefused, ManagerError) as error:
             return self._refuse(str(error))
         if not verify:
             return await self.carry_out(plan, target)
-        self._events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
-        verdict = await self._verifier.plan(plan)
+        self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
+        verdict = await self.verifier.plan(plan)
         self._verified(verdict)
         if not verdict.holds:
             return self._refuse(verdict.words, verdict)
-        step_verifier = StepVerifier(self._verifier, tuple(plan.configurations()), self._observe, self._verified)
+        step_verifier = StepVerifier(self.verifier, tuple(plan.configurations()), self._observe, self._verified)
         outcome = await self.carry_out(plan, target, step_verifier)
         return structs.replace(outcome, verdict=verdict)
 
     def _observe(self, configuration: Configuration) -> ObservedConfiguration:
-        return observe(configuration, self._client, self._reconciler.crashes.unreconciled)
+        return observe(configuration, self.client, self.system.crashed)
 
     def _verified(self, verdict: Verdict) -> None:
-        self._events.add("verified", str(verdict), verdict=verdict)
+        self.events.add("verified", str(verdict), verdict=verdict)
 
     def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
-        self._events.add("outcome", f"refused: {because}", outcome="refused")
+        self.events.add("outcome", f"refused: {because}", outcome="refused")
         return Outcome(outcome="refused", because=because, verdict=verdict)
 
     # -- carrying out ------------------------------------------------------------------------------
 
     async def carry_out(self, plan: Plan, target: Specification, verifier: StepVerifier | None = None) -> Outcome:
         """Carry out ``plan``, measure, and report."""
-        recording = Recording(self._client, self._clock)
+        recording = Recording(self.client, self.clock)
         try:
             return await self._carry_out(plan, target, recording, verifier)
         finally:
-            await recording.stop(self._system.configuration.instances)
+            await recording.stop(self.system.configuration.instances)
 
     async def _carry_out(
         self, plan: Plan, target: Specification, recording: Recording, verifier: StepVerifier | None
     ) -> Outcome:
-        system, crashes = self._system, self._reconciler.crashes
+        system = self.system
         preview = PlanPreview.of(plan)
-        self._events.add("plan", f"{counted(len(plan.steps), 'step')}, disruption {plan.disruption:g}", plan=preview)
+        self.events.add("plan", f"{counted(len(plan.steps), 'step')}, disruption {plan.disruption:g}", plan=preview)
         actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
-        timer = DegradationTimer(plan.change, self._clock.steady)
-        started, before, missing = self._clock.steady(), system.configuration, dict(crashes.missing)
-        self._reconciler.degraded.clear()
+        timer = DegradationTimer(plan.change, self.clock.steady)
+        started, before, missing = self.clock.steady(), system.configuration, dict(system.missing)
+        self.reconciler.degraded.clear()
         system.configuration = plan.change.start
-        executor = self._executor()
+        executor = self.executor()
         executor.on_moved = timer.moved
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
@@ -131,10 +122,10 @@ class ChangeSession:
         try:
             await executor.run(actions, preview.steps)
             if target != system.specification:
-                self._store.write_specification(target)
+                self.store.write_specification(target)
             system.specification = target
             system.configuration = plan.change.settled(system.configuration)
-            crashes.forget_filled(system.configuration, system.specification.nodes)
+            system.forget_filled_roles()
         except StepFailed as error:
             outcome, because = cast("OutcomeKind", error.outcome), str(error)
             if outcome == "rolled_back":
@@ -143,19 +134,19 @@ class ChangeSession:
             if system.configuration == plan.change.start:  # everything has been rolled back
                 system.configuration = before
             raise
-        seconds, degraded_seconds = self._clock.steady() - started, timer.stop()
-        await self._reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
+        seconds, degraded_seconds = self.clock.steady() - started, timer.stop()
+        await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         if recording.recorded:
-            self._events.add("measuring", "watching the subscribers for 20 periods more")
+            self.events.add("measuring", "watching the subscribers for 20 periods more")
         self.measuring = True
         try:
             swaps = await recording.finish(executor.driver.last_numbers)
         finally:
             self.measuring = False
-        await self._reconciler.reconcile()  # the report includes unexpected degradations
+        await self.reconciler.reconcile()  # the report includes unexpected degradations
         if swaps:
-            self._events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
-        self._events.add("outcome", f"{outcome}: {because}" if because else outcome, outcome=outcome)
+            self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
+        self.events.add("outcome", f"{outcome}: {because}" if because else outcome, outcome=outcome)
         return Outcome(
             outcome=outcome,
             plan=PlanForm.of(plan),
@@ -163,8 +154,8 @@ class ChangeSession:
             fallen=degraded_seconds,
             swaps=swaps,
             because=because,
-            ended=sorted(name for name, event in crashes.missing.items() if missing.get(name) is not event),
-            degraded=sorted(map(str, self._reconciler.degraded)),
+            ended=sorted(name for name, event in system.missing.items() if missing.get(name) is not event),
+            degraded=sorted(map(str, self.reconciler.degraded)),
         )
 
 
@@ -177,8 +168,3 @@ def _plan(
     else:
         change = change_between(configuration, specification, target)
     return planner(request.strategy)(change), target
-
-
-def counted(count: int, what: str) -> str:
-    """``1 step``, ``2 steps``."""
-    return f"{count} {what}" if count == 1 else f"{count} {what}s"

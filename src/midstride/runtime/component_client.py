@@ -37,13 +37,6 @@ REOPEN_INTERVAL: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Reported:
-    """A component has reported its state."""
-
-    state: ComponentState
-
-
-@dataclass(frozen=True, slots=True)
 class Disconnected:
     """A component's control connection has closed and cannot be reopened.
 
@@ -55,7 +48,8 @@ class Disconnected:
     exited: bool = True
 
 
-ComponentEvent = Reported | Disconnected
+# A component has reported its state, or it has disconnected.
+ComponentEvent = ComponentState | Disconnected
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +63,8 @@ class LatestState:
 class ComponentClient:
     """Sends commands to components, each change with the revision that the component is expected to be at.
 
-    A component refuses a change at any other revision. ``on_event`` is called for each reported state and each
-    disconnection. Not thread-safe: use it on one event loop.
+    A component refuses a change at any other revision. It recognizes its manager by ``token``. ``on_event`` is called
+    for each reported state and each disconnection. Not thread-safe: use it on one event loop.
     """
 
     def __init__(
@@ -80,10 +74,10 @@ class ComponentClient:
         token: str,
         on_event: Callable[[ComponentEvent], None] = lambda _: None,
     ) -> None:
+        self.token = token
+        self.on_event = on_event
         self._transport = transport
         self._clock = clock
-        self._token = token
-        self._on_event = on_event
         self._prefix = uuid.uuid4().hex[:12]
         self._count = 0
         self._revisions: dict[str, int] = {}
@@ -126,27 +120,18 @@ class ComponentClient:
     async def _channel(self, instance: str) -> Channel:
         """Raises Unreachable, CallTimeout or ProtocolError."""
         async with self._connecting.setdefault(instance, asyncio.Lock()):
-            channel = self._channels.get(instance)
-            if channel is not None and not channel.closed.is_set():
-                return channel
-            opened: list[Channel] = []  # for the callbacks, which are called once it is open
-
-            def report(frame: Report) -> None:
-                self._on_report(instance, frame)
-
-            def ended() -> None:
-                self._on_closed(instance, opened[0])
-
+            known = self._channels.get(instance)
+            if known is not None and not known.closed.is_set():
+                return known
             self._registrations[instance] = asyncio.get_running_loop().create_future()
             channel = await Channel.open(
                 self._transport,
                 self._transport.address(instance),
-                self._token,
+                self.token,
                 timeout=ANSWER_TIMEOUT,
-                report=report,
-                ended=ended,
+                report=lambda frame: self._on_report(instance, frame),
+                ended=lambda: self._on_closed(instance, channel),
             )
-            opened.append(channel)
             self._lost.discard(instance)
             self._channels[instance] = channel
             return channel
@@ -158,7 +143,7 @@ class ComponentClient:
                 registration.set_result(frame)
             return
         self._latest[instance] = LatestState(frame.state, self._clock.steady())
-        self._on_event(Reported(frame.state))
+        self.on_event(frame.state)
 
     def _on_closed(self, instance: str, channel: Channel) -> None:
         if self._channels.get(instance) is channel:
@@ -189,12 +174,7 @@ class ComponentClient:
                 self._lost.add(instance)
             if exited or not reported:
                 reported = True
-                self._on_event(Disconnected(instance, exited))
-
-    def greeting(self, instance: str) -> Greeting | None:
-        """The greeting of the component, while it is connected."""
-        channel = self._channels.get(instance)
-        return None if channel is None else channel.greeting
+                self.on_event(Disconnected(instance, exited))
 
     def latest(self, instance: str) -> LatestState | None:
         """The state that the component last reported, while it is connected."""

@@ -31,18 +31,14 @@ class EventLog:
 
     def since(self, n: int = 0) -> list[Event]:
         """The events after number ``n`` that are still kept; all of them if ``n`` is from an earlier manager."""
-        n = self._known(n)
+        if n > self._count:
+            n = 0
         return [event for event in self._events if event.n > n]
-
-    def _known(self, n: int) -> int:
-        """``n``, or 0 if it is from an earlier manager."""
-        return n if n <= self._count else 0
 
     async def follow(self, n: int = 0) -> AsyncIterator[Event]:
         """The events after number ``n`` as in ``since``, then each new one. A slow reader loses the oldest."""
         waker = asyncio.Event()
         self._wakers.add(waker)
-        n = self._known(n)
         try:
             while True:
                 waker.clear()
@@ -52,3 +48,8 @@ class EventLog:
                 await waker.wait()
         finally:
             self._wakers.discard(waker)
+
+
+def counted(count: int, what: str) -> str:
+    """``1 step``, ``2 steps``."""
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"

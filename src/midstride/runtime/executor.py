@@ -18,9 +18,10 @@ from msgspec import UNSET
 from midstride.errors import MidstrideError, StepFailed
 from midstride.model.action import Action, Create, Degrade, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
-from midstride.model.configuration import Configuration, Instance
+from midstride.model.configuration import Configuration
 from midstride.plan.forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
+from midstride.runtime.events import counted
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
 
@@ -33,17 +34,18 @@ Done = list[tuple[Action, Configuration]]
 class Executor:
     """Carries out actions on the running system.
 
-    ``on_started`` is called with each instance whose process is started, ``on_moved`` with the configuration after each
-    step and the instances that the step changed. ``after_step`` checks the configuration after each step of a plan: if
-    it raises, the step has failed.
+    ``on_moved`` is called with the configuration after each step and the instances that the step changed.
+    ``after_step`` checks the configuration after each step of a plan: if it raises, the step has failed.
     """
 
     driver: ActionDriver
-    system: RunningSystem
     store: StateStore
-    on_started: Callable[[Instance], None] = lambda _: None
     on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
+
+    @property
+    def system(self) -> RunningSystem:
+        return self.driver.system
 
     async def run(self, actions: Sequence[Action], forms: Sequence[AnyStep] = ()) -> None:
         """Carry out ``actions`` in order.
@@ -54,9 +56,9 @@ class Executor:
         done: Done = []
         for index, action in enumerate(actions):
             step = forms[index] if index < len(forms) else UNSET
-            position = {"index": index, "of": len(actions), "step": step}
+            position: Any = {"index": index, "of": len(actions), "step": step}
             what = action.describe(self.system.configuration)
-            self._add_event("step", f"{index + 1}/{len(actions)} {what}", position)
+            self.driver.events.add("step", f"{index + 1}/{len(actions)} {what}", **position)
             try:
                 if isinstance(action, Create):
                     await self._start_ahead(actions[index:])
@@ -65,7 +67,7 @@ class Executor:
                     await self.after_step(self.system.configuration)
             except (Exception, asyncio.CancelledError) as error:
                 why = _words(error)
-                self._add_event("step_failed", f"{what} failed: {why}", position)
+                self.driver.events.add("step_failed", f"{what} failed: {why}", **position)
                 await self._abandon_started(actions[index:])
                 problem = await self._roll_back(done)
                 if isinstance(error, asyncio.CancelledError):
@@ -73,7 +75,7 @@ class Executor:
                 outcome = "rolled_back" if problem is None else "failed"
                 because = f"{what}: {why}" + ("" if problem is None else f"; and the roll-back failed: {problem}")
                 raise StepFailed(because, outcome) from error
-            self._add_event("step_done", f"{index + 1}/{len(actions)} done", position)
+            self.driver.events.add("step_done", f"{index + 1}/{len(actions)} done", **position)
 
     async def _step(self, action: Action, done: Done) -> None:
         """Perform ``action`` and append it to ``done``.
@@ -98,7 +100,7 @@ class Executor:
         """Check the precondition of one action, carry it out, and update the model. Raises MidstrideError."""
         before = self.system.configuration
         after = action.apply(before)
-        await self.driver.perform(action, before, f"the plan asked for it: {action.describe(before)}")
+        await self.driver.perform(action, f"the plan asked for it: {action.describe(before)}")
         self._moved(after, action.instances())
         match action:
             case Remove(instance):
@@ -110,35 +112,35 @@ class Executor:
         self.system.moved(configuration)
         self.on_moved(configuration, instances)
 
-    async def lower(self, modes: Mapping[FunctionalityRef, int], because: str) -> set[FunctionalityRef]:
-        """Degrade functionalities whose assumptions no longer hold; returns those that could not be degraded.
+    async def lower(
+        self, modes: Mapping[FunctionalityRef, int], because: str
+    ) -> dict[FunctionalityRef, MidstrideError]:
+        """Degrade functionalities whose assumptions no longer hold; returns why each of the others could not be.
 
         Instances are independent of each other here. No order and no precondition applies: the assumptions are already
         violated.
         """
-        groups = by_instance(modes)
-        results = await asyncio.gather(*(self._lower(name, group, because) for name, group in groups.items()))
-        failed = {ref for group, lowered in zip(groups.values(), results, strict=True) if not lowered for ref in group}
-        if len(failed) < len(modes):
-            reached = {ref: index for ref, index in modes.items() if ref not in failed}
+        failed: dict[FunctionalityRef, MidstrideError] = {}
+
+        async def lower_instance(name: str, group: Mapping[FunctionalityRef, int]) -> None:
+            words = Degrade(Map(group)).describe(self.system.configuration)
+            try:
+                await self.driver.lower(name, group, because)
+                self.driver.events.add("degraded", words)
+            except MidstrideError as error:
+                self.driver.events.add("note", f"{words} failed: {error}")
+                failed.update(dict.fromkeys(group, error))
+
+        await asyncio.gather(*(lower_instance(name, group) for name, group in by_instance(modes).items()))
+        if reached := {ref: index for ref, index in modes.items() if ref not in failed}:
             self._moved(self.system.configuration.with_modes(reached), {ref.instance for ref in reached})
         return failed
-
-    async def _lower(self, instance: str, modes: Mapping[FunctionalityRef, int], because: str) -> bool:
-        words = Degrade(Map(modes)).describe(self.system.configuration)
-        try:
-            await self.driver.lower(instance, modes, self.system.configuration, because)
-        except MidstrideError as error:
-            self._add_event("note", f"{words} failed: {error}", {})
-            return False
-        self._add_event("degraded", words, {})
-        return True
 
     async def _roll_back(self, done: Done) -> str | None:
         """Undo the actions in ``done``, last first. Returns None, or why it failed."""
         if not done:
             return None
-        self._add_event("rollback", f"rolling back {len(done)} step{'s' if len(done) > 1 else ''}", {"of": len(done)})
+        self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", of=len(done))
         self.driver.rolling_back = True
         for action, before in reversed(done):
             for undoing in action.undo(before):
@@ -147,9 +149,9 @@ class Executor:
                     await self.perform(undoing)
                 except Exception as error:
                     problem = f"{what}: {_words(error)}"
-                    self._add_event("rollback_failed", f"the roll-back is incomplete: {problem}", {})
+                    self.driver.events.add("rollback_failed", f"the roll-back is incomplete: {problem}")
                     return problem
-        self._add_event("rolled_back", "everything is as it was before", {})
+        self.driver.events.add("rolled_back", "everything is as it was before")
         return None
 
     async def _start_ahead(self, actions: Iterable[Action]) -> None:
@@ -158,7 +160,7 @@ class Executor:
             if not isinstance(action, Create):
                 break
             if await self.driver.launcher.start(action.instance):
-                self.on_started(action.instance)
+                self.system.started(action.instance.name)
                 handle = self.driver.launcher.handles.get(action.instance.name)
                 self.store.write_instance(action.instance, handle)
 
@@ -168,9 +170,6 @@ class Executor:
                 await self.driver.launcher.abandon(action.instance.name)
                 if action.instance.name not in self.driver.launcher.handles:
                     self.store.remove_instance(action.instance.name)
-
-    def _add_event(self, kind: str, words: str, details: dict[str, Any]) -> None:
-        self.driver.add_event(kind, words, details)
 
 
 def _words(error: BaseException) -> str:

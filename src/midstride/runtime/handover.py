@@ -9,17 +9,18 @@ its first message: if the manager exits at any point, the topic is silent for at
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Iterable
-from dataclasses import dataclass
-from typing import Final, TypeAlias
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Final
 
 from midstride.errors import CommandRefused, MidstrideError, StepFailed
-from midstride.model.action import Handover, Swap
+from midstride.model.action import Swap
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
-from midstride.runtime.agreed_cut import Cut, agree_cuts, cut_in, cut_out, topic_of
+from midstride.runtime.agreed_cut import Cut, agree_cuts
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.events import EventLog
 from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
@@ -29,9 +30,6 @@ from midstride.wire.commands import (
     GridCommand,
     MeetCommand,
 )
-
-# The number of readers on a topic that the middleware still counts although their processes have exited.
-LingeringReaders: TypeAlias = Callable[[str], Awaitable[int]]
 
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
 # of these, the next one is tried.
@@ -48,180 +46,165 @@ MEET_ATTEMPTS: Final = 10
 MEET_TIMEOUT: Final = 0.5
 
 
-@dataclass(frozen=True, slots=True)
-class HandoverResult:
-    """The number of each old output's last message, and warnings about what failed after the cut."""
+@dataclass(slots=True)
+class LiveHandover:
+    """One hand-over on the components of ``configuration``.
 
-    last: dict[PortRef, int | None]
-    warnings: tuple[str, ...] = ()
-
-
-async def hand_over(
-    client: ComponentClient, lingering: LingeringReaders, configuration: Configuration, action: Handover
-) -> HandoverResult:
-    """Carry out ``action`` on the components of ``configuration``.
-
-    Raises StepFailed with the reason. Then the old publishers publish as before, and the new ones have no endpoint on
-    the topics.
+    ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
+    exited, ``is_gone`` whether a component has exited.
     """
-    swaps = list(action.swaps)
-    warnings: list[str | None] = []
-    begun: list[Swap] = []
-    cuts: list[Cut] = []
-    try:
-        for swap in swaps:
-            begun.append(swap)
-            warnings.append(await _attach_gated(client, lingering, configuration, swap))
-        for swap in swaps:
-            await _await_probation(client, configuration, swap)
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in swaps}):
-            await _meet(client, new, old)
-        for lead in LEADS:
-            cuts = await agree_cuts(client, configuration, swaps, lead)
-            if await _announce(client, configuration, cuts, last_try=lead == LEADS[-1]):
-                break
-        last = await _await_cuts(client, configuration, cuts)
-    except (Exception, asyncio.CancelledError) as error:
-        degradation = (
-            await _degradation_of_new(client, configuration, swaps) if isinstance(error, MidstrideError) else None
-        )
-        await _undo(client, configuration, cuts, begun)
-        if isinstance(error, MidstrideError):
+
+    client: ComponentClient
+    events: EventLog
+    configuration: Configuration
+    swaps: Sequence[Swap]
+    lingering_readers: Callable[[str], Awaitable[int]]
+    is_gone: Callable[[str], bool]
+    _begun: list[Swap] = field(default_factory=list)
+    _cuts: list[Cut] = field(default_factory=list)
+
+    async def run(self) -> dict[PortRef, int | None]:
+        """The number of each old output's last message. Raises StepFailed with the reason.
+
+        Then the old publishers publish as before, and the new ones have no endpoint on the topics. What fails after the
+        cut is only noted.
+        """
+        try:
+            for swap in self.swaps:
+                self._begun.append(swap)
+                await self._attach_gated(swap)
+            for swap in self.swaps:
+                await self._await_probation(swap)
+            for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+                await self._meet(new, old)
+            for lead in LEADS:
+                self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead)
+                if await self._announce(last_try=lead == LEADS[-1]):
+                    break
+            last = await self._await_cuts()
+        except MidstrideError as error:
+            degradation = await self._degradation_of_new()
+            await self._undo()
             raise StepFailed(degradation or str(error)) from error
-        raise
-    warnings += [await _detach_old(client, configuration, swap) for swap in swaps]
-    return HandoverResult(last, tuple(warning for warning in warnings if warning))
-
-
-async def _degradation_of_new(
-    client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap]
-) -> str | None:
-    """If the new side degraded unexpectedly, that is the root cause of any refusal: a message saying so, else None."""
-    for swap in swaps:
-        owner = configuration.component(swap.new.instance).owner(swap.new.port)
-        try:
-            view = (await client.peek(swap.new.instance)).functionalities.get(owner.name)
-        except MidstrideError:
-            continue
-        ref = FunctionalityRef(swap.new.instance, owner.name)
-        if view is not None and owner.mode_index(view.mode) > configuration.modes[ref]:
-            return f"{ref} degraded to {view.mode} by itself: {view.because.strip()}"
-    return None
-
-
-async def _announce(client: ComponentClient, configuration: Configuration, cuts: list[Cut], last_try: bool) -> bool:
-    """Send each cut to both sides. False if one side received it too late; then all cuts have been cancelled."""
-    try:
-        for cut in cuts:  # the old side first: it resumes if the new side never learns of the cut
-            await client.change(cut.old, cut_out(configuration, cut))
-        for cut in cuts:
-            await client.change(cut.new, cut_in(configuration, cut, client.address(cut.old)))
-    except CommandRefused:
-        if last_try:
+        except (Exception, asyncio.CancelledError):
+            await self._undo()
             raise
-        await _cancel(client, cuts)
-        return False
-    return True
+        for swap in self.swaps:
+            try:
+                await self.client.change(swap.old.instance, self._detachment(swap.old, swap))
+            except MidstrideError as error:
+                words = f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
+                self.events.add("note", words)
+        return last
 
+    def _topic(self, swap: Swap) -> str:
+        return self.configuration.context.connectors[swap.connector].topic
 
-async def _cancel(client: ComponentClient, cuts: list[Cut]) -> None:
-    for cut in cuts:
-        for side in (cut.new, cut.old):
-            await client.undo(side, CancelCutCommand(cut=cut.id))
-
-
-async def _attach_gated(
-    client: ComponentClient, lingering: LingeringReaders, configuration: Configuration, swap: Swap
-) -> str | None:
-    """Attach the new publisher with a closed gate, and wait until it is matched with the subscribers of the model.
-
-    It should also match as many readers as the old publisher does; returns a warning if it does not.
-    """
-    topic = topic_of(configuration, swap.connector)
-    grid = await client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
-    readers = (grid.readers or 0) - await lingering(topic)
-    attach = AttachCommand(
-        port=swap.new.port,
-        topic=topic,
-        gate="closed",
-        peers=len(configuration.subscribers_on(swap.connector)),
-        everyone=readers,
-        patience=OUTSIDE_READERS_TIMEOUT,
-        timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
-    )
-    matched = (await client.change(swap.new.instance, attach)).matched
-    if matched >= readers:
+    async def _degradation_of_new(self) -> str | None:
+        """If the new side degraded unexpectedly, that is the root cause of any refusal: a message saying so."""
+        for swap in self.swaps:
+            owner = self.configuration.component(swap.new.instance).owner(swap.new.port)
+            try:
+                view = (await self.client.peek(swap.new.instance)).functionalities.get(owner.name)
+            except MidstrideError:
+                continue
+            ref = FunctionalityRef(swap.new.instance, owner.name)
+            if view is not None and owner.mode_index(view.mode) > self.configuration.modes[ref]:
+                return f"{ref} entered mode {view.mode} unexpectedly: {view.because.strip()}"
         return None
-    return (
-        f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
-        "subscribers outside this system may miss messages"
-    )
 
+    async def _attach_gated(self, swap: Swap) -> None:
+        """Attach the new publisher with a closed gate, and wait until it is matched with the subscribers of the model.
 
-async def no_lingering_readers(topic: str) -> int:
-    """For a middleware that never counts readers of processes that have exited."""
-    return 0
+        It should also match as many readers as the old publisher does; if it does not, that is noted.
+        """
+        topic = self._topic(swap)
+        grid = await self.client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
+        readers = (grid.readers or 0) - await self.lingering_readers(topic)
+        subscribers = self.configuration.subscribers_on(swap.connector)
+        attach = AttachCommand(
+            port=swap.new.port,
+            topic=topic,
+            gate="closed",
+            peers=sum(not self.is_gone(port.instance) for port in subscribers),
+            everyone=readers,
+            patience=OUTSIDE_READERS_TIMEOUT,
+            timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
+        )
+        matched = (await self.client.change(swap.new.instance, attach)).matched
+        if matched < readers:
+            self.events.add(
+                "note",
+                f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
+                "subscribers outside this system may miss messages",
+            )
 
+    async def _await_probation(self, swap: Swap) -> None:
+        guarantee = self.configuration.guarantee(swap.new)
+        rate = guarantee.rate if isinstance(guarantee, Predicate) else None
+        timeout = PROBATION + (10 / rate if rate else 0.0)
+        await_write = AwaitWriteCommand(port=swap.new.port, topic=self._topic(swap), timeout=timeout)
+        seen = await self.client.read(swap.new.instance, await_write)
+        if seen.wrong_type:
+            raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
+        if not seen.gated:
+            raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
 
-async def _meet(client: ComponentClient, new: str, old: str) -> None:
-    """Have the new side connect to the old one.
+    async def _meet(self, new: str, old: str) -> None:
+        """Have the new side connect to the old one.
 
-    Several short attempts, because the topic is silent if the old side has exited: each attempt checks that first.
-    """
-    for _ in range(MEET_ATTEMPTS):
-        await client.peek(old)
+        Several short attempts, because the topic is silent if the old side has exited: each attempt checks that first.
+        """
+        for _ in range(MEET_ATTEMPTS):
+            await self.client.peek(old)
+            try:
+                meet = MeetCommand(peer=old, address=self.client.address(old), timeout=MEET_TIMEOUT)
+                await self.client.change(new, meet)
+                return
+            except CommandRefused as error:
+                refused = error
+        raise refused
+
+    async def _announce(self, last_try: bool) -> bool:
+        """Send each cut to both sides. False if one side received it too late; then all cuts have been cancelled."""
         try:
-            await client.change(new, MeetCommand(peer=old, address=client.address(old), timeout=MEET_TIMEOUT))
-            return
-        except CommandRefused as error:
-            refused = error
-    raise refused
+            for cut in self._cuts:  # the old side first: it resumes if the new side never learns of the cut
+                await self.client.change(cut.old, cut.outgoing())
+            for cut in self._cuts:
+                await self.client.change(cut.new, cut.incoming(self.client.address(cut.old)))
+        except CommandRefused:
+            if last_try:
+                raise
+            await self._cancel()
+            return False
+        return True
 
+    async def _await_cuts(self) -> dict[PortRef, int | None]:
+        last: dict[PortRef, int | None] = {}
+        for cut in self._cuts:
+            await_cut = AwaitCutCommand(cut=cut.id, timeout=LEADS[-1] + cut.resume_after() + 2.0)
+            incoming, outgoing = await asyncio.gather(
+                self.client.read(cut.new, await_cut), self.client.read(cut.old, await_cut)
+            )
+            if incoming.outcome != "done":
+                raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues")
+            if outgoing.outcome != "done":
+                raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published")
+            for swap in cut.swaps:
+                write = outgoing.last.get(f"{swap.old.port} {self._topic(swap)}")
+                last[swap.old] = None if write is None else write.number
+        return last
 
-async def _await_probation(client: ComponentClient, configuration: Configuration, swap: Swap) -> None:
-    guarantee = configuration.guarantee(swap.new)
-    rate = guarantee.rate if isinstance(guarantee, Predicate) else None
-    timeout = PROBATION + (10 / rate if rate else 0.0)
-    topic = topic_of(configuration, swap.connector)
-    seen = await client.read(swap.new.instance, AwaitWriteCommand(port=swap.new.port, topic=topic, timeout=timeout))
-    if seen.wrong_type:
-        raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
-    if not seen.gated:
-        raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
+    async def _cancel(self) -> None:
+        for cut in self._cuts:
+            for side in (cut.new, cut.old):
+                await self.client.undo(side, CancelCutCommand(cut=cut.id))
 
+    async def _undo(self) -> None:
+        """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
+        await self._cancel()
+        for swap in self._begun:
+            await self.client.undo(swap.new.instance, self._detachment(swap.new, swap))
 
-async def _await_cuts(
-    client: ComponentClient, configuration: Configuration, cuts: list[Cut]
-) -> dict[PortRef, int | None]:
-    last: dict[PortRef, int | None] = {}
-    for cut in cuts:
-        timeout = LEADS[-1] + cut.resume_after(configuration) + 2.0
-        await_cut = AwaitCutCommand(cut=cut.id, timeout=timeout)
-        incoming, outgoing = await asyncio.gather(client.read(cut.new, await_cut), client.read(cut.old, await_cut))
-        if incoming.outcome != "done":
-            raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues")
-        if outgoing.outcome != "done":
-            raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published")
-        for swap in cut.swaps:
-            write = outgoing.last.get(f"{swap.old.port} {topic_of(configuration, swap.connector)}")
-            last[swap.old] = None if write is None else write.number
-    return last
-
-
-async def _undo(client: ComponentClient, configuration: Configuration, cuts: list[Cut], begun: list[Swap]) -> None:
-    """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
-    await _cancel(client, cuts)
-    for swap in begun:
-        topic = topic_of(configuration, swap.connector)
-        detach = DetachCommand(port=swap.new.port, topic=topic, timeout=DETACH_TIMEOUT)
-        await client.undo(swap.new.instance, detach)
-
-
-async def _detach_old(client: ComponentClient, configuration: Configuration, swap: Swap) -> str | None:
-    """Detach the old publisher. The swap is done, so a failure is only a warning, which is returned."""
-    topic = topic_of(configuration, swap.connector)
-    try:
-        await client.change(swap.old.instance, DetachCommand(port=swap.old.port, topic=topic, timeout=DETACH_TIMEOUT))
-    except MidstrideError as error:
-        return f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
-    return None
+    def _detachment(self, port: PortRef, swap: Swap) -> DetachCommand:
+        return DetachCommand(port=port.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)

@@ -22,7 +22,7 @@ from midstride.errors import (
 from midstride.model.configuration import Instance
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.orphans import end_orphans
+from midstride.runtime.process import end_orphans
 from midstride.runtime.registration import mismatches, unexpected_endpoints
 from midstride.runtime.timeouts import within
 from midstride.wire.commands import ReleaseCommand, WelcomeCommand
@@ -45,10 +45,9 @@ class Launcher:
     The back end's exit events are passed to :meth:`exited`.
     """
 
-    def __init__(self, backend: Backend, client: ComponentClient, token: str, directory: Path) -> None:
+    def __init__(self, backend: Backend, client: ComponentClient, directory: Path) -> None:
         self._backend = backend
         self._client = client
-        self._token = token
         self._directory = directory
         self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
         self._exits: dict[str, asyncio.Future[Exited]] = {}
@@ -78,23 +77,16 @@ class Launcher:
             arguments = tuple(shlex.split(command))
             if not arguments:
                 raise StartFailed(f"{name}: component {instance.component.name} has an empty `run` command")
-            handle = await self._backend.start(
-                Launch(
-                    instance=name,
-                    namespace=instance.role.rpartition("/")[0],
-                    arguments=arguments,
-                    token=self._token,
-                    directory=self._directory,
-                    parameters=dict(instance.parameters),
-                )
-            )
+            namespace = instance.role.rpartition("/")[0]
+            parameters: dict[str, object] = dict(instance.parameters)
+            launch = Launch(name, namespace, arguments, self._client.token, self._directory, parameters)
+            self.handles[name] = await self._backend.start(launch)
         except ValueError as error:
             self._forget_start(name)
             raise StartFailed(f"{name}: the `run` command {command!r} cannot be split: {error}") from None
         except BackendError:
             self._forget_start(name)
             raise
-        self.handles[name] = handle
         return True
 
     async def registered(self, instance: Instance) -> None:
@@ -118,7 +110,7 @@ class Launcher:
             self._forget_start(name)
 
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
-        name = instance.name
+        name, run = instance.name, instance.component.run
         registering, exiting = self._starting[name], self._exits[name]
         timeout = asyncio.ensure_future(self._backend.clock.sleep(REGISTRATION_TIMEOUT))
         first: set[asyncio.Future[Any]] = {registering, exiting, timeout}
@@ -130,16 +122,16 @@ class Launcher:
             return registering.result()
         if exiting.done():
             raise StartFailed(_describe_exit(exiting.result()))
-        where = f"was started with `{instance.component.run}`" if instance.component.run else "is started elsewhere"
-        log = self.handles[name].log if name in self.handles else None
+        where = f"was started with `{run}`" if run else "is started elsewhere"
+        log = f" Its log: {self.handles[name].log}" if name in self.handles and self.handles[name].log else ""
         raise StartFailed(
             f"{name} did not register within {REGISTRATION_TIMEOUT:g} s (it {where}); does its program "
-            f"create a Component and call start()?" + (f" Its log: {log}" if log else "")
+            f"create a Component and call start()?{log}"
         )
 
     def _verify(self, instance: Instance, greeting: Greeting, registration: Registration) -> None:
         name, component = instance.name, instance.component
-        if component.run is not None and greeting.start_token != self._token:
+        if component.run is not None and greeting.start_token != self._client.token:
             raise StartFailed(f"another node called {name} is running already; end it, or give the node another name")
         try:
             registered = registration.declaration.checked()
@@ -168,8 +160,8 @@ class Launcher:
         self._client.forget(name)
         await self._backend.end(name, self._graces.get(name, STOP_GRACE))
         self._client.disconnect(name)
-        for known in (self._graces, self.handles):
-            known.pop(name, None)
+        self._graces.pop(name, None)
+        self.handles.pop(name, None)
 
     async def release(self, name: str) -> None:
         """Release a component that was started by hand: degraded and unattached, it waits for the next manager.
@@ -205,7 +197,10 @@ class Launcher:
 
     async def end_orphans(self, known: Container[str]) -> list[str]:
         """Terminate the system's processes whose instance is not ``known``. Raises BackendError."""
-        return await end_orphans(self._token, known, STOP_GRACE)
+        ended = await end_orphans(self._client.token, known, STOP_GRACE)
+        for name in ended:
+            await self._backend.end(name, 0.0)  # the graph may still show it, and its name may be used again
+        return ended
 
     def _remember_grace(self, state: ComponentState) -> None:
         """Remember how long the component may take to terminate (``on_stop``)."""

@@ -14,7 +14,6 @@ import contextlib
 import secrets
 from collections.abc import AsyncIterator
 from contextlib import AbstractAsyncContextManager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,9 +28,9 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime import status
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
-from midstride.runtime.change_session import ChangeSession, counted
+from midstride.runtime.change_session import ChangeSession
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.events import EventLog
+from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import observe
@@ -43,14 +42,6 @@ from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.wire.state import ComponentState
-
-
-@dataclass(frozen=True, slots=True)
-class CurrentCommand:
-    """The command in progress, and since when (steady s)."""
-
-    words: str
-    since: float
 
 
 class Manager:
@@ -68,23 +59,23 @@ class Manager:
         self.events = EventLog()
         self._backend = backend
         self._workspace = workspace
-        self._directory = directory
-        self._verifier = verifier or Verifier()
         self._lock = asyncio.Lock()
-        self._current: CurrentCommand | None = None
+        self._current: str | None = None  # the command in progress
+        self._since = 0.0  # when it started (steady s)
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
+        self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
+        self._launcher = Launcher(backend, self._client, directory)
         self._reconciler = Reconciler(
-            self.system, self.events, self._store, self._executor, self._reconciler_lock, self._is_busy
+            self.system,
+            self._client,
+            self._launcher,
+            self.events,
+            self._store,
+            self._executor,
+            self._reconciler_lock,
+            self._is_busy,
         )
-        self._connect(secrets.token_hex(16))
-
-    def _connect(self, token: str) -> None:
-        """Use ``token``, by which the components of the system recognize their manager, from now on."""
-        backend = self._backend
-        self._token = token
-        self._client = ComponentClient(backend.transport, backend.clock, token, self._reconciler.on_component_event)
-        self._launcher = Launcher(backend, self._client, token, self._directory)
-        self._reconciler.connect(self._client, self._launcher)
+        self._client.on_event = self._reconciler.on_component_event
         self._session = ChangeSession(
             self.system,
             self._client,
@@ -92,20 +83,13 @@ class Manager:
             self.events,
             self._store,
             self._reconciler,
-            self._verifier,
+            verifier or Verifier(),
             self._executor,
         )
 
     def _executor(self) -> Executor:
-        crashes = self._reconciler.crashes
-        driver = ActionDriver(
-            client=self._client,
-            launcher=self._launcher,
-            add_event=lambda kind, words, details: self.events.add(kind, words, **details),
-            has_exited=lambda name: name in crashes.unreconciled,
-            lingering_readers=self._backend.lingering_readers,
-        )
-        return Executor(driver, self.system, self._store, lambda instance: crashes.restarted(instance.name))
+        driver = ActionDriver(self._client, self._launcher, self._backend, self.system, self.events)
+        return Executor(driver, self._store)
 
     @property
     def specification(self) -> Specification:
@@ -130,7 +114,7 @@ class Manager:
         """
         saved = self._store.load()
         if saved is not None:
-            self._connect(saved.token)
+            self._client.token = saved.token  # by which the components recognize their manager
         await self._backend.open(self._reconciler.on_exit)
         async with self._command(f"up {self.specification.name}"):
             if saved is not None:
@@ -150,7 +134,7 @@ class Manager:
         change = change_between(self.configuration, self.specification, self.specification)
         plan = await asyncio.to_thread(planner("minimal"), change)
         # Before any component has the token.
-        self._store.begin(self._backend.name, self._token, self.specification)
+        self._store.begin(self._backend.name, self._client.token, self.specification)
         if plan.steps:
             outcome = await self._session.carry_out(plan, self.specification)
             if outcome.outcome != "done":
@@ -167,7 +151,7 @@ class Manager:
                 "`midstride apply` changes a running system, `midstride down` ends it"
             )
         self.system.configuration = await recover(
-            saved.instances, self.specification, self._launcher, self._client, self.events.add
+            saved.instances, self.specification, self._launcher, self._client, self.events
         )
         for entry in saved.instances:
             if entry.instance.name not in self.configuration.instances:
@@ -213,12 +197,10 @@ class Manager:
         """The live components and their modes, with reasons, as they report them; silent ones are marked."""
         running = None
         if self._current is not None:
-            seconds = self._backend.clock.steady() - self._current.since
-            running = RunningCommand(command=self._current.words, since=round(seconds, 3))
+            running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
         return status.status(
             self.system,
             self._client,
-            crashed=self._reconciler.crashes.all(),
             pids={name: handle.pid for name, handle in self._launcher.handles.items()},
             backend=self._backend.name,
             running=running,
@@ -227,7 +209,7 @@ class Manager:
 
     async def live(self) -> LiveConfiguration:
         """The configuration as its components report it; ``silent`` are those that have reported nothing lately."""
-        found = observe(self.configuration, self._client, self._reconciler.crashes.unreconciled)
+        found = observe(self.configuration, self._client, self.system.crashed)
         form = ConfigurationForm.of(found.configuration)
         return LiveConfiguration(revision=self.revision, silent=list(found.silent), configuration=form)
 
@@ -271,9 +253,9 @@ class Manager:
     async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
         """Run one command at a time, in order of arrival; an event says which command another one waits for."""
         if self._current is not None:
-            self.events.add("waiting", f"`{words}` waits for `{self._current.words}`", command=words, id=id)
+            self.events.add("waiting", f"`{words}` waits for `{self._current}`", command=words, id=id)
         async with self._lock:
-            self._current = CurrentCommand(words, self._backend.clock.steady())
+            self._current, self._since = words, self._backend.clock.steady()
             self.events.add("command", words, id=id)
             try:
                 async with self._reconciler.around():

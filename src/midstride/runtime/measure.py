@@ -41,6 +41,10 @@ class SwapReport(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=F
     duplicates: int | None
 
 
+def unknown_report(topic: str, subscriber: str, period: float | None) -> SwapReport:
+    return SwapReport(topic, subscriber, period, None, None, None, None, None)
+
+
 @dataclass(frozen=True, slots=True)
 class Observation:
     """What was recorded at one input between two times of its steady clock (ns).
@@ -99,16 +103,16 @@ def _gap(rows: Sequence[Receipt], begun: int, ended: int) -> float:
     return max(later - earlier for earlier, later in itertools.pairwise(times)) / 1e9
 
 
-def _sides(rows: Sequence[Receipt], begun: int, last_number: int | None) -> dict[int, str] | None:
-    """The publisher of each row (by index in ``rows``), distinguished by identity or else by sequence numbers."""
+def _sides(rows: Sequence[Receipt], begun: int, last_number: int | None) -> list[str] | None:
+    """The publisher of each row, distinguished by identity or else by sequence numbers."""
     if all(row.publisher is not None for row in rows):
-        return {index: str(row.publisher) for index, row in enumerate(rows)}
+        return [str(row.publisher) for row in rows]
     if any(row.number is None for row in rows):
         return None
     # Without identities: the numbers of a publisher increase; a row that continues no sequence starts another.
     tails: dict[str, int] = {}
-    sides: dict[int, str] = {}
-    for index, row in enumerate(rows):
+    sides: list[str] = []
+    for row in rows:
         number = row.number
         assert number is not None
         # The first sequence is the old publisher's; it ends with the last number that the old publisher reported.
@@ -121,15 +125,15 @@ def _sides(rows: Sequence[Receipt], begun: int, last_number: int | None) -> dict
         if not exact and nearest and row.received > begun and number <= 2:
             name = f"#{len(tails)}"  # a new sequence, not a jump in the old one
         tails[name] = number
-        sides[index] = name
+        sides.append(name)
     return sides
 
 
-def _swapped(rows: Sequence[Receipt], sides: dict[int, str], begun: int, tail: float) -> dict[str, list[Receipt]]:
+def _swapped(rows: Sequence[Receipt], sides: list[str], begun: int, tail: float) -> dict[str, list[Receipt]]:
     """The rows of the publishers that appeared or disappeared (others would hide holes); all rows if none did."""
     by_side: dict[str, list[Receipt]] = {}
-    for index, row in enumerate(rows):
-        by_side.setdefault(sides[index], []).append(row)
+    for row, side in zip(rows, sides, strict=True):
+        by_side.setdefault(side, []).append(row)
     moved = {name: own for name, own in by_side.items() if own[0].received > begun or own[-1].received < tail}
     return moved if moved else by_side
 
@@ -166,16 +170,12 @@ def _phase(sources: Sequence[int], step: float) -> float:
     """A source time that is exactly on the grid of ``sources``, at the early end of their jitter."""
     best_spread, best_origin = math.inf, float(sources[0])
     for reference in sources[:: max(1, len(sources) // 16)]:
-        deviations = sorted(_wrapped(source - reference, step) for source in sources)
+        deviations = sorted((source - reference + step / 2) % step - step / 2 for source in sources)
         middle = deviations[len(deviations) // 2]
         spread = sum(abs(deviation - middle) for deviation in deviations)
         if spread < best_spread:
             best_spread, best_origin = spread, reference + deviations[len(deviations) // 10]
     return best_origin
-
-
-def _wrapped(difference: float, step: float) -> float:
-    return (difference + step / 2) % step - step / 2
 
 
 def _assign(sources: Sequence[int], origin: float, step: float) -> Iterable[int]:
@@ -240,15 +240,15 @@ def _shift_late_answers(answers: dict[str, list[int]]) -> None:
 
 
 def _lost(
-    rows: Sequence[Receipt], sides: dict[int, str] | None, begun: int, tail: float, last_number: int | None
+    rows: Sequence[Receipt], sides: list[str] | None, begun: int, tail: float, last_number: int | None
 ) -> int | None:
     """The holes in each publisher's sequence, and the old publisher's last messages that were not received."""
     if sides is None or not rows or any(row.number is None for row in rows):
         return None
     numbers: dict[str, set[int]] = {}
-    for index, row in enumerate(rows):
+    for row, side in zip(rows, sides, strict=True):
         assert row.number is not None
-        numbers.setdefault(sides[index], set()).add(row.number)
+        numbers.setdefault(side, set()).add(row.number)
     lost = sum(max(own) - min(own) + 1 - len(own) for own in numbers.values())
     if last_number is not None:
         moved = _swapped(rows, sides, begun, tail)

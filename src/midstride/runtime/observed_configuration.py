@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container
 from dataclasses import dataclass
 
-from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.state import ComponentState
@@ -23,12 +23,11 @@ def observe(
     configuration: Configuration, client: ComponentClient, exited: Container[str] = ()
 ) -> ObservedConfiguration:
     """``configuration`` with the modes and attachments that its components report, without those in ``exited``."""
-    for name in [name for name in configuration.instances if name in exited]:
-        configuration = configuration.without_instance(name)
     silent = []
     for name in sorted(configuration.instances):
-        state = client.responsive(name)
-        if state is None:
+        if name in exited:
+            configuration = configuration.without_instance(name)
+        elif (state := client.responsive(name)) is None:
             silent.append(name)
         else:
             configuration = _as_reported(configuration, name, state)
@@ -51,21 +50,20 @@ def own_degradations_in(configuration: Configuration, state: ComponentState) -> 
     """The functionalities of one component that report a worse mode than the model has."""
     if state.instance not in configuration.instances:
         return {}
-    degraded: dict[FunctionalityRef, int] = {}
-    for functionality, view in state.functionalities.items():
-        ref = FunctionalityRef(state.instance, functionality)
-        index = configuration.functionality(ref).mode_index(view.mode)
-        if index > configuration.modes[ref]:
-            degraded[ref] = index
-    return degraded
+    reported = reported_modes(configuration.component(state.instance), state)
+    return {ref: index for ref, index in reported.items() if index > configuration.modes[ref]}
+
+
+def reported_modes(component: ComponentSpec, state: ComponentState) -> dict[FunctionalityRef, int]:
+    """The mode of each functionality of one component, as it reports it."""
+    return {
+        FunctionalityRef(state.instance, name): component.functionalities[name].mode_index(view.mode)
+        for name, view in state.functionalities.items()
+    }
 
 
 def _as_reported(configuration: Configuration, name: str, state: ComponentState) -> Configuration:
-    modes = {}
-    for functionality, view in state.functionalities.items():
-        ref = FunctionalityRef(name, functionality)
-        modes[ref] = configuration.functionality(ref).mode_index(view.mode)
-    configuration = configuration.with_modes(modes)
+    configuration = configuration.with_modes(reported_modes(configuration.component(name), state))
     # Components know topics, not connectors. An output behind a closed gate is not attached.
     reported = {
         (PortRef(name, port), topic)

@@ -12,14 +12,23 @@ import asyncio
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Final
 
 from midstride.errors import BackendError, StartFailed
 from midstride.runtime.logs import shorten, tail
-from midstride.runtime.reaper import environment_value, group_members, process_info, signal_group
+from midstride.runtime.reaper import (
+    ProcessInfo,
+    environment_value,
+    group_members,
+    process_info,
+    processes,
+    signal_group,
+)
 from midstride.runtime.timeouts import within
+from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
 # How long the kernel may take to remove a killed process (s).
 KILL_PATIENCE: Final = 10.0
@@ -38,9 +47,9 @@ class Process:
         self.pid = pid
         self.started = started
         self.log = log
+        self.status: int | None = None  # negative for a signal, None while it runs and if unknown
         self._log_begins = log_begins
         self._child = child
-        self._status: int | None = None
         self._exited = asyncio.Event()
         self._ending = False
         self._on_exit: Callable[[int | None], None] | None = None
@@ -57,11 +66,6 @@ class Process:
     def running(self) -> bool:
         return not self._exited.is_set()
 
-    @property
-    def status(self) -> int | None:
-        """The exit status, negative for a signal; None while the process runs, and if the status is unknown."""
-        return self._status
-
     def last_words(self) -> str:
         """The end of what the process has written to its log."""
         return tail(self.log, since=self._log_begins)
@@ -77,7 +81,7 @@ class Process:
 
     async def wait(self) -> int | None:
         await self._exited.wait()
-        return self._status
+        return self.status
 
     def _ended(self) -> None:
         self._loop.remove_reader(self._fd)
@@ -87,13 +91,13 @@ class Process:
             except ChildProcessError:  # already reaped elsewhere
                 result = None
             if result is not None:
-                self._status = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
+                self.status = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
         if not self._ending and self._group == self.pid:
             # A shell that is killed must not leave the component that it ran.
             signal_group(self._group, signal.SIGKILL)
         self._exited.set()
         if self._on_exit is not None:
-            self._on_exit(self._status)
+            self._on_exit(self.status)
 
     async def end(self, grace: float) -> None:
         """End the process and its group: with SIGTERM, and after ``grace`` seconds with SIGKILL.
@@ -184,3 +188,34 @@ def find(pid: int, started: float, variable: str, value: str, log: Path | None =
         return Process(pid, started, child=False, log=log)
     except ProcessLookupError:
         return None
+
+
+async def end_orphans(token: str, known: Container[str], grace: float) -> list[str]:
+    """End the system's processes whose instance is not ``known``; returns the names of those instances.
+
+    An earlier manager started them, but could not record them before it was killed: they would run forever and keep
+    their names in use. ``token`` in their environment identifies them. After ``grace`` seconds each is killed. The
+    children of a known component have that component's name in their environment, and are left alone. Raises
+    BackendError if the kernel does not remove a killed process.
+    """
+    orphans: dict[str, list[ProcessInfo]] = {}
+    for process in processes():
+        if process.alive and environment_value(process.pid, ENV_TOKEN) == token:
+            name = environment_value(process.pid, ENV_INSTANCE)
+            if name is not None and name not in known:
+                orphans.setdefault(name, []).append(process)
+    await asyncio.gather(*(_end(process, token, grace) for found in orphans.values() for process in _leaders(found)))
+    return sorted(orphans)
+
+
+def _leaders(found: list[ProcessInfo]) -> list[ProcessInfo]:
+    """The group leaders, with which their groups end, and the processes whose leader is not among ``found``."""
+    leaders = {process.pid for process in found if process.pid == process.group}
+    return [process for process in found if process.pid == process.group or process.group not in leaders]
+
+
+async def _end(orphan: ProcessInfo, token: str, grace: float) -> None:
+    process = find(orphan.pid, orphan.started, ENV_TOKEN, token)
+    if process is not None:
+        with closing(process):
+            await process.end(grace)

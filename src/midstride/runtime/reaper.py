@@ -20,7 +20,6 @@ import sys
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from types import TracebackType
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 if TYPE_CHECKING:
@@ -104,18 +103,16 @@ def remaining_groups(watched: dict[int, float], variable: str, token: str) -> se
 
 def end_groups(watched: dict[int, float], variable: str, token: str, grace: float = GRACE) -> None:
     """End all remaining groups: with SIGTERM, and after ``grace`` seconds with SIGKILL."""
-    deadline = time.monotonic() + grace
-    signalled: set[int] = set()
-    while (groups := remaining_groups(watched, variable, token)) and time.monotonic() < deadline:
-        for group in groups - signalled:
-            signal_group(group, signal.SIGTERM)
-            signal_group(group, signal.SIGCONT)
-        signalled |= groups
-        time.sleep(_TICK)
-    deadline = time.monotonic() + KILL_PATIENCE
-    while (groups := remaining_groups(watched, variable, token)) and time.monotonic() < deadline:
+    kill = time.monotonic() + grace
+    terminated: set[int] = set()
+    while (groups := remaining_groups(watched, variable, token)) and time.monotonic() < kill + KILL_PATIENCE:
         for group in groups:
-            signal_group(group, signal.SIGKILL)
+            if time.monotonic() >= kill:
+                signal_group(group, signal.SIGKILL)
+            elif group not in terminated:
+                signal_group(group, signal.SIGTERM)
+                signal_group(group, signal.SIGCONT)
+        terminated |= groups
         time.sleep(_TICK)
 
 
@@ -175,9 +172,7 @@ class Reaper:
     def __enter__(self) -> Reaper:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

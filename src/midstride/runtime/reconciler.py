@@ -1,7 +1,8 @@
 """The reconciler: updates the model after crashes and unexpected degradations, and degrades dependent functionalities.
 
-A crash is an unplanned removal; a component degrades by itself when its code raises. The rules are in
-:mod:`.crash_response`. Upgrades are left to plans (docs/semantics.md section 7).
+A crash is an unplanned removal; a component degrades on its own when its code raises. The model is updated to the
+actual state; then exactly the functionalities that are lower in `best` of the remaining system are degraded. Upgrades
+are left to plans (docs/semantics.md section 7).
 """
 
 from __future__ import annotations
@@ -9,15 +10,17 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import logging
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
+from dataclasses import dataclass, field
 from typing import Any
 
-from midstride.model.component import FunctionalityRef
+from midstride.errors import CommandRefused
+from midstride.model.best import lowered
+from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.configuration import Configuration
 from midstride.runtime.backend import Exited
-from midstride.runtime.component_client import ComponentClient, ComponentEvent, Disconnected, Reported
-from midstride.runtime.crash_response import respond
-from midstride.runtime.crashes import Crashes
+from midstride.runtime.component_client import ComponentClient, ComponentEvent, Disconnected
 from midstride.runtime.events import EventLog
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
@@ -28,41 +31,28 @@ from midstride.runtime.state_store import StateStore
 log = logging.getLogger(__name__)
 
 
+@dataclass
 class Reconciler:
     """Handles the events of a back end and of components.
 
     While a command is in progress (``busy``), the command reconciles at its start and its end; otherwise the reconciler
     does so in the background, holding ``lock``. ``executor`` makes the executor that degrades functionalities.
+    ``degraded`` are those that degraded unexpectedly since the last change began.
     """
 
-    def __init__(
-        self,
-        system: RunningSystem,
-        events: EventLog,
-        store: StateStore,
-        executor: Callable[[], Executor],
-        lock: Callable[[], AbstractAsyncContextManager[Any]],
-        busy: Callable[[], bool],
-    ) -> None:
-        self.crashes = Crashes()
-        # Functionalities that degraded unexpectedly since the last change began.
-        self.degraded: set[FunctionalityRef] = set()
-        self._system = system
-        self._events = events
-        self._store = store
-        self._executor = executor
-        self._lock = lock
-        self._busy = busy
-        self._client: ComponentClient | None = None
-        self._launcher: Launcher | None = None
-        self._pending_degradations: set[FunctionalityRef] = set()  # could not be degraded yet
-        self._reconciling = asyncio.Lock()
-        self._tasks: set[asyncio.Task[None]] = set()
-
-    def connect(self, client: ComponentClient, launcher: Launcher) -> None:
-        """Use these connections and processes from now on."""
-        self._client = client
-        self._launcher = launcher
+    system: RunningSystem
+    client: ComponentClient
+    launcher: Launcher
+    events: EventLog
+    store: StateStore
+    executor: Callable[[], Executor]
+    lock: Callable[[], AbstractAsyncContextManager[Any]]
+    busy: Callable[[], bool]
+    degraded: set[FunctionalityRef] = field(default_factory=set)
+    _pending: set[FunctionalityRef] = field(default_factory=set)  # could not be degraded yet
+    _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
+    _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
 
     async def close(self) -> None:
         for task in self._tasks:
@@ -73,31 +63,32 @@ class Reconciler:
 
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
-        assert self._launcher is not None
-        self._launcher.exited(event)
-        if event.instance in self._launcher.handles:
+        self.launcher.exited(event)
+        if event.instance in self.launcher.handles:
             self._record_exit(event)
 
     def on_component_event(self, event: ComponentEvent) -> None:
         """A component has reported its state, or its connection has closed."""
-        assert self._launcher is not None
         match event:
-            case Disconnected(instance, exited) if instance in self._system.configuration.instances:
+            case Disconnected(instance, exited):
+                if instance not in self.system.configuration.instances:
+                    return
                 if not exited:
-                    self._events.add("note", f"{instance} cannot be reached any more; its process may still run")
+                    self.events.add("note", f"{instance} cannot be reached any more; its process may still run")
                 # The only sign of exit for a component started by hand; for others the back end reports it.
-                elif instance not in self._launcher.handles:
+                elif instance not in self.launcher.handles:
                     self._record_exit(Exited(instance, None))
-            case Reported(state):
-                if not self._busy() and own_degradations_in(self._system.configuration, state):
+            case state:
+                answers_again = state.instance in self._unanswered
+                self._unanswered.discard(state.instance)
+                if answers_again or own_degradations_in(self.system.configuration, state):
                     self._reconcile_soon()
 
     def _record_exit(self, event: Exited) -> None:
-        self.crashes.record(event)
+        self.system.crashed[event.instance] = event
         status = "" if event.status is None else f" (status {event.status})"
-        self._events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
-        if not self._busy():
-            self._reconcile_soon()
+        self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
+        self._reconcile_soon()
 
     # -- reconciling -------------------------------------------------------------------------------
 
@@ -109,30 +100,30 @@ class Reconciler:
             yield
             await self.reconcile()
         finally:
-            if self._is_behind():  # something happened after that, or the command failed
-                self._reconcile_soon()
-
-    def _is_behind(self) -> bool:
-        """Whether the model lacks a crash or a degradation."""
-        assert self._client is not None
-        return bool(self.crashes.unreconciled or own_degradations(self._system.configuration, self._client, ()))
+            # Something happened after that, or the command failed.
+            if self.system.crashed or own_degradations(self.system.configuration, self.client, ()):
+                self._start_reconciling()
 
     def _reconcile_soon(self) -> None:
+        if not self.busy():
+            self._start_reconciling()
+
+    def _start_reconciling(self) -> None:
         task = asyncio.get_running_loop().create_task(self._reconcile_in_background())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
     async def _reconcile_in_background(self) -> None:
-        async with self._lock():
+        async with self.lock():
             try:
                 await self.reconcile()
             except Exception as error:  # nothing awaits this task, so errors are logged here
                 log.exception("reconciling failed")
-                self._events.add("note", f"reconciling failed: internal error: {error!r}")
+                self.events.add("note", f"reconciling failed: internal error: {error!r}")
 
     async def reconcile_crashes(self) -> None:
         """Reconcile if a component has crashed, and wait for a reconciliation in progress."""
-        if self.crashes.unreconciled or self._reconciling.locked():
+        if self.system.crashed or self._reconciling.locked():
             await self.reconcile()
 
     async def reconcile(self) -> None:
@@ -141,26 +132,52 @@ class Reconciler:
             await self._reconcile()
 
     async def _reconcile(self) -> None:
-        assert self._client is not None
-        assert self._launcher is not None
-        configuration = self._system.configuration
-        crashed = self.crashes.take_unreconciled(configuration)
+        configuration = self.system.configuration
+        crashed = self.system.take_crashed()
         for name in crashed:
-            self._launcher.handles.pop(name, None)
-            self._client.disconnect(name)
-            self._store.remove_instance(name)
-        degraded = own_degradations(configuration, self._client, crashed)
-        if not crashed and not degraded and not self._pending_degradations:
+            self.launcher.handles.pop(name, None)
+            self.client.disconnect(name)
+            self.store.remove_instance(name)
+        degraded = own_degradations(configuration, self.client, crashed)
+        if not crashed and not degraded and not self._pending:
             return
-        because = [f"{name} exited unexpectedly" for name in sorted(crashed)]
+        because = [f"{name} exited unexpectedly" for name in crashed]
         for name in {ref.instance for ref in degraded}:
-            self._client.accept(name)
+            self.client.accept(name)
         for ref, index in sorted(degraded.items()):
-            words = f"{ref} degraded to {configuration.functionality(ref).modes[index].name} by itself"
-            self._events.add("degraded", words, functionality=str(ref))
+            words = f"{ref} entered mode {configuration.functionality(ref).modes[index].name}"
+            if ref not in self._pending:  # else a command that timed out has been carried out after all
+                words += " unexpectedly"
+                self.degraded.add(ref)
+            self.events.add("degraded", words, functionality=str(ref))
             because.append(words)
-            self.degraded.add(ref)
-        after, to_lower = respond(configuration, crashed, degraded, self._pending_degradations)
-        self._system.moved(after)
+        after, to_lower = respond(configuration, crashed, degraded, self._pending)
+        self.system.moved(after)
         reason = "; ".join(because) or "its input was lost before it could be degraded"
-        self._pending_degradations = await self._executor().lower(to_lower, reason)
+        failed = await self.executor().lower(to_lower, reason)
+        self._pending = set(failed)
+        self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
+
+
+def respond(
+    configuration: Configuration,
+    crashed: Iterable[str],
+    degraded: Mapping[FunctionalityRef, int],
+    pending: Iterable[FunctionalityRef] = (),
+) -> tuple[Configuration, dict[FunctionalityRef, int]]:
+    """The configuration without ``crashed`` and with the modes in ``degraded``, and the modes to degrade others to.
+
+    ``pending`` are functionalities that an earlier response could not degrade.
+    """
+    touched: set[FunctionalityRef] = set(pending)
+    for name in crashed:
+        for port, connector in configuration.attached_ports(name):
+            if configuration.is_output(port):
+                touched.update(configuration.consumers(connector))
+        configuration = configuration.without_instance(name)
+    for ref in degraded:
+        for output in configuration.functionality(ref).outputs:
+            for connector in configuration.attached_to(PortRef(ref.instance, output)):
+                touched.update(configuration.consumers(connector))
+    configuration = configuration.with_modes(degraded)
+    return configuration, lowered(configuration, [ref for ref in touched if ref.instance in configuration.instances])

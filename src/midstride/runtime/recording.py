@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 from midstride.errors import MidstrideError
@@ -14,7 +14,7 @@ from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, report
+from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, report, unknown_report
 from midstride.wire.commands import GridCommand, RecordCommand, Records, RecordsCommand
 
 # Recording continues for 20 periods after the last step, but at most for this long (s).
@@ -56,14 +56,13 @@ def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[E
     return found
 
 
-@dataclass(slots=True)
-class _RecordedInput:
-    exchange: Exchange
-    topic: str
+@dataclass(frozen=True, slots=True)
+class RecordedInput:
+    """A subscriber that is being recorded; ``observation`` has no rows yet."""
+
     input: PortRef
-    begun: int
-    guaranteed_period: float | None
-    grid_period: float | None
+    exchange: Exchange
+    observation: Observation
 
 
 @dataclass(slots=True)
@@ -72,7 +71,7 @@ class Recording:
 
     client: ComponentClient
     clock: Clock
-    recorded: list[_RecordedInput] = field(default_factory=list)
+    recorded: list[RecordedInput] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)
     _driving_inputs: dict[PortRef, PortRef] = field(default_factory=dict)
     # The recording inputs, and since when (ns); None if the reply was lost.
@@ -82,19 +81,24 @@ class Recording:
         """Start recording at each subscriber that the plan does not remove."""
         removed = {action.instance for action in actions if isinstance(action, Remove)}
         for exchange in exchanges(configuration, actions):
+            old = exchange.old
             topic = configuration.context.connectors[exchange.connector].topic
-            guarantee = _normal_guarantee(configuration, exchange.old)
-            period = 1 / guarantee.rate if guarantee is not None and guarantee.rate else None
-            grid_period = await self._grid_period(exchange.old)
+            guarantee = configuration.component(old.instance).owner(old.port).modes[0].guarantee(old.port)
+            period = 1 / guarantee.rate if isinstance(guarantee, Predicate) and guarantee.rate else None
+            try:
+                grid_period = (await self.client.read(old.instance, GridCommand(port=old.port))).period
+            except MidstrideError:
+                grid_period = None
             for port in sorted(configuration.subscribers_on(exchange.connector)):
                 if port.instance in removed:
                     continue
                 try:
                     begun = await self._begin(port)
                 except MidstrideError:
-                    self.unknown.append(_unknown_report(topic, port, period))
+                    self.unknown.append(unknown_report(topic, str(port), period))
                     continue
-                self.recorded.append(_RecordedInput(exchange, topic, port, begun, period, grid_period))
+                observation = Observation(topic, str(port), (), begun, begun, period, grid_period)
+                self.recorded.append(RecordedInput(port, exchange, observation))
 
     async def _begin(self, port: PortRef) -> int:
         """Start recording at ``port`` unless it does; returns since when it records (ns)."""
@@ -118,12 +122,6 @@ class Recording:
             except MidstrideError:
                 continue  # the hand-over reports the cause
 
-    async def _grid_period(self, old: PortRef) -> float | None:
-        try:
-            return (await self.client.read(old.instance, GridCommand(port=old.port))).period
-        except MidstrideError:
-            return None
-
     async def finish(self, last_numbers: dict[PortRef, int | None]) -> list[SwapReport]:
         """Keep recording for a while, then compute the figures. :meth:`stop` must be called afterwards.
 
@@ -131,25 +129,28 @@ class Recording:
         """
         if not self.recorded:
             return self.unknown
-        periods = [each.guaranteed_period for each in self.recorded]
+        periods = [each.observation.guaranteed_period for each in self.recorded]
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
+        records: dict[PortRef, Records | None] = {}
         try:
             await self.clock.sleep(min(max(tails), LONGEST_TAIL))
             # The subscribers first: then the driving inputs have received every message that was answered.
-            ports = dict.fromkeys([*(each.input for each in self.recorded), *self._driving_inputs.values()])
-            records = {port: await self._records(port) for port in ports}
+            for port in dict.fromkeys([*(each.input for each in self.recorded), *self._driving_inputs.values()]):
+                records[port] = await self._records(port)
         except asyncio.CancelledError:
-            records = {}
+            records.clear()
         inputs = {old: records.get(port) for old, port in self._driving_inputs.items()}
-        reports = [_report(each, records.get(each.input), inputs, last_numbers) for each in self.recorded]
+        reports = []
+        for each in self.recorded:
+            seen, old, found = each.observation, each.exchange.old, records.get(each.input)
+            if found is None:
+                reports.append(unknown_report(seen.topic, seen.subscriber, seen.guaranteed_period))
+                continue
+            driving = inputs.get(old)
+            sources = None if driving is None else [row.source for row in driving.rows if row.source is not None]
+            last = last_numbers.get(old)
+            reports.append(report(replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources)))
         return reports + self.unknown
-
-    async def stop(self, live: Container[str]) -> None:
-        """Stop recording at the instances in ``live``."""
-        for port in self._begun:
-            if port.instance in live:
-                await self.client.undo(port.instance, RecordCommand(inputs=[port.port], on=False))
-        self._begun.clear()
 
     async def _records(self, port: PortRef) -> Records | None:
         try:
@@ -157,36 +158,9 @@ class Recording:
         except MidstrideError:
             return None
 
-
-def _report(
-    recorded_input: _RecordedInput,
-    records: Records | None,
-    inputs: dict[PortRef, Records | None],
-    last_numbers: dict[PortRef, int | None],
-) -> SwapReport:
-    if records is None:
-        return _unknown_report(recorded_input.topic, recorded_input.input, recorded_input.guaranteed_period)
-    driving = inputs.get(recorded_input.exchange.old)
-    sources = None if driving is None else [row.source for row in driving.rows]
-    return report(
-        Observation(
-            topic=recorded_input.topic,
-            subscriber=str(recorded_input.input),
-            rows=records.rows,
-            begun=recorded_input.begun,
-            ended=records.now,
-            guaranteed_period=recorded_input.guaranteed_period,
-            grid_period=recorded_input.grid_period,
-            last_number=last_numbers.get(recorded_input.exchange.old),
-            inputs=None if sources is None else [source for source in sources if source is not None],
-        )
-    )
-
-
-def _normal_guarantee(configuration: Configuration, output: PortRef) -> Predicate | None:
-    guarantee = configuration.component(output.instance).owner(output.port).modes[0].guarantee(output.port)
-    return guarantee if isinstance(guarantee, Predicate) else None
-
-
-def _unknown_report(topic: str, port: PortRef, period: float | None) -> SwapReport:
-    return SwapReport(topic, str(port), period, None, None, None, None, None)
+    async def stop(self, live: Container[str]) -> None:
+        """Stop recording at the instances in ``live``."""
+        for port in self._begun:
+            if port.instance in live:
+                await self.client.undo(port.instance, RecordCommand(inputs=[port.port], on=False))
+        self._begun.clear()

@@ -6,7 +6,8 @@ second instance of a role, left by a manager that was killed during a change, is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 
 from midstride.errors import MidstrideError, ProtocolError, Unreachable
 from midstride.model.component import FunctionalityRef, PortRef
@@ -14,12 +15,12 @@ from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.events import EventLog
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.observed_configuration import reported_modes
 from midstride.runtime.state_store import SavedInstance
 from midstride.wire.commands import GateCommand, RecordCommand
 from midstride.wire.state import ComponentState
-
-AddEvent = Callable[[str, str], object]
 
 
 async def recover(
@@ -27,7 +28,7 @@ async def recover(
     specification: Specification,
     launcher: Launcher,
     client: ComponentClient,
-    add_event: AddEvent,
+    events: EventLog,
 ) -> Configuration:
     """The configuration of the components that still run, after terminating those that were only partly started.
 
@@ -41,20 +42,22 @@ async def recover(
         except (ProtocolError, Unreachable) as error:
             if handle is not None:
                 raise
-            add_event("note", f"{error}; it is left out until it does")
+            events.add("note", f"{error}; it is left out until it does")
             client.disconnect(instance.name)
             continue
         if state is None:
-            add_event("gone", f"{instance.name} is no longer running")
+            events.add("gone", f"{instance.name} is no longer running")
             await launcher.abandon(instance.name)
             continue
         found[instance.name] = (instance, state)
-        add_event("adopted", f"{instance.name} was reattached unchanged")
+        events.add("adopted", f"{instance.name} was reattached unchanged")
     for name in await launcher.end_orphans(found):
-        add_event("ended", f"ended {name}, which an earlier manager had just started")
+        events.add("ended", f"stopped {name}, which an earlier manager had just started")
     for name in _redundant(found):
-        add_event("ended", f"ended {name}, which an earlier manager had left half done")
-        await _end(found.pop(name)[0].name, launcher, client)
+        events.add("ended", f"stopped {name}, which an earlier manager had left half done")
+        del found[name]
+        with suppress(MidstrideError):
+            await launcher.end(name)
     for name, (instance, _) in found.items():
         # A cut that was in progress may have changed its gates and modes since it was adopted.
         found[name] = (instance, await client.observe(name))
@@ -69,22 +72,12 @@ def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
     by_role: dict[str, list[str]] = {}
     for name, (instance, _) in found.items():
         by_role.setdefault(instance.role, []).append(name)
-    redundant: list[str] = []
-    for names in by_role.values():
-        ranked = sorted(names, key=lambda name: (-_open_gates(found[name][1]), len(name), name))
-        redundant.extend(ranked[1:])
-    return redundant
 
+    def rank(name: str) -> tuple[int, int, str]:
+        links = [link for topics in found[name][1].ports.values() for link in topics.values()]
+        return -sum(link.gate == "open" for link in links), len(name), name
 
-def _open_gates(observed: ComponentState) -> int:
-    return sum(link.gate == "open" for topics in observed.ports.values() for link in topics.values())
-
-
-async def _end(name: str, launcher: Launcher, client: ComponentClient) -> None:
-    try:
-        await launcher.end(name)
-    except MidstrideError:
-        client.forget(name)
+    return [name for names in by_role.values() for name in sorted(names, key=rank)[1:]]
 
 
 async def _configuration(
@@ -101,7 +94,5 @@ async def _configuration(
                 if view.gate == "closed":  # the only instance of its role: otherwise its topic would stay silent
                     await client.change(name, GateCommand(port=port, topic=topic, gate="open"))
                 attachments.append((PortRef(name, port), by_topic[topic]))
-        for functionality, current in observed.functionalities.items():
-            index = instance.component.functionalities[functionality].mode_index(current.mode)
-            modes[FunctionalityRef(name, functionality)] = index
+        modes |= reported_modes(instance.component, observed)
     return configure(specification.context, [instance for instance, _ in found.values()], attachments, modes)

@@ -1,7 +1,7 @@
 """What the manager reports, as it goes out in JSON: outcomes, the status, events, the live configuration.
 
-The answers of the HTTP API are instances of these classes, and its OpenAPI document describes them. A client passes
-over fields that it does not know: later versions may add some.
+The answers of the HTTP API are instances of these classes, and its OpenAPI document describes them. A client ignores
+fields that it does not know: later versions may add some.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from midstride.runtime.measure import SwapReport
 from midstride.verify.verdict import Verdict
 
 OutcomeKind: TypeAlias = Literal["done", "refused", "rolled_back", "failed"]
+Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
 
 
 class Report(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
@@ -40,7 +41,7 @@ class DownReport(Report, frozen=True):
 
 
 class Outcome(Report, frozen=True, kw_only=True):
-    """What came of a change; `refused`: nothing was changed."""
+    """The result of a change; `refused`: nothing was changed."""
 
     outcome: OutcomeKind
     plan: PlanForm | None = None
@@ -49,8 +50,8 @@ class Outcome(Report, frozen=True, kw_only=True):
     swaps: list[SwapReport] = []
     because: str | None = None
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
-    degraded: Annotated[list[str], Meta(description="functionalities that degraded by themselves meanwhile")] = []
-    verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where it was asked")] = UNSET
+    degraded: Annotated[list[str], Meta(description="functionalities that degraded unexpectedly meanwhile")] = []
+    verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where requested")] = UNSET
 
 
 class PlannedChange(PlanForm, frozen=True, kw_only=True):
@@ -62,6 +63,16 @@ class PlannedChange(PlanForm, frozen=True, kw_only=True):
 # -- what is live ------------------------------------------------------------------------------------------------
 
 
+class Service(Report, frozen=True):
+    """The manager that answers, and whether its system is up."""
+
+    system: str
+    backend: str
+    version: str
+    pid: int
+    phase: Phase
+
+
 class FunctionalityStatus(Report, frozen=True):
     """A functionality: the mode it is in and the one it should be in. Null: its component did not answer."""
 
@@ -70,8 +81,8 @@ class FunctionalityStatus(Report, frozen=True):
     modelled: str
     normal: bool
     because: str | None
-    since: Annotated[float | None, Meta(description="in this mode for so long, in seconds")]
-    busy: Annotated[float | None, Meta(description="in a call of user code for so long, in seconds")]
+    since: Annotated[float | None, Meta(description="how long it has been in this mode, in seconds")]
+    busy: Annotated[float | None, Meta(description="how long the current call of user code has taken, in seconds")]
 
 
 class AttachmentStatus(Report, frozen=True):
@@ -83,7 +94,7 @@ class AttachmentStatus(Report, frozen=True):
 
 
 class ComponentStatus(Report, frozen=True, kw_only=True):
-    """An instance, by its own report where it is reachable."""
+    """An instance, as it reports itself where it is reachable."""
 
     name: str
     role: str
@@ -136,7 +147,7 @@ class Status(Report, frozen=True, kw_only=True):
 
 
 class LiveConfiguration(Report, frozen=True):
-    """The configuration as its components report it; of those in `silent` it is what the manager believes."""
+    """The configuration as its components report it; those in `silent` are as in the manager's model."""
 
     revision: int
     silent: list[str]
@@ -165,7 +176,7 @@ class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):
     kind: str
     words: str
     command: Annotated[str | UnsetType, Meta(description="waiting: the command that waits")] = UNSET
-    id: Annotated[str | UnsetType | None, Meta(description="waiting, command: the id that its request bears")] = UNSET
+    id: Annotated[str | UnsetType | None, Meta(description="waiting, command: the id in its request")] = UNSET
     index: Annotated[int | UnsetType, Meta(description="step…: which step, from 0")] = UNSET
     of: Annotated[int | UnsetType, Meta(description="step…, rollback: of how many steps")] = UNSET
     step: Annotated[AnyStep | UnsetType, Meta(description="step…: the step of the plan")] = UNSET

@@ -2,21 +2,51 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
+from midstride.runtime.backend import Exited
 
 
 @dataclass(slots=True)
 class RunningSystem:
-    """``configuration`` is the model: it changes once components have acknowledged. ``revision`` counts its changes."""
+    """``configuration`` is the model: it changes once components have acknowledged. ``revision`` counts its changes.
+
+    Instances that exited unexpectedly are in ``crashed`` until they are removed from the model, and then in ``missing``
+    until another instance has their role.
+    """
 
     specification: Specification
     configuration: Configuration
     revision: int = 0
+    crashed: dict[str, Exited] = field(default_factory=dict)
+    missing: dict[str, Exited] = field(default_factory=dict)
+    _missing_roles: dict[str, str] = field(default_factory=dict)
 
     def moved(self, configuration: Configuration) -> None:
         """A step or an event has changed the configuration."""
         self.configuration = configuration
         self.revision += 1
+
+    def started(self, name: str) -> None:
+        """An instance of that name has been started (again)."""
+        self.crashed.pop(name, None)
+        self.missing.pop(name, None)
+
+    def take_crashed(self) -> list[str]:
+        """The crashed instances that are in the model, by name; the caller removes them, so they become missing."""
+        found = [name for name in self.crashed if name in self.configuration.instances]
+        self.missing |= {name: self.crashed[name] for name in found}
+        self._missing_roles |= {name: self.configuration.instances[name].role for name in found}
+        self.crashed.clear()
+        return sorted(found)
+
+    def forget_filled_roles(self) -> None:
+        """Forget missing instances whose role has an instance again, or has been removed from the specification."""
+        self.missing = {
+            name: event
+            for name, event in self.missing.items()
+            if (role := self._missing_roles[name]) in self.specification.nodes
+            and not self.configuration.instances_by_role.get(role)
+        }

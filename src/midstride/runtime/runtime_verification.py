@@ -54,7 +54,7 @@ class StepVerifier:
     report: Callable[[Verdict], object]
 
     async def look(self, configuration: Configuration) -> None:
-        """Raises VerificationError where the live configuration is unknown, or is not known to be valid."""
+        """Raises VerificationError if the live configuration is unknown, or is not known to be valid."""
         found = self.observe(configuration)
         if found.silent:
             silent = ", ".join(found.silent)

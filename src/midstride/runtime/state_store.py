@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import msgspec
 from immutables import Map
@@ -35,13 +35,15 @@ CREATE TABLE IF NOT EXISTS specification (
 ) WITHOUT ROWID;
 CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL, handle TEXT) WITHOUT ROWID;
 """
-# The section of the specification that has what the other three have not.
+# The section of the specification with all that is in none of the other three.
 _REST: Final = "rest"
+# SQL statements with their values, by what they write.
+_Statements: TypeAlias = dict[str, tuple[str, tuple[str | None, ...]]]
 
 
 @dataclass(frozen=True, slots=True)
 class SavedInstance:
-    """An instance that an earlier manager knew. ``handle`` is None where it was started elsewhere."""
+    """An instance that an earlier manager knew. ``handle`` is None if it was started elsewhere."""
 
     instance: Instance
     handle: Handle | None
@@ -69,7 +71,7 @@ class StateStore:
         self._warn = warn
         self._database: sqlite3.Connection | None = None
         self._specification = Specification("")  # as last written
-        self._pending: dict[str, tuple[str, tuple[Any, ...]]] = {}  # writes that failed, by key
+        self._pending: _Statements = {}  # writes that failed
 
     # -- reading -----------------------------------------------------------------------------------
 
@@ -98,8 +100,8 @@ class StateStore:
 
     def _unreadable(self, why: str) -> ManagerError:
         return ManagerError(
-            f"cannot read {self.path}: {why}. So it is not known what still runs of {self.path.parent.name}: end that "
-            "yourself, then remove the file"
+            f"cannot read {self.path}: {why}. So it is unknown which components of {self.path.parent.name} still run: "
+            "stop them yourself, then remove the file"
         )
 
     # -- writing -----------------------------------------------------------------------------------
@@ -115,23 +117,25 @@ class StateStore:
         """The specification that the system runs now: a row for each part that differs from what was written last."""
         self._write(self._parts(specification))
 
-    def _parts(self, specification: Specification) -> dict[str, tuple[str, tuple[Any, ...]]]:
+    def _parts(self, specification: Specification) -> _Statements:
         """The statements that turn the specification that was written last into this one."""
         before, self._specification = self._specification, specification
-        parts: dict[tuple[str, str], Any] = {}
-        for name in _changed(before.connectors, specification.connectors):
-            found = specification.connectors.get(name)
-            parts["topics", name] = None if found is None else TopicForm.of_connector(found)
-        for name in _changed(before.components, specification.components):
-            component = specification.components.get(name)
-            parts["components", name] = None if component is None else ComponentForm.of(component)
-        for role in _changed(before.nodes, specification.nodes):
-            node = specification.nodes.get(role)
-            parts["nodes", role] = None if node is None else NodeForm.of(node, specification)
-        rest = _rest(specification)
-        if rest != _rest(before):
-            parts[_REST, ""] = SpecificationForm.of(rest)
-        return {f"{section} {name}": _part(section, name, form) for (section, name), form in parts.items()}
+        sections: list[tuple[str, Mapping[str, Any], Mapping[str, Any], Callable[[Any], object]]] = [
+            ("topics", before.connectors, specification.connectors, TopicForm.of_connector),
+            ("components", before.components, specification.components, ComponentForm.of),
+            ("nodes", before.nodes, specification.nodes, lambda node: NodeForm.of(node, specification)),
+            (_REST, {"": _rest(before)}, {"": _rest(specification)}, SpecificationForm.of),
+        ]
+        statements: _Statements = {}
+        for section, old, new, form in sections:
+            for name in _changed(old, new):
+                if name in new:
+                    row = (section, name, msgspec.json.encode(form(new[name])).decode())
+                    statements[f"{section} {name}"] = ("INSERT OR REPLACE INTO specification VALUES (?, ?, ?)", row)
+                else:
+                    delete = "DELETE FROM specification WHERE section = ? AND name = ?"
+                    statements[f"{section} {name}"] = (delete, (section, name))
+        return statements
 
     def write_instance(self, instance: Instance, handle: Handle | None) -> None:
         """An instance has been started, or its parameters have changed."""
@@ -166,7 +170,7 @@ class StateStore:
         rows = zip(pairs[::2], pairs[1::2], strict=True)
         self._write({key: ("INSERT OR REPLACE INTO system VALUES (?, ?)", (key, value)) for key, value in rows})
 
-    def _write(self, statements: Mapping[str, tuple[str, tuple[Any, ...]]]) -> None:
+    def _write(self, statements: _Statements) -> None:
         self._pending.update(statements)
         try:
             database = self._open()
@@ -203,14 +207,6 @@ def _changed(before: Mapping[str, object], after: Mapping[str, object]) -> Itera
 
 def _rest(specification: Specification) -> Specification:
     return replace(specification, connectors=Map(), components=Map(), nodes=Map())
-
-
-def _part(section: str, name: str, form: object) -> tuple[str, tuple[Any, ...]]:
-    """The statement that writes one part of the specification; None removes it."""
-    if form is None:
-        return "DELETE FROM specification WHERE section = ? AND name = ?", (section, name)
-    text = msgspec.json.encode(form).decode()
-    return "INSERT OR REPLACE INTO specification VALUES (?, ?, ?)", (section, name, text)
 
 
 def _assembled(parts: list[tuple[str, str, str]]) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
-from midstride.runtime.backend import Exited
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.reports import (
     AttachmentStatus,
@@ -28,7 +27,6 @@ def status(
     system: RunningSystem,
     client: ComponentClient,
     *,
-    crashed: Mapping[str, Exited],
     pids: Mapping[str, int | None],
     backend: str,
     running: RunningCommand | None,
@@ -47,7 +45,7 @@ def status(
         components=components,
         crashed=[
             CrashedInstance(name=name, status=exited.status, log=exited.log_tail)
-            for name, exited in sorted(crashed.items())
+            for name, exited in sorted({**system.missing, **system.crashed}.items())
             if name not in configuration.instances
         ],
         topics=_topics(configuration),

@@ -1,1 +1,1 @@
-"""The manager's operations over HTTP: the only way in, for the command line and for everybody else (interfaces.md)."""
+"""The manager's operations over HTTP: the only way in, for the command line and for every other client."""

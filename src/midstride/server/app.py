@@ -1,7 +1,7 @@
-"""The HTTP API (interfaces.md): ``/api/v1``, its OpenAPI document, and the event stream.
+"""The HTTP API (docs/http.md): ``/api/v1``, its OpenAPI document, and the event stream.
 
-Every operation is the manager's; nothing is decided here. A change that was begun is carried out
-to its end (or taken back by the manager) even if the client goes away.
+Every operation is the manager's; nothing is decided here. A change that has started is completed, or rolled back by the
+manager, even if the client disconnects.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from midstride.runtime.reports import (
     LiveConfiguration,
     Outcome,
     PlannedChange,
+    Service,
     Status,
     UpReport,
     Why,
@@ -33,7 +34,6 @@ from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
 from midstride.server.requests import SubmittedChange, read_change, read_request
-from midstride.server.service import Service
 
 
 def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
@@ -41,38 +41,37 @@ def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
     app = FastAPI(
         title="Midstride",
         version=__version__,
-        summary="The manager of a running system: its state, its plans, its changes, and what happens",
+        summary="The manager of a running system: its state, plans, changes and events",
         openapi_url="/api/v1/openapi.json",
         docs_url=None,  # the page would load its scripts from elsewhere
         redoc_url=None,
     )
     app.include_router(_reading(lifecycle, backend), prefix="/api/v1", tags=["reading"])
     app.include_router(_changing(lifecycle), prefix="/api/v1", tags=["changing"])
-    app.add_exception_handler(MidstrideError, _told)
-    app.add_exception_handler(RequestValidationError, _not_a_request)
-    app.add_exception_handler(HTTPException, _no_operation)
-    app.add_exception_handler(Exception, _our_fault)
+    app.add_exception_handler(MidstrideError, _refused)
+    app.add_exception_handler(RequestValidationError, _invalid)
+    app.add_exception_handler(HTTPException, _unknown_operation)
+    app.add_exception_handler(Exception, _internal_error)
     document_forms(app)
     return app
 
 
-async def _told(_: Request, error: Exception) -> Response:
+async def _refused(_: Request, error: Exception) -> Response:
     return answer(Failure.of(error), status_of(error))
 
 
-async def _not_a_request(_: Request, error: Exception) -> Response:
+async def _invalid(_: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     return answer(Failure.named("SpecificationError", in_one_line(list(error.errors()))), 422)
 
 
-async def _no_operation(request: Request, error: Exception) -> Response:
+async def _unknown_operation(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    asked = f"{request.method} {request.url.path}"
-    message = f"{asked}: {error.detail}; /api/v1/openapi.json lists every operation"
+    message = f"{request.method} {request.url.path}: {error.detail}; /api/v1/openapi.json lists every operation"
     return answer(Failure.named("NoOperation", message), error.status_code, error.headers)
 
 
-async def _our_fault(_: Request, error: Exception) -> Response:
+async def _internal_error(_: Request, error: Exception) -> Response:
     return answer(Failure.named("InternalError", f"internal error: {error!r}"), 500)
 
 
@@ -81,23 +80,23 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
 
     @router.get("", responses=answers(Service))
     async def service() -> Response:
-        """Who answers, and whether its system is up."""
+        """The manager that answers, and whether its system is up."""
         name = manager.specification.name
         return answer(Service(name, backend, __version__, os.getpid(), lifecycle.phase))
 
     @router.get("/up", responses=answers(UpReport))
     async def up() -> Response:
-        """What came of bringing the system up; waits until that is known."""
+        """The result of bringing the system up; waits until it is known."""
         return answer(await lifecycle.outcome_of_up())
 
     @router.get("/status", responses=answers(Status))
     async def status() -> Response:
-        """What is live and in which modes, as each component itself says it."""
+        """The live components and their modes, as they report them."""
         return answer(await manager.status())
 
     @router.get("/configuration", responses=answers(LiveConfiguration))
     async def configuration() -> Response:
-        """What is live, attached and in which mode, as each component itself says it, with the world it lives in."""
+        """The configuration as its components report it, with its topics and environment."""
         return answer(await manager.live())
 
     @router.get("/specification", responses=answers(SpecificationForm))
@@ -111,8 +110,10 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
         return answer(await manager.why(functionality))
 
     @router.get("/log", responses=answers(list[Event]))
-    async def log(since: Annotated[int, Query(ge=0, description="the last event's number one has")] = 0) -> Response:
-        """What has happened so far."""
+    async def log(
+        since: Annotated[int, Query(ge=0, description="the last event's number")] = 0,
+    ) -> Response:
+        """The events so far."""
         return answer(manager.log(since))
 
     @router.get(
@@ -125,9 +126,9 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     )
     async def events(
         since: Annotated[int, Query(ge=0)] = 0,
-        last_event_id: Annotated[int | None, Header(description="goes before `since`")] = None,
+        last_event_id: Annotated[int | None, Header(description="takes precedence over `since`")] = None,
     ) -> Response:
-        """What has happened after event `since`, and what happens from now on."""
+        """The events after number `since`, and each new one as it comes."""
         begin = since if last_event_id is None else last_event_id
         headers = {"Cache-Control": "no-store", "X-Accel-Buffering": "no"}
         return StreamingResponse(stream.events(lifecycle, begin), media_type="text/event-stream", headers=headers)
@@ -140,7 +141,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
 
     @router.post("/plan", responses=answers(PlannedChange), openapi_extra=request_body(ChangeRequest))
     async def plan(http: Request) -> Response:
-        """The plan for a change; nothing is changed. `revision` goes into `expected` of `/change`."""
+        """The plan for a change; nothing is changed. Pass its `revision` as `expected` to `/change`."""
         request = await read_request(http)
         lifecycle.require_up()
         revision = manager.revision
@@ -149,7 +150,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
 
     @router.post("/change", responses=answers(Outcome), openapi_extra=request_body(SubmittedChange))
     async def change(http: Request) -> Response:
-        """Carry a change out, once the commands before it are done; answers when it is measured."""
+        """Carry out a change, once the commands before it are done; responds when it has been measured."""
         change, request = await read_change(http)
         lifecycle.require_up()
         work = manager.change(request, expected=change.expected, verify=change.verify, id=change.id)
@@ -157,7 +158,7 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
 
     @router.post("/down", responses=answers(DownReport))
     async def down() -> Response:
-        """End every component, and then the manager."""
+        """Stop every component, and then the manager."""
         await lifecycle.carry_out(lifecycle.take_down(), breakable=False)
         return answer(DownReport())
 

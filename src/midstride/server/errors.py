@@ -1,4 +1,4 @@
-"""Exceptions as answers: a status that HTTP clients understand, and one form with the words."""
+"""Exceptions as HTTP responses: a status, and one form with the message."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from starlette.responses import Response
 from midstride import errors
 from midstride.codec.form import Form
 
-# The first that fits; what fits none is the server's own fault.
+# The first that matches; anything else is an internal error.
 _STATUS: Final[tuple[tuple[type[Exception], int], ...]] = (
     (errors.SpecificationError, 422),
     (errors.PlanRefused, 409),
@@ -30,7 +30,7 @@ def status_of(error: Exception) -> int:
 
 
 class FailureDetails(Form, frozen=True, forbid_unknown_fields=False):
-    """The name of the exception, as in midstride.errors, its message, and the faults of a specification one by one."""
+    """The exception's name, as in midstride.errors, its message, and each fault of a specification."""
 
     kind: str
     message: str
@@ -59,8 +59,6 @@ def answer(form: object, status: int = 200, headers: Mapping[str, str] | None = 
 
 def in_one_line(faults: list[dict[str, Any]]) -> str:
     """Pydantic's list of faults: where and what, each in a few words."""
-    told = []
-    for fault in faults:
-        where = "/" + "/".join(str(part) for part in fault["loc"] if part != "body")
-        told.append(f"{where}: {fault['msg']}")
-    return "; ".join(told)
+    return "; ".join(
+        f"/{'/'.join(str(part) for part in fault['loc'] if part != 'body')}: {fault['msg']}" for fault in faults
+    )

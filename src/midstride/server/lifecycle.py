@@ -1,7 +1,7 @@
-"""From the start of a manager to its end: bringing up, serving, going down or leaving.
+"""The life of a manager: bringing the system up, serving it, taking it down or leaving it.
 
-The system is brought up while the API already answers, so that a client can watch it come. A
-manager that could not bring its system up ends, once its client has been told why.
+The API answers while the system is being brought up, so that a client can follow. A manager that could not bring its
+system up exits once a client has read why.
 """
 
 from __future__ import annotations
@@ -15,15 +15,14 @@ from typing import Any, Final, TypeVar
 
 from midstride.errors import ManagerError, MidstrideError
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Event, UpReport
+from midstride.runtime.reports import Event, Phase, UpReport
 from midstride.runtime.timeouts import within
-from midstride.server.service import Phase
 
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
 
-# How long a manager that has failed waits for a client to ask why (s).
+# How long a manager that has failed waits for a client to read why (s).
 LINGER: Final = 5.0
 _INTERRUPTED: Final = "the manager was terminated; the operation was interrupted and rolled back"
 _ROLLING_BACK: Final = (
@@ -32,46 +31,47 @@ _ROLLING_BACK: Final = (
 
 
 class Lifecycle:
-    """Owns the tasks that outlive the request that began them. Used on the manager's loop alone."""
+    """Owns the tasks that outlive the request that began them. Used on the manager's loop alone.
+
+    ``settled`` is set once it is known whether the system came up, ``ended`` once the manager shall exit.
+    """
 
     def __init__(self, manager: Manager) -> None:
         self.manager = manager
         self.phase: Phase = "starting"
+        self.settled = asyncio.Event()
         self.ended = asyncio.Event()
         self.failure: MidstrideError | None = None
-        self._settled = asyncio.Event()
-        self._told = asyncio.Event()
-        self._outcome: UpReport | None = None
+        self._failure_read = asyncio.Event()
+        self._report: UpReport | None = None
         self._tasks: set[asyncio.Task[Any]] = set()
         self._breakable: set[asyncio.Task[Any]] = set()
 
     async def bring_up(self) -> None:
         """Bring the system up; afterwards ``phase`` is ``up`` or ``failed``. Raises nothing."""
         try:
-            self._outcome = await self.manager.up()
-            self.phase = "up"
+            self._report = await self.manager.up()
         except MidstrideError as error:
-            self.failure, self.phase = error, "failed"
+            self.failure = error
         except asyncio.CancelledError:
-            self.failure, self.phase = ManagerError(f"the system is not up: {_INTERRUPTED}"), "failed"
-        except Exception as error:  # ours, not the user's: it must still end in an answer
+            self.failure = ManagerError(f"the system is not up: {_INTERRUPTED}")
+        except Exception as error:  # a fault of ours must still end in an answer
             log.exception("bringing the system up failed")
             self.failure = ManagerError(f"internal error while bringing the system up: {error!r}")
-            self.phase = "failed"
-        finally:
-            self._settled.set()
+        self.phase = "up" if self.failure is None else "failed"
+        self.settled.set()
 
     async def outcome_of_up(self) -> UpReport:
-        """What came of bringing up, once that is known. Raises the MidstrideError it failed with."""
-        await self._settled.wait()
+        """The result of bringing up, once it is known. Raises the MidstrideError it failed with."""
+        await self.settled.wait()
         if self.failure is not None:
-            self._told.set()
+            self._failure_read.set()
             raise self.failure
-        assert self._outcome is not None
-        return self._outcome
+        assert self._report is not None
+        return self._report
 
     async def carry_out(self, work: Coroutine[Any, Any, T], *, breakable: bool = True) -> T:
-        """Await ``work`` even if the client that asked for it goes away meanwhile.
+        """Await ``work`` even if the client that requested it disconnects.
 
         ``breakable`` work is interrupted when the manager is terminated, and raises ManagerError then.
         """
@@ -84,11 +84,11 @@ class Lifecycle:
         except asyncio.CancelledError:
             if task.cancelled():
                 raise ManagerError(_INTERRUPTED) from None
-            if self.ended.is_set():  # the server closed before the roll-back was complete: tell the client so
+            if self.ended.is_set():  # the server closed before the roll-back was complete
                 raise ManagerError(_ROLLING_BACK) from None
             raise
 
-    async def break_off(self) -> None:
+    async def interrupt(self) -> None:
         """Interrupt every change and wait for its roll-back, while the components can still be reached."""
         for task in list(self._breakable):
             task.cancel()
@@ -104,34 +104,24 @@ class Lifecycle:
             raise ManagerError("the system is down")
 
     async def take_down(self) -> None:
-        """End the system and then the manager. Raises ManagerError where a component would not end."""
+        """Stop the system and then the manager. Raises ManagerError if a component would not exit."""
         await self.manager.down()
         self.phase = "down"
         self.ended.set()
 
-    def leave(self) -> None:
-        """End the manager alone: the components go on."""
-        self.ended.set()
-
     async def until_over(self) -> None:
-        """Wait for the end: the system is down, or it failed to come up and that has been told."""
-        ended = asyncio.ensure_future(self.ended.wait())
-        settled = asyncio.ensure_future(self._settled.wait())
+        """Wait until the system is down, the manager shall leave it, or a client has read why it did not come up."""
+        ended, settled = (asyncio.ensure_future(event.wait()) for event in (self.ended, self.settled))
         await asyncio.wait({ended, settled}, return_when=asyncio.FIRST_COMPLETED)
         settled.cancel()
         if self.phase == "failed":
             with contextlib.suppress(asyncio.TimeoutError):
                 async with within(LINGER):
-                    await self._told.wait()
+                    await self._failure_read.wait()
             ended.cancel()
         else:
             await ended
 
     def failure_event(self, n: int) -> Event:
-        """The failure as an event, numbered ``n``: the last one that its listeners hear."""
+        """The failure as an event, numbered ``n``: the last one in a stream."""
         return Event(n=n, at=time.time(), kind="up_failed", words=str(self.failure))
-
-    @property
-    def settled(self) -> asyncio.Event:
-        """Set once it is known whether the system came up."""
-        return self._settled

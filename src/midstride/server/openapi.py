@@ -10,56 +10,45 @@ from fastapi import FastAPI
 from midstride.codec.schema import Schema, schemas
 from midstride.codec.specification import SpecificationForm
 from midstride.plan.request_form import ChangeRequest
-from midstride.runtime.reports import (
-    DownReport,
-    Event,
-    LiveConfiguration,
-    Outcome,
-    PlannedChange,
-    Status,
-    UpReport,
-    Why,
-)
+from midstride.runtime import reports
 from midstride.server.errors import Failure
 from midstride.server.requests import SubmittedChange
-from midstride.server.service import Service
 
-Body: TypeAlias = type[msgspec.Struct]
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
 
-FORMS: Final[tuple[Body, ...]] = (
+FORMS: Final = (
     ChangeRequest,
-    DownReport,
-    Event,
     Failure,
-    LiveConfiguration,
-    Outcome,
-    PlannedChange,
-    Service,
     SpecificationForm,
-    Status,
     SubmittedChange,
-    UpReport,
-    Why,
+    reports.DownReport,
+    reports.Event,
+    reports.LiveConfiguration,
+    reports.Outcome,
+    reports.PlannedChange,
+    reports.Service,
+    reports.Status,
+    reports.UpReport,
+    reports.Why,
 )
 _TEMPLATE: Final = "#/components/schemas/{name}"
 
 
 def answers(form: Any) -> Responses:
-    """The answers of an operation: ``form``, or a list of it, and what each failure means."""
+    """The responses of an operation: ``form``, or a list of it, and what each failure means."""
     return {200: _described(form, "the answer"), **failures()}
 
 
 def failures() -> Responses:
     return {
-        409: _described(Failure, "refused, nothing was changed; the message says why"),
-        422: _described(Failure, "not a request, or not a specification; every fault is named"),
-        502: _described(Failure, "the platform below failed"),
+        409: _described(Failure, "refused; nothing was changed, and the message says why"),
+        422: _described(Failure, "invalid request or specification; every fault is listed"),
+        502: _described(Failure, "the platform failed"),
     }
 
 
-def request_body(form: Body) -> dict[str, Any]:
-    """What an operation reads, as FastAPI's ``openapi_extra``."""
+def request_body(form: type[msgspec.Struct]) -> dict[str, Any]:
+    """The body of an operation's request, as FastAPI's ``openapi_extra``."""
     return {"requestBody": {"required": True, "content": {"application/json": {"schema": _schema(form)}}}}
 
 

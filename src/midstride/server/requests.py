@@ -1,4 +1,4 @@
-"""What clients send, and how a body is read: every fault in it is named with its path."""
+"""The requests of clients. Every fault in a body is reported with its path."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ T = TypeVar("T")
 class SubmittedChange(Form, frozen=True):
     """A request to be carried out.
 
-    `expected`: only if the configuration is still of that revision (else it is refused). `verify`: only if Alloy finds
-    every step of the plan safe, and what is live after each of them. `id`: any text; the events `waiting` and `command`
-    of this change bear it, and what follows until the next `command` belongs to it.
+    `expected`: refuse it unless the configuration still has that revision. `verify`: refuse it unless Alloy finds every
+    step of the plan safe, and verify the live configuration after each of them. `id`: any text; the events `waiting`
+    and `command` of this change contain it, and those that follow until the next `command` belong to it.
     """
 
     what: ClassVar[str] = "a change"

@@ -1,4 +1,4 @@
-"""The doors: a Unix socket always, TCP only when asked for; and the manager's life behind them."""
+"""Serves a manager on a Unix socket, and on TCP with a bearer token if requested, until its system is down."""
 
 from __future__ import annotations
 
@@ -6,39 +6,41 @@ import asyncio
 import contextlib
 import logging
 import os
+import secrets
 import signal
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import uvicorn
-from starlette.types import ASGIApp
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
 
 from midstride.errors import ManagerError
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.server.app import create_app
-from midstride.server.auth import BearerAuth, new_token
+from midstride.server.errors import Failure, answer
 from midstride.server.lifecycle import Lifecycle
 
 log = logging.getLogger(__name__)
 
 LOOPBACK = "127.0.0.1"
-# How long requests under way may take to be answered when the manager ends (s).
+# How long requests in progress may take when the manager exits (s).
 LAST_ANSWERS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class Tcp:
-    """The TCP door: loopback, unless another address of this machine is named."""
+    """Where to listen on TCP: loopback, unless another address of this machine is given."""
 
     port: int
     host: str = LOOPBACK
 
 
 class _Server(uvicorn.Server):
-    """uvicorn without its signal handlers: the end of the manager is decided in one place, here."""
+    """uvicorn without its signal handlers: only this module decides when the manager exits."""
 
     @contextlib.contextmanager
     def capture_signals(self) -> Iterator[None]:
@@ -46,38 +48,38 @@ class _Server(uvicorn.Server):
 
 
 async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tcp | None = None) -> int:
-    """Bring the system up and serve it until it is down, or until SIGTERM or SIGINT: components then go on.
+    """Bring the system up and serve it until it is down, or until SIGTERM or SIGINT; components then keep running.
 
-    A change that is under way at such a signal is taken back first. The caller holds the workspace's lock. Returns
-    the exit status: 1 where the system could not be brought up, or a door fails. Raises ManagerError where one cannot
-    be opened; nothing has been started then.
+    A change in progress at such a signal is rolled back first. The caller holds the workspace's lock. Returns the exit
+    status: 1 if the system could not be brought up, or a server fails. Raises ManagerError if a socket cannot be
+    opened; nothing has been started then.
     """
     lifecycle = Lifecycle(manager)
     app = create_app(lifecycle, backend=backend)
     token_file = workspace.path / "token"
-    with contextlib.ExitStack() as doors:
-        servers = [(_server(app), doors.enter_context(_unix(workspace.socket)))]
+    with contextlib.ExitStack() as stack:
+        servers = [(_server(app), stack.enter_context(_unix(workspace.socket)))]
         if tcp is not None:
-            listening = doors.enter_context(_tcp(tcp))
-            doors.callback(token_file.unlink, missing_ok=True)
-            servers.append((_server(BearerAuth(app, new_token(token_file))), listening))
-        with _signals(lifecycle):
-            serving = [asyncio.ensure_future(server.serve([door])) for server, door in servers]
+            listening = stack.enter_context(_tcp(tcp))
+            stack.callback(token_file.unlink, missing_ok=True)
+            servers.append((_server(_BearerAuth(app, _new_token(token_file))), listening))
+        with _on_signals(lifecycle.ended.set):
+            serving = [asyncio.ensure_future(server.serve([listening])) for server, listening in servers]
             up = asyncio.ensure_future(lifecycle.bring_up())
             over = asyncio.ensure_future(lifecycle.until_over())
             await asyncio.wait({over, *serving}, return_when=asyncio.FIRST_COMPLETED)
             lifecycle.ended.set()
             up.cancel()
             over.cancel()
-            breaking_off = asyncio.ensure_future(lifecycle.break_off())
+            interrupting = asyncio.ensure_future(lifecycle.interrupt())
             for server, _ in servers:
                 server.should_exit = True
             ends = await asyncio.gather(*serving, return_exceptions=True)
-            await asyncio.gather(up, over, breaking_off, return_exceptions=True)
+            await asyncio.gather(up, over, interrupting, return_exceptions=True)
             await manager.close()
     failures = [end for end in ends if isinstance(end, Exception)]
     for failure in failures:
-        log.error("a door of the manager has failed, so it ends", exc_info=failure)
+        log.error("a server of the manager has failed, so it exits", exc_info=failure)
     return 1 if failures or lifecycle.phase == "failed" else 0
 
 
@@ -90,22 +92,22 @@ def _server(app: ASGIApp) -> _Server:
 
 @contextlib.contextmanager
 def _unix(path: Path) -> Iterator[socket.socket]:
-    """A socket file that only its user can open; one left by a killed manager makes way (the lock is held)."""
+    """A socket that only its user can open. One that a killed manager left is replaced: the caller holds the lock."""
     path.unlink(missing_ok=True)
-    door = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     before = os.umask(0o177)
     try:
-        door.bind(str(path))
+        listening.bind(str(path))
     except OSError as error:
-        door.close()
+        listening.close()
         raise ManagerError(f"cannot open the socket {path}: {error.strerror or error}; is the path too long?") from None
     finally:
         os.umask(before)
     try:
-        door.listen(128)
-        yield door
+        listening.listen(128)
+        yield listening
     finally:
-        door.close()
+        listening.close()
         path.unlink(missing_ok=True)
 
 
@@ -114,20 +116,47 @@ def _tcp(tcp: Tcp) -> Iterator[socket.socket]:
     try:
         found = socket.getaddrinfo(tcp.host, tcp.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         family, _, _, _, address = found[0]
-        door = socket.create_server(address, family=family)
+        listening = socket.create_server(address, family=family)
     except OSError as error:
         raise ManagerError(f"cannot listen on {tcp.host}, port {tcp.port}: {error.strerror or error}") from None
-    with door:
-        yield door
+    with listening:
+        yield listening
 
 
 @contextlib.contextmanager
-def _signals(lifecycle: Lifecycle) -> Iterator[None]:
+def _on_signals(leave: Callable[[], None]) -> Iterator[None]:
     loop = asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, lifecycle.leave)
+        loop.add_signal_handler(number, leave)
     try:
         yield
     finally:
         for number in (signal.SIGTERM, signal.SIGINT):
             loop.remove_signal_handler(number)
+
+
+class _BearerAuth:
+    """Requires a bearer token. The Unix socket needs none: the file system protects it."""
+
+    def __init__(self, app: ASGIApp, token: str) -> None:
+        self._app = app
+        self._expected = f"Bearer {token}".encode()
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        app = self._app
+        if scope["type"] == "http":
+            authorization = Headers(scope=scope).get("authorization", "").encode()
+            if not secrets.compare_digest(authorization, self._expected):
+                failure = Failure.named("Unauthorized", "send the header `Authorization: Bearer <token>`")
+                app = answer(failure, 401, {"WWW-Authenticate": "Bearer"})
+        await app(scope, receive, send)
+
+
+def _new_token(path: Path) -> str:
+    """A fresh token, written to a file that only its user can read."""
+    token = secrets.token_urlsafe(32)
+    path.unlink(missing_ok=True)
+    handle = os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600)
+    with os.fdopen(handle, "w") as file:
+        file.write(token)
+    return token

@@ -1,7 +1,7 @@
 """The event stream: server-sent events, each a JSON document with its number as the id.
 
-A client that reconnects with ``Last-Event-ID`` (browsers do it by themselves) misses nothing that
-the manager still keeps. A comment every few seconds keeps proxies and dead-peer detection content.
+A client that reconnects with ``Last-Event-ID``, as browsers do, misses nothing that the manager still keeps. A comment
+every few seconds keeps proxies from closing the connection, and shows when the client has gone.
 """
 
 from __future__ import annotations
@@ -37,13 +37,13 @@ async def events(lifecycle: Lifecycle, since: int) -> AsyncIterator[str]:
             done, _ = await asyncio.wait(waits, timeout=KEEP_ALIVE, return_when=asyncio.FIRST_COMPLETED)
             if not done:
                 yield ": still here\n\n"
-            elif upcoming in done:  # first of all: what was said before an end is heard before it
+            elif upcoming in done:  # before an end: events precede it
                 event = upcoming.result()
                 last = event.n
                 waits.discard(upcoming)
                 upcoming = asyncio.ensure_future(anext(source))
                 waits.add(upcoming)
-                await asyncio.sleep(0)  # one that is there already counts as done in the next round
+                await asyncio.sleep(0)  # so that an event that is already known is done in the next round
                 yield encode(event)
             elif ended in done:
                 return

@@ -101,14 +101,15 @@ def _components(file: Path | None) -> list[Document]:
 
 def change(system: str | None, request: Document, title: str, yes: bool, verify: bool) -> int:
     """Show the plan, ask for confirmation, make the change and report it. The exit status."""
-
     if not yes and not is_interactive():
         raise click.UsageError("not a terminal; pass --yes")
     client, _ = find(system)
     expected = None
     if not yes:
+        from midstride.cli import render
+
         preview = client.post("/plan", request)
-        _show_plan(preview, title, to_stderr=wants_json())
+        console(stderr=wants_json()).print(render.plan(preview, title))
         if preview["steps"] and not click.confirm("Proceed?", err=True):
             click.echo("Nothing was changed.", err=True)
             return 1
@@ -150,9 +151,3 @@ def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool)
     outcome = followed.answer()
     out.print(render.outcome(outcome))
     return outcome
-
-
-def _show_plan(preview: Document, title: str, *, to_stderr: bool) -> None:
-    from midstride.cli import render
-
-    console(stderr=to_stderr).print(render.plan(preview, title))

@@ -5,15 +5,17 @@ from __future__ import annotations
 import os
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from midstride.cli import completion
+from midstride.cli.files import require_file
 from midstride.cli.output import json_option, print_json, wants_json
-
-if TYPE_CHECKING:
-    from midstride.lang.diagnostics import Diagnostic
+from midstride.lang import format_text, load, render
+from midstride.lang.catalogue import CATALOGUE, explain
+from midstride.lang.diagnostics import Diagnostic
+from midstride.lang.files import Unreadable, read_text
+from midstride.lang.message_types import installed
 
 
 @click.command("check")
@@ -26,10 +28,6 @@ def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
 
     Every independent error is reported once, at its place; `midstride explain CODE` explains it.
     """
-    from midstride.cli.files import require_file
-    from midstride.lang import load, render
-    from midstride.lang.message_types import installed
-
     messages = None if no_types else installed()
     found: list[Diagnostic] = []
     for file in files:
@@ -52,11 +50,6 @@ def check_command(files: tuple[Path, ...], strict: bool, no_types: bool) -> int:
 @json_option
 def fmt_command(files: tuple[Path, ...], check: bool) -> int:
     """Format Stride files, in place. Comments and order are kept."""
-    from midstride.cli.files import require_file
-    from midstride.lang import format_text, render
-    from midstride.lang.diagnostics import Diagnostic
-    from midstride.lang.files import Unreadable, read_text
-
     changed: list[Path] = []
     found: list[Diagnostic] = []
     for file in files:
@@ -106,8 +99,6 @@ def _replace(file: Path, text: str) -> None:
 @json_option
 def explain_command(code: str) -> int:
     """Explain the CODE of a diagnostic, with an example: `midstride explain E012`."""
-    from midstride.lang.catalogue import CATALOGUE, explain
-
     try:
         text = explain(code)
     except KeyError as error:

@@ -6,8 +6,11 @@ import asyncio
 
 import click
 
+from midstride import backends
 from midstride.backends import NAMES
 from midstride.cli import completion
+from midstride.cli.demo_runner import run_demo
+from midstride.cli.example import find
 from midstride.cli.output import INTERRUPTED, console, json_option, print_json, wants_json
 
 
@@ -27,10 +30,6 @@ def demo_command(name: str, backend: str | None) -> int:
     It stops every process that it has started, even if it is interrupted or killed.
     """
     from rich.console import Console
-
-    from midstride import backends
-    from midstride.cli.demo_runner import run_demo
-    from midstride.cli.example import find
 
     example = find(name)
     if backend is None:

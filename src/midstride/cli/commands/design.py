@@ -1,4 +1,4 @@
-"""``graph``, ``impact`` and ``diff``: a specification before anything runs."""
+"""``graph``, ``impact``, ``diff`` and ``export``: a specification before anything runs."""
 
 from __future__ import annotations
 
@@ -6,8 +6,16 @@ from pathlib import Path
 
 import click
 
-from midstride.cli import completion
+from midstride.cli import completion, graphviz
+from midstride.cli.files import load, read
 from midstride.cli.output import json_option, print_json, wants_json
+from midstride.cli.systems import find, system_option
+from midstride.codec.schema import specification_schema
+from midstride.codec.specification import encode_specification
+from midstride.generate.drawing import to_dot, to_mermaid
+from midstride.generate.view import view
+from midstride.plan.impact import impacts
+from midstride.plan.specification_diff import differences
 
 _FILE = click.Path(path_type=Path)
 
@@ -25,11 +33,6 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 
     SVG and PNG need Graphviz; dot and Mermaid (mmd) do not.
     """
-    from midstride.cli import graphviz
-    from midstride.cli.files import load
-    from midstride.generate.drawing import to_dot, to_mermaid
-    from midstride.generate.view import view
-
     if output is not None:
         graphviz.kind_of(output)
     drawn = view(load(file), annotate=annotate, collapse=collapse)
@@ -52,9 +55,6 @@ def graph_command(file: Path, output: Path | None, annotate: bool, collapse: boo
 @json_option
 def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
     """Show for each node of FILE what degrades, and how far, if it is removed or crashes; worst first."""
-    from midstride.cli.files import load
-    from midstride.plan.impact import impacts
-
     found = impacts(load(file), nodes)
     if wants_json():
         print_json({"impacts": found})
@@ -77,9 +77,6 @@ def impact_command(file: Path, nodes: tuple[str, ...]) -> int:
 @json_option
 def diff_command(old: Path, new: Path) -> int:
     """Show how the specification NEW differs from OLD. Exit status 0 if they are equivalent, else 1."""
-    from midstride.cli.files import load
-    from midstride.plan.specification_diff import differences
-
     found = differences(load(old), load(new))
     if wants_json():
         print_json({"same": not found, "differences": found})
@@ -88,3 +85,19 @@ def diff_command(old: Path, new: Path) -> int:
     else:
         click.echo("No differences.")
     return int(bool(found))
+
+
+@click.command("export")
+@click.argument("file", required=False, type=_FILE)
+@click.option("--schema", is_flag=True, help="Print the JSON Schema of specifications instead.")
+@system_option
+@json_option
+def export_command(file: Path | None, schema: bool, system: str | None) -> int:
+    """Print the specification in FILE, or that of the running system, as JSON."""
+    if schema:
+        print_json(specification_schema())
+    elif file is not None:
+        print_json(encode_specification(read(file)))
+    else:
+        print_json(find(system)[0].get("/specification"))
+    return 0

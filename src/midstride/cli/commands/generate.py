@@ -5,17 +5,17 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path, PurePosixPath
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import click
 
+from midstride.cli.files import require_file
 from midstride.cli.output import json_option, print_json, wants_json
 from midstride.errors import MidstrideError, SpecificationError
-
-if TYPE_CHECKING:
-    from midstride.generate.merge import Merged
-    from midstride.generate.project import GeneratedFile
-    from midstride.lang import Loaded
+from midstride.generate.merge import Merged, digest, merge_component, merge_copy, merge_empty, merge_whole
+from midstride.generate.project import GeneratedFile, project
+from midstride.lang import Loaded, load
+from midstride.lang.message_types import installed
 
 # What was last generated, to recognise a copy of the specification that was edited since.
 RECORD: Final = ".midstride-generated.json"
@@ -32,12 +32,6 @@ def generate_command(file: Path, output: Path, ros: str) -> int:
     The nodes run unchanged: `midstride up DIR/FILE`. Generating again keeps your code and replaces only
     the marked block in each file.
     """
-    from midstride.cli.files import require_file
-    from midstride.generate.merge import digest
-    from midstride.generate.project import project
-    from midstride.lang import load
-    from midstride.lang.message_types import installed
-
     require_file(file)
     loaded = load(file, messages=installed())
     specification = loaded.require()
@@ -80,8 +74,6 @@ def _sources(file: Path, loaded: Loaded) -> dict[PurePosixPath, str]:
 
 
 def _merge(generated: GeneratedFile, existing: str | None, record: dict[str, str]) -> Merged:
-    from midstride.generate.merge import merge_component, merge_copy, merge_empty, merge_whole
-
     if generated.kind == "component":
         return merge_component(existing, generated.text)
     if generated.kind == "whole":

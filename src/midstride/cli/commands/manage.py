@@ -4,14 +4,20 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-if TYPE_CHECKING:
-    from midstride.model.specification import Specification
-    from midstride.runtime.backend import Handle
-    from midstride.runtime.workspace import Workspace
+from midstride import backends
+from midstride.cli.files import load
+from midstride.model.specification import Specification
+from midstride.runtime.backend import Handle
+from midstride.runtime.launcher import STOP_GRACE
+from midstride.runtime.manager import Manager
+from midstride.runtime.process import end_orphans
+from midstride.runtime.reaper import process_info
+from midstride.runtime.state_store import StateStore
+from midstride.runtime.workspace import Workspace
+from midstride.server.serve import LOOPBACK, Tcp, serve
 
 
 @click.command("_manager", hidden=True)
@@ -21,12 +27,6 @@ if TYPE_CHECKING:
 @click.option("--http-host")
 def manager_command(file: Path, backend: str, http: int | None, http_host: str | None) -> int:
     """Manage the system of FILE until it is down or SIGTERM arrives."""
-    from midstride import backends
-    from midstride.cli.files import load
-    from midstride.runtime.manager import Manager
-    from midstride.runtime.workspace import Workspace
-    from midstride.server.serve import LOOPBACK, Tcp, serve
-
     requested = load(file)
     workspace = Workspace.of(requested.name)
     tcp = None if http is None else Tcp(http, http_host or LOOPBACK)
@@ -46,10 +46,6 @@ async def _still_running(workspace: Workspace) -> Specification | None:
 
     If none of its recorded components runs any more, stop the unrecorded ones and delete the state.
     """
-    from midstride.runtime.launcher import STOP_GRACE
-    from midstride.runtime.orphans import end_orphans
-    from midstride.runtime.state_store import StateStore
-
     store = StateStore(workspace.state)
     saved = store.load()
     if saved is None:
@@ -62,9 +58,7 @@ async def _still_running(workspace: Workspace) -> Specification | None:
 
 
 def _runs(handle: Handle | None) -> bool:
-    from midstride.runtime.reaper import process_info
-
     if handle is None or handle.pid is None:
         return False
-    seen = process_info(handle.pid)
-    return seen is not None and seen.alive and seen.started == handle.started
+    process = process_info(handle.pid)
+    return process is not None and process.alive and process.started == handle.started

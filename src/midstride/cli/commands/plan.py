@@ -7,9 +7,15 @@ from pathlib import Path
 
 import click
 
-from midstride.cli import completion
+from midstride.cli import completion, render
 from midstride.cli.change_options import parse_new_node, parse_pair, strategy_option
+from midstride.cli.files import load
 from midstride.cli.output import console, json_option, print_json, wants_json
+from midstride.model.specification import initial
+from midstride.plan.change_builder import change_between
+from midstride.plan.forms import encode_plan
+from midstride.plan.registry import planner
+from midstride.plan.request_form import decode_request
 
 
 @click.command("plan")
@@ -43,13 +49,6 @@ def plan_command(
     midstride plan talker.json --replace talker=NewTalker
     midstride plan talker.json --add 'second Listener in=/chatter'
     """
-    from midstride.cli.files import load
-    from midstride.model.specification import initial
-    from midstride.plan.change_builder import change_between
-    from midstride.plan.forms import encode_plan
-    from midstride.plan.registry import planner
-    from midstride.plan.request_form import decode_request
-
     if not (to or replaced or added or removed):
         raise click.UsageError("nothing to change: pass --to NEW, --replace, --add or --remove")
     specification = load(file)
@@ -71,8 +70,6 @@ def plan_command(
     if wants_json():
         print_json(document)
     else:
-        from midstride.cli import render
-
         title = f"from {file.name} to {to.name}" if to else f"{file.name}: {request.describe()}"
         console().print(render.plan(document, title))
     return 0

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from midstride.cli.output import console, json_option, print_json, wants_json
-
-if TYPE_CHECKING:
-    from midstride.verify.prove import Proof
-    from midstride.verify.run import Alloy
-    from midstride.verify.specification import Checked
+from midstride.verify.prove import NAMES, Proof, prove, version_of
+from midstride.verify.run import Alloy, find
+from midstride.verify.specification import Checked, check_specification, parallel_jobs, tasks
 
 _STYLES = {"holds": "green", "violated": "red", "unknown": "yellow"}
 
@@ -58,8 +56,6 @@ def prove_command(
     With --alloy, the Alloy specification is then checked as well, for all systems up to a scope. Needs Java and the
     Alloy Analyzer (`make alloy`). Scope 5 takes 20 to 40 minutes on two cores.
     """
-    from midstride.verify.run import find
-
     alloy = find() if with_alloy else None  # report a missing Analyzer before the proofs start
     ok, document = _proofs(solver, timeout, verbose)
     if alloy is not None:
@@ -74,8 +70,6 @@ def prove_command(
 
 
 def _proofs(solver: str, timeout: float, verbose: bool) -> tuple[bool, dict[str, Any]]:
-    from midstride.verify.prove import NAMES, prove, version_of
-
     names = NAMES if solver == "both" else tuple(name for name in NAMES if name == solver)
     proofs: list[Proof] = []
     for proof in prove(names, seconds=timeout):
@@ -97,7 +91,6 @@ def _proofs(solver: str, timeout: float, verbose: bool) -> tuple[bool, dict[str,
 
 def _show(proof: Proof, verbose: bool) -> None:
     """One row of the table, followed by problems and weakened goals."""
-
     out = console()
     seconds = "  ".join(f"{name} {took:5.2f} s" for name, took in proof.seconds.items())
     style = _STYLES[proof.answer.value]
@@ -114,23 +107,17 @@ def _show(proof: Proof, verbose: bool) -> None:
             because = "no counterexample found" if weakened.needed else "needed after all"
             out.print(f"          without `{left_out}`: {because}", style="yellow", markup=False, soft_wrap=True)
         if weakened.counterexample is not None:
-            fails = weakened.counterexample if verbose else _shortened(weakened.counterexample)
+            # Without --verbose: the action and what fails, but not the configuration before.
+            fails = weakened.counterexample if verbose else weakened.counterexample.partition(". ")[2]
             out.print(f"          without `{left_out}`: {fails}", style="dim", markup=False, soft_wrap=True)
         elif verbose and weakened.as_expected:
             out.print(f"          without `{left_out}`: still holds", style="dim", markup=False, soft_wrap=True)
-
-
-def _shortened(counterexample: str) -> str:
-    """The action and what fails; `--verbose` shows the configuration before as well."""
-    return counterexample.partition(". ")[2]
 
 
 # -- by Alloy --------------------------------------------------------------------------------------------------
 
 
 def _checks(alloy: Alloy, scope: int, jobs: int | None, limit: float) -> tuple[bool, dict[str, Any]]:
-    from midstride.verify.specification import check_specification, parallel_jobs, tasks
-
     total, parallel = len(tasks(scope)), jobs or parallel_jobs()
     if not wants_json():
         heading = f"The Alloy specification, by {alloy.name}: {total} tasks, {parallel} at a time"
@@ -151,7 +138,6 @@ def _checks(alloy: Alloy, scope: int, jobs: int | None, limit: float) -> tuple[b
 
 
 def _show_check(checked: Checked, number: int, total: int) -> None:
-
     out, style = console(), _STYLES[checked.answer.value]
     row = f"{checked.answer!s:8}  {number:2}/{total}  {checked.task!s:32}  {checked.seconds:6.1f} s  {checked.claim}"
     out.print(row, style=style, markup=False, soft_wrap=True)

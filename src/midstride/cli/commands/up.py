@@ -10,17 +10,20 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
 from midstride.backends import NAMES
 from midstride.cli.client import Client, Document
+from midstride.cli.files import load
+from midstride.cli.follow import FollowedRequest
 from midstride.cli.output import console, json_option, print_json, wants_json
+from midstride.cli.progress import Progress
+from midstride.cli.shutdown import wait_for_manager_exit
+from midstride.cli.view import watch
+from midstride.codec.specification import encode_specification
 from midstride.errors import ManagerBusy, ManagerError
-
-if TYPE_CHECKING:
-    from midstride.runtime.workspace import Workspace
+from midstride.runtime.workspace import Workspace
 
 # How long a manager may take to answer for the first time (s): a cold start on a busy machine.
 START_TIMEOUT = 30.0
@@ -48,10 +51,6 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     Ctrl-C leaves the view; components and manager keep running. If the manager is killed, the next `up` reattaches to
     its components. `midstride down` stops everything.
     """
-    from midstride.cli.files import load
-    from midstride.codec.specification import encode_specification
-    from midstride.runtime.workspace import Workspace
-
     if http_host is not None and http is None:
         raise click.UsageError("--http-host needs --http PORT")
     specification = load(file)
@@ -90,7 +89,6 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
         click.echo(f"API: http://{http_host or '127.0.0.1'}:{http}/api/v1, token in {workspace.path / 'token'}")
     if detach:
         return 0
-    from midstride.cli.view import watch
 
     return watch(client, workspace.name)
 
@@ -122,7 +120,7 @@ def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
 
 
 def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Path) -> None:
-    """Wait until the manager answers. Raises ManagerError, with the last line of its log, where it exits."""
+    """Wait until the manager answers. Raises ManagerError, with the last line of its log, if it exits."""
     end = time.monotonic() + START_TIMEOUT
     while time.monotonic() < end:
         service = client.service()
@@ -139,10 +137,7 @@ def _wait_for_manager(client: Client, manager: subprocess.Popen[bytes], log: Pat
 
 
 def _wait_until_up(client: Client) -> Document:
-    """Show progress until the system is up. Raises the manager's error where it does not come up."""
-    from midstride.cli.follow import FollowedRequest
-    from midstride.cli.progress import Progress
-
+    """Show progress until the system is up. Raises the manager's error if it does not come up."""
     followed = FollowedRequest(client, lambda: dict(client.get("/up", timeout=None)), since=0, until="up")
     with Progress(console(stderr=wants_json())) as progress:
         for event in followed:
@@ -153,8 +148,6 @@ def _wait_until_up(client: Client) -> Document:
 
 def _undo(client: Client, workspace: Workspace, manager: subprocess.Popen[bytes], log: Path) -> None:
     """Stop the system and its manager. A manager that does not answer yet would still start the system: wait for it."""
-    from midstride.cli.shutdown import wait_for_manager_exit
-
     try:
         _wait_for_manager(client, manager, log)
     except ManagerError:  # it has exited

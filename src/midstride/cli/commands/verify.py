@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import click
 
+from midstride.cli import graphviz
+from midstride.cli.files import load, read_json
 from midstride.cli.output import console, json_option, print_json, wants_json
-from midstride.cli.systems import system_option
-
-if TYPE_CHECKING:
-    from midstride.verify.checking import AlloyOptions
-    from midstride.verify.verdict import Verdict
+from midstride.cli.systems import find, system_option
+from midstride.codec.configuration import decode_configuration
+from midstride.errors import MidstrideError, PlanRefused, SpecificationError
+from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan, verify_specification
+from midstride.verify.diagram import chain_lines, to_dot, to_mermaid
+from midstride.verify.verdict import Answer, Verdict
 
 _FILE: Final = click.Path(path_type=Path)
 _STYLES: Final = {"holds": "bold green", "violated": "bold red", "unknown": "bold yellow"}
@@ -52,10 +56,6 @@ def verify_command(
     midstride verify talker.stride
     midstride plan talker.stride --replace talker=NewTalker --json | midstride verify talker.stride --plan -
     """
-    from midstride.cli import graphviz
-    from midstride.verify.checking import AlloyOptions
-    from midstride.verify.diagram import to_dot, to_mermaid
-
     if live and (file or plan_file):
         raise click.UsageError("--live cannot be combined with FILE or --plan")
     if not (live or file or plan_file):
@@ -80,9 +80,6 @@ def verify_command(
 
 
 def _verify_files(file: Path | None, plan_file: Path | None, options: AlloyOptions) -> Verdict:
-    from midstride.cli.files import load
-    from midstride.verify.checking import verify_plan, verify_specification
-
     specification = load(file) if file is not None else None
     if plan_file is not None:
         return verify_plan(_plan(plan_file), plan_file.name, start=specification, options=options)
@@ -92,9 +89,6 @@ def _verify_files(file: Path | None, plan_file: Path | None, options: AlloyOptio
 
 def _plan(path: Path) -> dict[str, Any]:
     """The JSON document of a plan. Raises SpecificationError for another document, PlanRefused for a refusal."""
-    from midstride.cli.files import read_json
-    from midstride.errors import PlanRefused, SpecificationError
-
     document = read_json(path)
     if not isinstance(document, dict):
         raise SpecificationError(f"{path} is not a plan; `midstride plan … --json` prints one")
@@ -104,13 +98,6 @@ def _plan(path: Path) -> dict[str, Any]:
 
 
 def _verify_live(system: str | None, options: AlloyOptions) -> Verdict:
-    from msgspec.structs import replace
-
-    from midstride.cli.systems import find
-    from midstride.codec.configuration import decode_configuration
-    from midstride.verify.checking import verify_configuration
-    from midstride.verify.verdict import Answer
-
     client, workspace = find(system)
     document = client.get("/configuration")
     configuration = decode_configuration(document["configuration"])
@@ -122,8 +109,6 @@ def _verify_live(system: str | None, options: AlloyOptions) -> Verdict:
 
 
 def _writer(output: Path | None) -> Callable[[str], None]:
-    from midstride.errors import MidstrideError
-
     def write(text: str) -> None:
         if output is None:
             return
@@ -137,8 +122,6 @@ def _writer(output: Path | None) -> Callable[[str], None]:
 
 def lines(verdict: Verdict) -> list[tuple[str, str]]:
     """The lines that show a verdict, each with its style."""
-    from midstride.verify.diagram import chain_lines
-
     shown = [(str(verdict), _STYLES[verdict.answer.value])]
     for finding in verdict.findings:
         shown.append((str(finding), ""))
