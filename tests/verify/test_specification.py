@@ -256,7 +256,7 @@ def test_without_the_analyzer_the_command_fails_before_the_proofs(
     def missing() -> Alloy:
         raise AlloyMissing("the Alloy Analyzer 6.2.0 is not installed: `make alloy` fetches it")
 
-    monkeypatch.setattr("midstride.verify.run.find", missing)
+    monkeypatch.setattr("midstride.cli.commands.prove.find", missing)
     assert main(["prove", "--alloy"]) == 1
     shown = capsys.readouterr()
     assert "make alloy" in shown.err
