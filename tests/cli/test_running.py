@@ -72,7 +72,8 @@ def test_status_shows_the_live_components(talker: Midstride) -> None:
 def test_a_manager_that_this_user_may_not_connect_to_is_not_said_to_have_exited(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    with tempfile.TemporaryDirectory(prefix="ms") as folder, socket.socket(socket.AF_UNIX) as listening:
+    # Not in TMPDIR, which another user may not be allowed to enter.
+    with tempfile.TemporaryDirectory(prefix="ms", dir="/tmp") as folder, socket.socket(socket.AF_UNIX) as listening:
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
         workspace = Workspace.of("patrol")
         workspace.state.touch()

@@ -10,6 +10,7 @@ import pytest
 from immutables import Map
 
 from midstride.model import action as model
+from midstride.model import rules
 from midstride.model.component import ComponentSpec, PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Contract, satisfies
@@ -52,7 +53,7 @@ def _attach_judges_by_the_last_mode(patch: pytest.MonkeyPatch) -> None:
     def last(component: ComponentSpec, output: str) -> Contract:
         return component.owner(output).modes[-1].guarantee(output)
 
-    patch.setattr(model, "normal_guarantee", last)
+    patch.setattr(rules, "normal_guarantee", last)
 
 
 def _attach_forgets_the_cap(patch: pytest.MonkeyPatch) -> None:
