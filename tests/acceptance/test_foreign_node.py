@@ -55,7 +55,8 @@ for name, kinds in node.get_service_names_and_types():
     if kinds[0].startswith("rcl_interfaces/srv/SetParameters"):
         listed = call(node, ListParameters, owner + "/list_parameters", ListParameters.Request()).result.names
         for parameter in listed:
-            for value in (ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="degraded"), ParameterValue()):
+            text = ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="degraded")
+            for value in (text, ParameterValue()):
                 request = kind.Request(parameters=[Parameter(name=parameter, value=value)])
                 answer = call(node, kind, name, request)
                 results = getattr(answer, "results", None) or [answer.result]
