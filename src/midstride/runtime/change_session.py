@@ -141,7 +141,7 @@ class ChangeSession:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
         self.measuring = True
         try:
-            swaps = await recording.finish(executor.driver.last_numbers)
+            swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done")
         finally:
             self.measuring = False
         await self.reconciler.reconcile()  # the report includes unexpected degradations
