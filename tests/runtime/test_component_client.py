@@ -233,7 +233,7 @@ def test_a_component_that_does_not_answer_twice_may_have_changed() -> None:
     async def body(c: Control) -> None:
         await c.client.observe("talker")
         c.component.lost_replies = 2
-        with pytest.raises(CallTimeout, match="talker did not answer `gate` within 8 s, asked twice"):
+        with pytest.raises(CallTimeout, match="talker did not answer `gate` within 5 s and, asked again, 3 s more"):
             await c.client.change("talker", GATE)
         assert c.clock.steady() == pytest.approx(GATE.timeout + 2 * ANSWER_TIMEOUT)
         await c.client.change("talker", GATE)  # at the revision that it is at by now

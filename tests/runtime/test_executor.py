@@ -6,6 +6,7 @@ import asyncio
 from collections.abc import Collection
 from dataclasses import replace as changed
 from pathlib import Path
+from typing import Any
 
 import pytest
 from immutables import Map
@@ -14,7 +15,14 @@ from midstride.errors import BackendError, StepFailed
 from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters
 from midstride.model.component import ParameterSpec
 from midstride.model.configuration import Configuration
-from midstride.wire.commands import AttachCommand, DetachCommand, Detached, ModesCommand, SetParametersCommand
+from midstride.wire.commands import (
+    AttachCommand,
+    Command,
+    DetachCommand,
+    Detached,
+    ModesCommand,
+    SetParametersCommand,
+)
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import (
@@ -104,17 +112,62 @@ def test_what_was_done_before_a_failure_is_undone_last_first(tmp_path: Path) -> 
     bench(configuration, tmp_path, body)
 
 
-def test_a_roll_back_that_fails_is_in_the_reason_and_ends_there(tmp_path: Path) -> None:
+def test_a_roll_back_that_fails_is_in_the_reason_and_goes_on(tmp_path: Path) -> None:
+    other = Degrade(Map({work("other"): 1}))
+    configuration = build.system(
+        {"talker": TALKER, "listener": LISTENER, "other": TALKER},
+        ["talker.out /chatter", "listener.in /chatter"],
+        modes={"talker.work": 0, "listener.work": 0, "other.work": 0},
+    )
+
     async def body(b: Bench) -> None:
         b.client.reply("talker", AttachCommand, TIMEOUT)
         remove = Remove("listener")  # which is attached, so it fails
         with pytest.raises(StepFailed) as failed:
-            await b.executor.run([DEGRADE, DETACH, remove])
+            await b.executor.run([other, DEGRADE, DETACH, remove])
         assert failed.value.outcome == "failed"
-        assert str(failed.value).endswith(f"; and the roll-back failed: attach talker.out to /chatter: {TIMEOUT}")
-        assert b.client.changes[-2:] == [("talker", "attach"), ("talker", "undo detach")]
-        assert b.system.configuration == DETACH.effect(DEGRADE.effect(talking())), "the model says what is so"
+        assert f"; and the roll-back failed: attach talker.out to /chatter: {TIMEOUT}; upgrade listener" in str(
+            failed.value
+        )
+        assert b.client.changes[-3:] == [("talker", "attach"), ("talker", "undo detach"), ("other", "modes")]
+        assert b.system.configuration == DETACH.effect(DEGRADE.effect(configuration)), "the model says what is so"
         assert b.kinds()[-1] == "rollback_failed"
+
+    bench(configuration, tmp_path, body)
+
+
+def test_what_the_change_created_is_killed_where_it_does_not_answer(tmp_path: Path) -> None:
+    """A frozen new component does not keep the system from its old state."""
+
+    async def body(b: Bench) -> None:
+        b.backend.instances["second"] = SECOND
+        b.client.reply("second", DetachCommand, TIMEOUT)
+        b.client.reply("listener", ModesCommand, REFUSED)
+        attach = Attach(build.port("second.out"), "/chatter")
+        with pytest.raises(StepFailed) as failed:
+            await b.executor.run([Create(SECOND), attach, DEGRADE])
+        assert (failed.value.outcome, str(failed.value).count("roll-back")) == ("rolled_back", 0)
+        assert b.backend.ended == [("second", 0.0)]
+        assert b.system.configuration == talking()
+        assert "second was created by this change and does not answer: it was killed" in b.words()
+
+    bench(talking(), tmp_path, body)
+
+
+def test_a_created_component_that_is_silent_is_not_asked_before_it_is_killed(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.backend.instances["second"] = SECOND
+
+        async def freezes(_: Command[Any]) -> Any:
+            del b.client.states["second"]
+            return TIMEOUT
+
+        b.client.reply("second", AttachCommand, freezes)
+        with pytest.raises(StepFailed) as failed:
+            await b.executor.run([DEGRADE, Create(SECOND), Attach(build.port("second.out"), "/chatter")])
+        assert failed.value.outcome == "rolled_back"
+        assert b.backend.ended == [("second", 0.0)]
+        assert b.system.configuration == talking()
 
     bench(talking(), tmp_path, body)
 

@@ -364,17 +364,24 @@ def test_a_cut_that_cannot_be_agreed_in_time_is_given_up(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("side", "outcome", "words"),
+    ("side", "result", "words"),
     [
-        ("talker_2", "cancelled", r"talker_2 did not publish after the cut; talker continues"),
-        ("talker_2", "waiting", r"talker_2 did not publish after the cut; talker continues"),
-        ("talker", "resumed", r"talker resumed before it learned that talker_2 had published"),
-        ("talker", "waiting", r"talker resumed before it learned that talker_2 had published"),
+        ("talker_2", CutResult(outcome="cancelled"), r"talker_2 did not publish after the cut; talker continues"),
+        ("talker_2", CutResult(outcome="waiting"), r"talker_2 did not publish after the cut; talker continues"),
+        (
+            "talker_2",
+            CutResult(outcome="cancelled", first={"out /chatter": LastWrite(number=1, source=5)}),
+            r"talker resumed before it learned that talker_2 had published",
+        ),
+        ("talker", CutResult(outcome="resumed"), r"talker resumed before it learned that talker_2 had published"),
+        ("talker", CutResult(outcome="waiting"), r"talker resumed before it learned that talker_2 had published"),
     ],
 )
-def test_a_cut_that_either_side_did_not_pass_is_taken_back(side: str, outcome: str, words: str, tmp_path: Path) -> None:
+def test_a_cut_that_either_side_did_not_pass_is_taken_back(
+    side: str, result: CutResult, words: str, tmp_path: Path
+) -> None:
     async def body(b: Bench) -> None:
-        b.client.reply(side, AwaitCutCommand, CutResult(outcome=outcome))  # type: ignore[arg-type]
+        b.client.reply(side, AwaitCutCommand, result)
         await fails(b, words)
         assert b.client.changes[-3:] == [
             ("talker_2", "undo cancel_cut"),  # first: only one of them may write

@@ -170,25 +170,35 @@ def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Pa
     managed("filter", tmp_path, body)
 
 
-@pytest.mark.parametrize("when", ["step", "measuring"])
-def test_a_crash_during_a_change_is_told_and_does_not_wait_for_the_measure(when: str, tmp_path: Path) -> None:
-    """The talker dies while it is being replaced, or its successor while the swap is still being measured."""
-
+def test_a_crash_while_a_change_is_measured_is_told_and_does_not_wait_for_that(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
         begun = len(manager.log())
         change = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
-        while not any(event.kind == when for event in manager.log(begun)):
+        while not any(event.kind == "measuring" for event in manager.log(begun)):
             await asyncio.sleep(0.001)
-        dies = {"step": "talker", "measuring": "talker_2"}[when]
-        simulator.faults.kill(dies)
+        simulator.faults.kill("talker_2")
         outcome = await change
-        assert outcome.outcome == {"step": "rolled_back", "measuring": "done"}[when]
-        assert outcome.ended == [dies]
+        assert (outcome.outcome, outcome.ended) == ("done", ["talker_2"])
         kinds = [event.kind for event in manager.log(begun)]
         assert kinds.index("degraded") < kinds.index("measured")
         view = (await manager.peek("listener")).functionalities["listen"]
         assert (view.mode, view.because.endswith("exited unexpectedly")) == ("degraded", True)
-        assert [entry.name for entry in (await manager.status()).crashed] == [dies]
+        assert [entry.name for entry in (await manager.status()).crashed] == ["talker_2"]
+
+    managed("talker", tmp_path, body)
+
+
+def test_a_component_that_dies_while_it_is_being_replaced_is_replaced(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        begun = len(manager.log())
+        change = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
+        while not any(event.kind == "step" for event in manager.log(begun)):
+            await asyncio.sleep(0.001)
+        simulator.faults.kill("talker")
+        outcome = await change
+        assert (outcome.outcome, outcome.ended, outcome.degraded) == ("done", ["talker"], [])
+        assert (await manager.peek("listener")).functionalities["listen"].mode == "normal"
+        assert (await manager.status()).crashed == []
 
     managed("talker", tmp_path, body)
 

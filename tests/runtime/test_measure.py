@@ -33,7 +33,9 @@ class Recorder:
             at = source + SKEW + MS + self.random.randrange(MS)
             self.rows.append(Receipt(at, source, self.numbers[publisher], publisher))
 
-    def observe(self, begun: float, ended: float, *, last: int | None = None, known: bool = True) -> SwapReport:
+    def observe(
+        self, begun: float, ended: float, *, last: int | None = None, known: bool = True, resumed: bool = False
+    ) -> SwapReport:
         rows = self.rows if known else [structs.replace(row, publisher=None) for row in self.rows]
         return report(
             Observation(
@@ -45,6 +47,7 @@ class Recorder:
                 guaranteed_period=0.02,
                 grid_period=0.02,
                 last_number=last,
+                resumed=resumed,
             )
         )
 
@@ -117,6 +120,26 @@ def test_a_publisher_replaced_right_after_its_start_is_known_by_its_first_messag
     swap(recorder, cut=10, end=40)
     seen = recorder.observe(-1, 40, last=10, known=known)
     assert (seen.missed, seen.lost, seen.duplicates) == (0, 0, 0)
+
+
+@pytest.mark.parametrize("again", ["old", "old, attached again"])
+def test_after_a_roll_back_the_old_publisher_is_at_both_ends(again: str) -> None:
+    """The new one wrote ten messages in between; only slot 60 is empty."""
+    recorder = Recorder()
+    for slot in range(100):
+        if slot != 60:
+            recorder.write("old" if slot < 40 else "new" if slot < 50 else again, slot)
+    seen = recorder.observe(35, 100, resumed=True)
+    assert (seen.missed, seen.lost, seen.duplicates) == (1, 0, 0)
+
+
+def test_after_a_roll_back_a_bystander_is_not_taken_for_the_old_publisher() -> None:
+    recorder = Recorder()
+    for slot in range(100):
+        recorder.write("new" if 40 <= slot < 50 else "old", slot)
+        recorder.write("bystander", slot + 0.5)
+    seen = recorder.observe(35, 100, resumed=True)
+    assert (seen.missed, seen.duplicates) == (None, None)
 
 
 def test_messages_nobody_received_are_lost() -> None:

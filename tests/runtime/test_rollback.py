@@ -279,29 +279,35 @@ def test_a_component_that_comes_back_has_its_own_state_again(tmp_path: Path) -> 
     assert heard == "the old one's+"
 
 
-def test_an_old_side_that_dies_while_the_new_one_looks_for_it_is_known_at_once(tmp_path: Path) -> None:
-    """Its topic is silent from then on, and whoever relies on it is to be lowered."""
+@pytest.mark.parametrize("dies_at", ["attach", "await_write", "meet", "cut_out", "cut_in", "await_cut"])
+def test_where_the_old_side_dies_in_its_hand_over_the_new_one_takes_over_at_once(dies_at: str, tmp_path: Path) -> None:
+    """It is ready, and going back would leave the topic silent."""
 
     class Meeting(Simulator):
         died: float | None = None
 
         async def before(self, instance: str, op: str) -> None:
-            if op == "meet" and self.died is None:
+            if op == dies_at and "talker_2" in self.processes and self.died is None:
                 self.died = self.clock.steady()
                 self.faults.kill("talker")
 
     simulator = Meeting()
     simulator.control.before_request = simulator.before
 
-    async def body(manager: Manager, _: Simulator) -> tuple[Outcome, str, float]:
+    async def body(manager: Manager, _: Simulator) -> tuple[Outcome, str]:
         outcome = await manager.change(replace("talker", "NewTalker"))
         listening = (await manager.peek("listener")).functionalities["listen"].mode
         assert simulator.died is not None
-        return outcome, listening, simulator.clock.steady() - simulator.died
+        words = [event.words for event in manager.log()]
+        assert "talker exited during the hand-over, and talker_2 took over at once" in words, outcome.because
+        assert sorted(manager.configuration.instances) == ["listener", "talker_2"]
+        assert await differing(manager) == []
+        return outcome, listening
 
-    outcome, listening, seconds = managed("talker", tmp_path, body, simulator)
-    assert (outcome.outcome, outcome.ended, listening) == ("rolled_back", ["talker"], "degraded")
-    assert seconds < 3  # of the simulator's own time: one turn, and taking back
+    outcome, listening = managed("talker", tmp_path, body, simulator)
+    assert (outcome.outcome, outcome.ended, listening) == ("done", ["talker"], "normal")
+    [swap] = outcome.swaps
+    assert swap.gap is not None and swap.gap < 2.0  # with one turn of `meet`, and the moment agreed with the dead side
 
 
 def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) -> None:

@@ -122,7 +122,13 @@ class Attachments:
         link = self.link(command.port, command.topic)
         if link.cut is not None:
             raise CommandRefused(f"{link} is part of a cut under way; cancel the cut first")
-        await self._data.run(lambda: link.set_gate(command.gate == "open"), command.timeout)
+
+        def switch() -> None:
+            link.set_gate(command.gate == "open")
+            if command.latch:
+                link.write_last_gated()
+
+        await self._data.run(switch, command.timeout)
         return commands.Done()
 
     async def await_write(self, command: commands.AwaitWriteCommand) -> commands.GatedWrites:

@@ -191,7 +191,7 @@ class ActionDriver:
         try:
             exported = await self.client.read(old, ExportStateCommand())
         except MidstrideError as error:
-            if not self.rolling_back:
+            if not self.rolling_back and not self._is_gone(old):
                 raise
             self.events.add("note", f"{new} keeps its own state: {error}")
             return

@@ -135,12 +135,13 @@ class ChangeSession:
                 system.configuration = before
             raise
         seconds, degraded_seconds = self.clock.steady() - started, timer.stop()
+        exited = {name for name in system.crashed if name in before.instances}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         if recording.recorded:
             self.events.add("measuring", "watching the subscribers for 20 periods more")
         self.measuring = True
         try:
-            swaps = await recording.finish(executor.driver.last_numbers)
+            swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done")
         finally:
             self.measuring = False
         await self.reconciler.reconcile()  # the report includes unexpected degradations
@@ -154,7 +155,7 @@ class ChangeSession:
             fallen=degraded_seconds,
             swaps=swaps,
             because=because,
-            ended=sorted(name for name, event in system.missing.items() if missing.get(name) is not event),
+            ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
             degraded=sorted(map(str, self.reconciler.degraded)),
         )
 

@@ -187,9 +187,12 @@ class ComponentClient:
     def responsive(self, instance: str) -> ComponentState | None:
         """The state that the component last reported; None if it is not connected or silent for over ``SILENCE``."""
         latest = self._latest.get(instance)
-        if latest is None or self._clock.steady() - latest.at > SILENCE:
-            return None
-        return latest.state
+        return None if latest is None or self._is_silent(instance) else latest.state
+
+    def _is_silent(self, instance: str) -> bool:
+        """Whether a component that is connected has not reported for over ``SILENCE``."""
+        latest = self._latest.get(instance)
+        return latest is not None and self._clock.steady() - latest.at > SILENCE
 
     def disconnect(self, instance: str) -> None:
         """Close the connection: the component was released or has exited. ``on_event`` is not called."""
@@ -248,8 +251,10 @@ class ComponentClient:
         """Send a change that undoes another one, at whatever revision the component is; failures are ignored.
 
         A command that timed out may still be in progress at the component. It completes first and changes the revision,
-        so a refused undo is sent again.
+        so a refused undo is sent again. A silent component is not waited for.
         """
+        if self._is_silent(instance):
+            return
         for _ in range(UNDO_ATTEMPTS):
             self.forget(instance)
             try:
@@ -270,8 +275,10 @@ class ComponentClient:
             reply = await self._request(instance, command, f"{self._prefix}-{self._count}", revision)
         except CallTimeout:
             self.forget(instance)  # the command may or may not have been carried out
-            waited = command.timeout + 2 * ANSWER_TIMEOUT
-            raise CallTimeout(f"{instance} did not answer `{command.name}` within {waited:g} s, asked twice") from None
+            waited = command.timeout + ANSWER_TIMEOUT
+            silent = self._is_silent(instance)
+            how = ", and is silent" if silent else f" and, asked again, {ANSWER_TIMEOUT:g} s more"
+            raise CallTimeout(f"{instance} did not answer `{command.name}` within {waited:g} s{how}") from None
         except Unreachable as error:
             self.forget(instance)
             raise Unreachable(f"{instance} cannot be reached for `{command.name}`: {error}") from None
@@ -290,5 +297,7 @@ class ComponentClient:
             channel = await self._channel(instance)
             return await channel.request(command, revision=revision, timeout=timeout, id=id)
         except CallTimeout:
+            if self._is_silent(instance):
+                raise
             channel = await self._channel(instance)
             return await channel.request(command, revision=revision, timeout=ANSWER_TIMEOUT, id=id)

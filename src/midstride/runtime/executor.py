@@ -15,12 +15,13 @@ from typing import Any
 from immutables import Map
 from msgspec import UNSET
 
-from midstride.errors import MidstrideError, StepFailed
+from midstride.errors import BackendError, MidstrideError, StepFailed
 from midstride.model.action import Action, Create, Degrade, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.plan.forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
+from midstride.runtime.backend import Exited
 from midstride.runtime.events import counted
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
@@ -137,22 +138,58 @@ class Executor:
         return failed
 
     async def _roll_back(self, done: Done) -> str | None:
-        """Undo the actions in ``done``, last first. Returns None, or why it failed."""
+        """Undo the actions in ``done``, last first. Returns None, or what failed; the other actions are undone.
+
+        An instance that the change itself created is removed in any case: if it does not answer, it is killed.
+        """
         if not done:
             return None
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", of=len(done))
         self.driver.rolling_back = True
+        created = {action.instance.name for action, _ in done if isinstance(action, Create)}
+        await self._kill(name for name in sorted(created) if self.driver.client.responsive(name) is None)
+        problems = []
         for action, before in reversed(done):
             for undoing in action.undo(before):
-                what = undoing.describe(self.system.configuration)
-                try:
-                    await self.perform(undoing)
-                except Exception as error:
-                    problem = f"{what}: {_words(error)}"
+                if (problem := await self._undo(undoing, created)) is not None:
+                    problems.append(problem)
                     self.driver.events.add("rollback_failed", f"the roll-back is incomplete: {problem}")
-                    return problem
-        self.driver.events.add("rolled_back", "everything is as it was before")
-        return None
+        if not problems:
+            self.driver.events.add("rolled_back", "everything is as it was before")
+            return None
+        return "; ".join(problems)
+
+    async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
+        """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns why it failed."""
+        what = undoing.describe(self.system.configuration)
+        try:
+            await self.perform(undoing)
+            return None
+        except Exception as error:
+            why = _words(error)
+        if not await self._kill(name for name in undoing.instances() if name in created):
+            return f"{what}: {why}"
+        try:
+            await self.perform(undoing)
+            return None
+        except Exception as error:
+            return f"{what}: {_words(error)}"
+
+    async def _kill(self, instances: Iterable[str]) -> bool:
+        """Kill the processes of ``instances``, which then count as crashed; whether there was one."""
+        killed = False
+        for name in instances:
+            if name in self.system.crashed or name not in self.driver.launcher.handles:
+                continue
+            try:
+                await self.driver.launcher.end(name, grace=0.0)
+            except BackendError as error:
+                self.driver.events.add("note", f"{name} could not be killed: {error}")
+                continue
+            self.system.crashed[name] = Exited(name, None)
+            self.driver.events.add("note", f"{name} was created by this change and does not answer: it was killed")
+            killed = True
+        return killed
 
     async def _start_ahead(self, actions: Iterable[Action]) -> None:
         """Start the processes of consecutive creations at once, so that they load in parallel."""

@@ -9,11 +9,11 @@ its first message: if the manager exits at any point, the topic is silent for at
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
-from midstride.errors import CommandRefused, MidstrideError, StepFailed
+from midstride.errors import CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import Swap
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
@@ -27,6 +27,7 @@ from midstride.wire.commands import (
     AwaitWriteCommand,
     CancelCutCommand,
     DetachCommand,
+    GateCommand,
     GridCommand,
     MeetCommand,
 )
@@ -44,6 +45,9 @@ DETACH_TIMEOUT: Final = 2.0
 # How often, and how long each time (s), the two sides try to connect to each other.
 MEET_ATTEMPTS: Final = 10
 MEET_TIMEOUT: Final = 0.5
+# How often, and at which interval (s), an old side that cannot be reached is looked for before it counts as running.
+EXIT_ATTEMPTS: Final = 10
+EXIT_INTERVAL: Final = 0.01
 
 
 @dataclass(slots=True)
@@ -61,6 +65,7 @@ class LiveHandover:
     lingering_readers: Callable[[str], Awaitable[int]]
     is_gone: Callable[[str], bool]
     _begun: list[Swap] = field(default_factory=list)
+    _attached: list[Swap] = field(default_factory=list)
     _cuts: list[Cut] = field(default_factory=list)
 
     async def run(self) -> dict[PortRef, int | None]:
@@ -70,18 +75,12 @@ class LiveHandover:
         cut is only noted.
         """
         try:
-            for swap in self.swaps:
-                self._begun.append(swap)
-                await self._attach_gated(swap)
-            for swap in self.swaps:
-                await self._await_probation(swap)
-            for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
-                await self._meet(new, old)
-            for lead in LEADS:
-                self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead)
-                if await self._announce(last_try=lead == LEADS[-1]):
-                    break
-            last = await self._await_cuts()
+            try:
+                last = await self._agree()
+            except MidstrideError:
+                if not all([await self._has_exited(swap.old.instance) for swap in self.swaps]):
+                    raise
+                last = await self._take_over()
         except MidstrideError as error:
             degradation = await self._degradation_of_new()
             await self._undo()
@@ -96,6 +95,66 @@ class LiveHandover:
                 words = f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
                 self.events.add("note", words)
         return last
+
+    async def _agree(self) -> dict[PortRef, int | None]:
+        """Hand over at an agreed moment; the number of each old output's last message."""
+        for swap in self.swaps:
+            self._begun.append(swap)
+            await self._attach_gated(swap)
+        for swap in self.swaps:
+            await self._await_probation(swap)
+        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+            await self._meet(new, old)
+        for lead in LEADS:
+            self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead)
+            if await self._announce(last_try=lead == LEADS[-1]):
+                break
+        return await self._await_cuts()
+
+    async def _take_over(self) -> dict[PortRef, int | None]:
+        """Have the new publishers publish at once, because the processes of the old ones have exited.
+
+        Going back would leave the topics without a publisher.
+        """
+        publishing = [swap for cut in self._cuts if await self._publishes(cut) for swap in cut.swaps]
+        waiting = [swap for swap in self.swaps if swap not in publishing]
+        await self._cancel(cut for cut in self._cuts if not any(swap in publishing for swap in cut.swaps))
+        for swap in waiting:
+            if swap not in self._attached:
+                await self._attach(swap, readers=0)
+        for swap in waiting:
+            await self._await_probation(swap)
+        for swap in waiting:
+            grid = await self.client.read(swap.new.instance, GridCommand(port=swap.new.port))
+            # What is written once was written behind the gate.
+            latch = grid.trigger == "none"
+            opening = GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open", latch=latch)
+            await self.client.change(swap.new.instance, opening)
+        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+            self.events.add("note", f"{old} exited during the hand-over, and {new} took over at once")
+        return {}
+
+    async def _publishes(self, cut: Cut) -> bool:
+        """Whether the new side of ``cut`` has published, or will at the agreed moment."""
+        try:
+            return (await self.client.read(cut.new, self._await_cut(cut))).outcome == "done"
+        except CommandRefused:
+            return False  # it was not sent the cut
+
+    async def _has_exited(self, instance: str) -> bool:
+        """Whether its process has exited. A connection that has just closed may not be known to be yet."""
+        for _ in range(EXIT_ATTEMPTS):
+            if self.is_gone(instance):
+                return True
+            try:
+                await self.client.peek(instance)
+            except Unreachable:
+                await asyncio.sleep(EXIT_INTERVAL)
+            except MidstrideError:
+                return False
+            else:
+                return False
+        return self.is_gone(instance)
 
     def _topic(self, swap: Swap) -> str:
         return self.configuration.context.connectors[swap.connector].topic
@@ -121,6 +180,17 @@ class LiveHandover:
         topic = self._topic(swap)
         grid = await self.client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
         readers = (grid.readers or 0) - await self.lingering_readers(topic)
+        matched = await self._attach(swap, readers)
+        if matched < readers:
+            self.events.add(
+                "note",
+                f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
+                "subscribers outside this system may miss messages",
+            )
+
+    async def _attach(self, swap: Swap, readers: int) -> int:
+        """Attach the new publisher with a closed gate; how many readers it is matched with."""
+        topic = self._topic(swap)
         subscribers = self.configuration.subscribers_on(swap.connector)
         attach = AttachCommand(
             port=swap.new.port,
@@ -132,12 +202,8 @@ class LiveHandover:
             timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
         )
         matched = (await self.client.change(swap.new.instance, attach)).matched
-        if matched < readers:
-            self.events.add(
-                "note",
-                f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
-                "subscribers outside this system may miss messages",
-            )
+        self._attached.append(swap)
+        return matched
 
     async def _await_probation(self, swap: Swap) -> None:
         guarantee = self.configuration.guarantee(swap.new)
@@ -175,34 +241,37 @@ class LiveHandover:
         except CommandRefused:
             if last_try:
                 raise
-            await self._cancel()
+            await self._cancel(self._cuts)
             return False
         return True
 
     async def _await_cuts(self) -> dict[PortRef, int | None]:
         last: dict[PortRef, int | None] = {}
         for cut in self._cuts:
-            await_cut = AwaitCutCommand(cut=cut.id, timeout=LEADS[-1] + cut.resume_after() + 2.0)
+            await_cut = self._await_cut(cut)
             incoming, outgoing = await asyncio.gather(
                 self.client.read(cut.new, await_cut), self.client.read(cut.old, await_cut)
             )
-            if incoming.outcome != "done":
+            if incoming.outcome != "done" and not any(incoming.first.values()):
                 raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues")
-            if outgoing.outcome != "done":
+            if incoming.outcome != "done" or outgoing.outcome != "done":
                 raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published")
             for swap in cut.swaps:
                 write = outgoing.last.get(f"{swap.old.port} {self._topic(swap)}")
                 last[swap.old] = None if write is None else write.number
         return last
 
-    async def _cancel(self) -> None:
-        for cut in self._cuts:
+    def _await_cut(self, cut: Cut) -> AwaitCutCommand:
+        return AwaitCutCommand(cut=cut.id, timeout=LEADS[-1] + cut.resume_after() + 2.0)
+
+    async def _cancel(self, cuts: Iterable[Cut]) -> None:
+        for cut in cuts:
             for side in (cut.new, cut.old):
                 await self.client.undo(side, CancelCutCommand(cut=cut.id))
 
     async def _undo(self) -> None:
         """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
-        await self._cancel()
+        await self._cancel(self._cuts)
         for swap in self._begun:
             await self.client.undo(swap.new.instance, self._detachment(swap.new, swap))
 

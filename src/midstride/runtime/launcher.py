@@ -155,10 +155,13 @@ class Launcher:
             with contextlib.suppress(BackendError):
                 await self.end(name)
 
-    async def end(self, name: str) -> None:
-        """Terminate a component that a manager started. Raises BackendError; then its handle is kept."""
+    async def end(self, name: str, grace: float | None = None) -> None:
+        """Terminate a component that a manager started. Raises BackendError; then its handle is kept.
+
+        It is killed if it has not ended after ``grace`` (s), by default as long as it asks for.
+        """
         self._client.forget(name)
-        await self._backend.end(name, self._graces.get(name, STOP_GRACE))
+        await self._backend.end(name, self._graces.get(name, STOP_GRACE) if grace is None else grace)
         self._client.disconnect(name)
         self._graces.pop(name, None)
         self.handles.pop(name, None)

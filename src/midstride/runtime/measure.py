@@ -50,7 +50,8 @@ class Observation:
     """What was recorded at one input between two times of its steady clock (ns).
 
     ``last_number`` is the number of the old publisher's last message, as it reports it. ``inputs`` are the source times
-    of the messages that a message-driven publisher had to answer, if known: they serve as its time grid.
+    of the messages that a message-driven publisher had to answer, if known: they serve as its time grid. ``resumed``:
+    the change was rolled back, so the old publisher is the one at the end, too.
     """
 
     topic: str
@@ -62,6 +63,7 @@ class Observation:
     grid_period: float | None = None
     last_number: int | None = None
     inputs: Sequence[int] | None = None
+    resumed: bool = False
 
 
 def report(seen: Observation) -> SwapReport:
@@ -75,8 +77,7 @@ def report(seen: Observation) -> SwapReport:
     tail = seen.ended - WINDOW_PERIODS / 2 * (grid or 0.0) * 1e9
     if grid and not rows:
         missed = math.floor((seen.ended - seen.begun) / (grid * 1e9))
-    elif grid and sides is not None:
-        by_side = _swapped(rows, sides, seen.begun, tail)
+    elif grid and sides is not None and (by_side := _swapped(rows, sides, seen, tail)) is not None:
         answered = None if seen.inputs is None else _answers(by_side, seen.inputs)
         missed, duplicates = answered or _slots(rows, by_side, grid, seen.ended)
     return SwapReport(
@@ -86,7 +87,7 @@ def report(seen: Observation) -> SwapReport:
         gap=None if gap is None else round(gap, 6),
         gap_periods=None if gap is None or not period else round(gap / period, 3),
         missed=missed,
-        lost=_lost(rows, sides, seen.begun, tail, seen.last_number),
+        lost=_lost(rows, sides, seen, tail),
         duplicates=duplicates,
     )
 
@@ -129,13 +130,23 @@ def _sides(rows: Sequence[Receipt], begun: int, last_number: int | None) -> list
     return sides
 
 
-def _swapped(rows: Sequence[Receipt], sides: list[str], begun: int, tail: float) -> dict[str, list[Receipt]]:
-    """The rows of the publishers that appeared or disappeared (others would hide holes); all rows if none did."""
+def _swapped(
+    rows: Sequence[Receipt], sides: list[str], seen: Observation, tail: float
+) -> dict[str, list[Receipt]] | None:
+    """The rows of the publishers that took part in the swap (others would hide holes); None if they are not known.
+
+    These are the ones that appeared or disappeared, and all if none did. An old publisher that resumed did neither.
+    """
     by_side: dict[str, list[Receipt]] = {}
     for row, side in zip(rows, sides, strict=True):
         by_side.setdefault(side, []).append(row)
-    moved = {name: own for name, own in by_side.items() if own[0].received > begun or own[-1].received < tail}
-    return moved if moved else by_side
+    moved = {name: own for name, own in by_side.items() if own[0].received > seen.begun or own[-1].received < tail}
+    if not moved:
+        return by_side
+    if seen.resumed and all(own[0].received > seen.begun for own in moved.values()):
+        stayed = {name: own for name, own in by_side.items() if name not in moved}
+        return moved | stayed if len(stayed) == 1 else None
+    return moved
 
 
 def _slots(
@@ -239,9 +250,7 @@ def _shift_late_answers(answers: dict[str, list[int]]) -> None:
         old[:] = [slot - 1 if slot > free[-1] else slot for slot in old]
 
 
-def _lost(
-    rows: Sequence[Receipt], sides: list[str] | None, begun: int, tail: float, last_number: int | None
-) -> int | None:
+def _lost(rows: Sequence[Receipt], sides: list[str] | None, seen: Observation, tail: float) -> int | None:
     """The holes in each publisher's sequence, and the old publisher's last messages that were not received."""
     if sides is None or not rows or any(row.number is None for row in rows):
         return None
@@ -250,11 +259,13 @@ def _lost(
         assert row.number is not None
         numbers.setdefault(side, set()).add(row.number)
     lost = sum(max(own) - min(own) + 1 - len(own) for own in numbers.values())
-    if last_number is not None:
-        moved = _swapped(rows, sides, begun, tail)
+    if seen.last_number is not None:
+        moved = _swapped(rows, sides, seen, tail)
+        if moved is None:
+            return None
         old = min(moved, key=lambda name: moved[name][0].received)
-        begins = [name for name, own in moved.items() if own[0].received > begun and min(numbers[name]) == 1]
+        begins = [name for name, own in moved.items() if own[0].received > seen.begun and min(numbers[name]) == 1]
         if begins == [old]:
             return None  # these are the new publisher's messages: none of the old one's is in the window
-        lost += max(0, last_number - max(numbers[old]))
+        lost += max(0, seen.last_number - max(numbers[old]))
     return lost

@@ -122,8 +122,10 @@ class Recording:
             except MidstrideError:
                 continue  # the hand-over reports the cause
 
-    async def finish(self, last_numbers: dict[PortRef, int | None]) -> list[SwapReport]:
+    async def finish(self, last_numbers: dict[PortRef, int | None], *, resumed: bool = False) -> list[SwapReport]:
         """Keep recording for a while, then compute the figures. :meth:`stop` must be called afterwards.
+
+        ``resumed``: the plan was rolled back, so the old publishers publish again.
 
         If cancelled, it reports unknown figures instead of raising: the plan is done, and its outcome must be reported.
         """
@@ -149,7 +151,8 @@ class Recording:
             driving = inputs.get(old)
             sources = None if driving is None else [row.source for row in driving.rows if row.source is not None]
             last = last_numbers.get(old)
-            reports.append(report(replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources)))
+            seen = replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources, resumed=resumed)
+            reports.append(report(seen))
         return reports + self.unknown
 
     async def _records(self, port: PortRef) -> Records | None:

@@ -301,11 +301,12 @@ class CancelCutCommand(Command[Done], frozen=True, kw_only=True, tag="cancel_cut
 
 
 class GateCommand(Command[Done], frozen=True, kw_only=True, tag="gate"):
-    """Open or close the gate of an attachment."""
+    """Open or close the gate of an attachment. With ``latch``, the last message it held back is published first."""
 
     port: str
     topic: str
     gate: GateState
+    latch: bool = False
 
 
 class ReleaseCommand(Command[Done], frozen=True, kw_only=True, tag="release"):
