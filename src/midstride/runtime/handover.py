@@ -138,8 +138,12 @@ async def _attach_gated(
     It should also match as many readers as the old publisher does; returns a warning if it does not.
     """
     topic = topic_of(configuration, swap.connector)
-    grid = await client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
-    readers = (grid.readers or 0) - await lingering(topic)
+
+    async def readers_of_old() -> int:
+        grid = await client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
+        return (grid.readers or 0) - await lingering(topic)
+
+    readers = await readers_of_old()
     attach = AttachCommand(
         port=swap.new.port,
         topic=topic,
@@ -150,7 +154,8 @@ async def _attach_gated(
         timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
     )
     matched = (await client.change(swap.new.instance, attach)).matched
-    if matched >= readers:
+    # Asked again if some are missing: the old publisher may have counted readers whose lease was about to expire.
+    if matched >= readers or matched >= (readers := await readers_of_old()):
         return None
     return (
         f"{swap.old} had {readers} readers on {swap.connector}, and {swap.new} has found {matched} of them: "
