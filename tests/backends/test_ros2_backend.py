@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from midstride.errors import CallTimeout, StartFailed, Unreachable
-from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, MeetCommand, PingCommand
-from midstride.wire.environment import ENV_SYSTEM
+from midstride.wire.environment import ENV_CONTROL, ENV_SYSTEM
 from midstride.wire.folders import COMPONENTS, workspace_folder
 from tests.backends.ros2_support import (
     LISTENER,
@@ -128,6 +128,27 @@ def test_endpoints_of_the_dead_are_left_out_and_their_readers_are_counted(tmp_pa
 
             await until_async(forgotten, 30.0)
             assert (await r.backend.endpoints()).subscribers == (seen,)
+
+    run(scenario())
+
+
+def test_a_component_started_by_hand_is_left_out_once_its_connection_has_closed(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            (tmp_path / "talker.py").write_text(TALKER)
+            environment = without_midstride() | {ENV_CONTROL: str(r.backend.transport.folder)}
+            with subprocess.Popen([sys.executable, "talker.py"], cwd=tmp_path, env=environment) as process:
+                try:
+                    await r.welcome("talker")
+                    await r.attach("talker", "out", "/chatter")
+                    await until_async(lambda: r.shows_writer("/talker", "/chatter"))
+                finally:
+                    process.kill()
+            r.backend.disconnected("talker")
+            assert "/talker" in graph_names(r)
+            assert (await r.backend.endpoints()) == Endpoints()
+            with Bare("talker"):  # the name is not ignored, only what was there
+                await until_async(lambda: r.shows_node("/talker"))
 
     run(scenario())
 

@@ -84,6 +84,10 @@ class Backend(Protocol):
         """Terminate a started component, and kill it after ``grace`` seconds. Returns once it has exited."""
         ...
 
+    def disconnected(self, instance: str) -> None:
+        """A component that was started by hand has exited, as its control connection shows."""
+        ...
+
     async def endpoints(self) -> Endpoints:
         """The nodes, and the endpoints on each topic, as the middleware sees them."""
         ...

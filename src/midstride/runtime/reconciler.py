@@ -85,6 +85,7 @@ class Reconciler:
             case Disconnected(instance):
                 # The only sign of exit for a component started by hand; for others the back end reports it.
                 if instance in self._system.configuration.instances and instance not in self._launcher.handles:
+                    self._launcher.disconnected(instance)
                     self._record_exit(Exited(instance, None))
             case Reported(state):
                 if not self._busy() and own_degradations_in(self._system.configuration, state):

@@ -11,9 +11,9 @@ import contextlib
 import os
 import socket
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from midstride.backends import common
 from midstride.backends.ros1 import launching, master_process, names
@@ -132,7 +132,13 @@ class Ros1Backend:
             await self._tidy(instance)
             self._on_exit(Exited(instance, status, process.last_words()))
 
-        task = asyncio.get_running_loop().create_task(tidy_and_report())
+        self._begin(tidy_and_report())
+
+    def disconnected(self, instance: str) -> None:
+        self._begin(self._tidy(instance))
+
+    def _begin(self, tidying: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(tidying)
         self._tidying.add(task)
         task.add_done_callback(self._tidying.discard)
 

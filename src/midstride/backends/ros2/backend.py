@@ -157,6 +157,10 @@ class Ros2Backend:
         if self._context is not None:
             self._graph.died(names.full(instance))
 
+    def disconnected(self, instance: str) -> None:
+        if self._context is not None:
+            self._graph.forget(names.full(instance))
+
     def _log_of(self, launch: Launch) -> Path:
         folder = self._logs or _log_folder() / "midstride" / launch.token[:12]
         return folder / f"{names.full(launch.instance, launch.namespace).strip('/').replace('/', '.')}.log"
