@@ -14,11 +14,20 @@ import pytest
 from midstride.backends.ros1 import connection_headers
 from midstride.errors import CommandRefused
 from midstride.model.contract import QoS
-from midstride.wire.commands import Receipt, RecordsCommand
+from midstride.wire.commands import GridCommand, Receipt, RecordsCommand
 from tests.backends.ros1_support import pack_string, program, read_block, rig, subscribe, wait_for
 from tests.backends.ros2_support import LISTENER, TALKER, Rig, run, until_async
 
 pytestmark = pytest.mark.ros1
+
+
+async def one_reader(r: Rig) -> None:
+    """Wait until the talker counts its reader: it sends its header before it writes to a connection."""
+
+    async def counted() -> bool:
+        return (await r.client.read("talker", GridCommand(port="out", topic="/chatter"))).readers == 1
+
+    await until_async(counted)
 
 
 def test_a_subscriber_that_requests_nothing_gets_what_rospy_would_send(tmp_path: Path) -> None:
@@ -27,6 +36,7 @@ def test_a_subscriber_that_requests_nothing_gets_what_rospy_would_send(tmp_path:
             await r.start("talker", TALKER)
             await r.attach("talker", "out", "/chatter")
             header, reader, writer = await subscribe(r, "/talker", "/chatter", "string data")
+            await one_reader(r)
             await r.modes("talker", talk="normal")
             assert header["callerid"] == "/talker" and header["type"] == "std_msgs/String"
             assert not [name for name in header if "midstride" in name]
@@ -45,6 +55,7 @@ def test_a_subscriber_that_requests_them_gets_numbers_and_times_beside_the_messa
             header, reader, writer = await subscribe(
                 r, "/talker", "/chatter", connection_headers.request("string data", QoS())
             )
+            await one_reader(r)
             begun = time.time_ns()
             await r.modes("talker", talk="normal")
             publisher = connection_headers.publisher_of(header)

@@ -164,7 +164,7 @@ PLANTED = [
     Planted(
         "the redundant second is detached as well",
         "no cameras", drop(1, 2),
-        2, "precondition", ("step 2, detach right.out from /image", "no publisher satisfies /image"),
+        2, "precondition", ("step 2, detach right.out from /image", "/image has no publisher"),
         "planner.plan in mode normal", "in",
     ),
     Planted(
@@ -180,7 +180,8 @@ PLANTED = [
     Planted(
         "an input in a hand-over",
         "camera", lambda plan: plan["steps"][2]["swaps"][0].update(new="planner.in"),
-        3, "name", ("hand over /image: left.out -> planner.in", "planner.in is an input, not an output"), "handover",
+        3, "name", ("hand over /image from left.out to planner.in", "planner.in is an input, not an output"),
+        "handover",
     ),
     Planted(
         "the last step is missing: not everything is raised again",

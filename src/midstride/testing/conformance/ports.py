@@ -92,6 +92,10 @@ async def _degraded(lab: Lab) -> bool:
     return bool((await lab.functionality("talker", "talk"))["mode"] == "degraded")
 
 
+async def _publishes_nothing(lab: Lab, node: str) -> bool:
+    return not [publisher for publisher, _ in (await lab.backend.endpoints()).publishers if publisher == node]
+
+
 async def refuses_impossible_attachments(backend: Backend, workspace: Path) -> None:
     """Twice, to a port that is not there, without the peers that must be: refused, and nothing is left behind."""
     async with Lab(backend, workspace) as lab:
@@ -99,7 +103,7 @@ async def refuses_impossible_attachments(backend: Backend, workspace: Path) -> N
         assert "put" in await lab.refusal("talker", "attach", port="put", topic="/chatter")
         words = await lab.refusal("talker", "attach", port="out", topic="/chatter", peers=1, timeout=0.5)
         assert "0 of 1" in words, words
-        assert not [node for node, _ in (await lab.backend.endpoints()).publishers if node == "/talker"]
+        await lab.eventually("its publisher is gone", lambda: _publishes_nothing(lab, "/talker"))
         assert "attached" in await lab.refusal("talker", "detach", port="out", topic="/chatter")
         assert "attached" in await lab.refusal("talker", "gate", port="out", topic="/chatter", gate="open")
         await lab.attach("talker", "out", "/chatter")
