@@ -58,9 +58,32 @@ def link() -> None:
     component.start()
 
 
+def bare(number: str) -> None:
+    """What ``link`` has of ROS, without Midstride."""
+    topics = f"/t{int(number) - 1}", f"/t{number}"
+    if os.environ["MIDSTRIDE_BACKEND"] == "ros2":
+        import rclpy
+
+        rclpy.init()
+        node = rclpy.create_node(f"bare{number}")
+        output = node.create_publisher(String, topics[1], 10)
+        node.create_subscription(String, topics[0], output.publish, 10)
+        rclpy.spin(node)
+    else:
+        import rospy
+
+        rospy.init_node(f"bare{number}")
+        written = rospy.Publisher(topics[1], String, queue_size=10)
+        rospy.Subscriber(topics[0], String, written.publish)
+        rospy.spin()
+
+
 if __name__ == "__main__":
     if path := os.environ.get("BENCHMARK_IMPORTS"):
         importlib.import_module(f"midstride.backends.{os.environ['MIDSTRIDE_BACKEND']}.host")
         with open(path, "a", encoding="ascii") as file:
             file.write(f"{time.monotonic_ns()}\n")
-    {"source": source, "sink": sink, "head": head, "link": link}[sys.argv[1]]()
+    if sys.argv[1] == "bare":
+        bare(sys.argv[2])
+    else:
+        {"source": source, "sink": sink, "head": head, "link": link}[sys.argv[1]]()

@@ -11,6 +11,7 @@ import json
 import os
 import shlex
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -279,6 +280,49 @@ async def many(plane: Any, name: str, folder: Path, nodes: int, seconds: float) 
     }
 
 
+async def bare(plane: Any, name: str, folder: Path, nodes: int, seconds: float) -> Samples:
+    """The processor time of nodes without Midstride, while nothing happens."""
+    from midstride.runtime.workspace import Workspace
+
+    found: Samples = {}
+    backend = plane.backend(name, Workspace(folder))
+    await backend.open(lambda *_: None)  # on ROS 1, this starts a master
+    try:
+        for words, python, environment in bare_settings(name):
+            commands = [[python, str(NODES), "bare", str(number)] for number in range(nodes)]
+            environment["MIDSTRIDE_BACKEND"] = name
+            processes = [subprocess.Popen(command, env=environment) for command in commands]
+            try:
+                await asyncio.sleep(10.0 + nodes / 5)  # they all start at once
+                before = processor_time([process.pid for process in processes])
+                await asyncio.sleep(seconds)
+                after = processor_time([process.pid for process in processes])
+            finally:
+                for process in processes:
+                    process.kill()
+                    process.wait()
+            found[f"{nodes} idle bare nodes, {words}, % of a core"] = [100 * (after - before) / seconds]
+    finally:
+        await backend.close()
+    return found
+
+
+def bare_settings(name: str) -> list[tuple[str, str, dict[str, str]]]:
+    """In words, the interpreter, the environment."""
+    if name == "ros2":
+        from midstride.backends.ros2.dds_profiles import tuned_environment
+
+        # The first node of this process has read the profile: the environment is as it was.
+        return [
+            ("settings of `up`", sys.executable, tuned_environment(dict(os.environ))),
+            ("ROS's defaults", sys.executable, dict(os.environ)),
+        ]
+    from midstride.backends.ros1 import launching
+
+    python, uri = launching.require_interpreter(), launching.master_uri(os.environ)
+    return [("as they are", python, launching.environment(os.environ, uri))]
+
+
 def processor_time(pids: list[int]) -> float:
     """Of these processes together (s); without psutil, which an earlier version did not need."""
     ticks = 0
@@ -320,7 +364,7 @@ async def paused(plane: Any, name: str, folder: Path, nodes: int, seconds: float
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("scenario", choices=("first", "life", "many", "paused"))
+    parser.add_argument("scenario", choices=("first", "life", "many", "bare", "paused"))
     parser.add_argument("--backend", choices=("ros2", "ros1"), required=True)
     parser.add_argument("--old", action="store_true")
     parser.add_argument("--times", type=int, required=True)
@@ -340,6 +384,7 @@ def main() -> None:
             "first": lambda: first_reply(plane, options.backend, folder, options.times),
             "life": lambda: life(plane, options.backend, folder, options.times),
             "many": lambda: many(plane, options.backend, folder, options.nodes, options.seconds),
+            "bare": lambda: bare(plane, options.backend, folder, options.nodes, options.seconds),
             "paused": lambda: paused(plane, options.backend, folder, options.nodes, options.seconds),
         }
         print(json.dumps(asyncio.run(scenarios[options.scenario]())))

@@ -134,7 +134,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--against", type=Path, metavar="DIR", help="a checkout of an earlier version")
     parser.add_argument("--backends", nargs="+", default=["ros2", "ros1"], choices=("ros2", "ros1"))
-    parser.add_argument("--scenarios", nargs="+", default=["first", "life", "many", "paused"])
+    parser.add_argument("--scenarios", nargs="+", default=["first", "life", "many", "bare", "paused"])
     parser.add_argument("--rounds", type=int, default=3, help="runs of each scenario and version")
     parser.add_argument("--times", type=int, default=10, help="starts, restarts and replacements in one run")
     parser.add_argument("--nodes", type=int, default=30, help="nodes of `up`, and idle ones")
@@ -154,6 +154,8 @@ def main() -> None:
         for scenario in options.scenarios:
             for _ in range(options.rounds):
                 for version, checkout in versions.items():
+                    if scenario == "bare" and version == "old":
+                        continue
                     samples = run(version, checkout, scenario, backend, options) or {}
                     for figure, values in samples.items():
                         found[version].setdefault(figure, []).extend(values)

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import pytest
 
+from midstride.backends.ros2 import dds_profiles
 from midstride.errors import CallTimeout, StartFailed, Unreachable
-from midstride.runtime.backend import Exited, Handle, Launch
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import AttachCommand, AwaitWriteCommand, MeetCommand, PingCommand
-from midstride.wire.environment import ENV_SYSTEM
+from midstride.wire.environment import ENV_CONTROL, ENV_SYSTEM
 from midstride.wire.folders import COMPONENTS, workspace_folder
 from tests.backends.ros2_support import (
     LISTENER,
@@ -73,6 +74,21 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
     run(scenario())
 
 
+@pytest.fixture
+def short_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Components that the graph drops 2 s after their death instead of 20 s, as a user's own profile may say."""
+    with Bare():  # this process has read the usual profile now, and keeps it
+        major = dds_profiles.loaded_major()
+    profile = (dds_profiles.PROFILES / f"fastdds{major}_localhost.xml").read_text(encoding="utf-8")
+    lease = "<discovery_config><leaseDuration><sec>2</sec></leaseDuration><leaseAnnouncement><sec>1</sec>"
+    own = tmp_path / "own.xml"
+    own.write_text(profile.replace("<builtin>", f"<builtin>{lease}</leaseAnnouncement></discovery_config>"))
+    assert major is not None
+    monkeypatch.setenv(dds_profiles.PROFILE_VARIABLES[major], str(own))
+    monkeypatch.setenv(dds_profiles.RANGE, "SYSTEM_DEFAULT")
+
+
+@pytest.mark.usefixtures("short_lease")
 def test_a_killed_component_is_known_at_once_however_long_the_graph_shows_it(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -99,6 +115,7 @@ def graph_names(r: Rig) -> list[str]:
     return [f"{inside.rstrip('/')}/{name}" for name, inside in r.backend._node.get_node_names_and_namespaces()]
 
 
+@pytest.mark.usefixtures("short_lease")
 def test_endpoints_of_the_dead_are_left_out_and_their_readers_are_counted(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
@@ -128,6 +145,27 @@ def test_endpoints_of_the_dead_are_left_out_and_their_readers_are_counted(tmp_pa
 
             await until_async(forgotten, 30.0)
             assert (await r.backend.endpoints()).subscribers == (seen,)
+
+    run(scenario())
+
+
+def test_a_component_started_by_hand_is_left_out_once_its_connection_has_closed(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            (tmp_path / "talker.py").write_text(TALKER)
+            environment = without_midstride() | {ENV_CONTROL: str(r.backend.transport.folder)}
+            with subprocess.Popen([sys.executable, "talker.py"], cwd=tmp_path, env=environment) as process:
+                try:
+                    await r.welcome("talker")
+                    await r.attach("talker", "out", "/chatter")
+                    await until_async(lambda: r.shows_writer("/talker", "/chatter"))
+                finally:
+                    process.kill()
+            r.backend.disconnected("talker")
+            assert "/talker" in graph_names(r)
+            assert (await r.backend.endpoints()) == Endpoints()
+            with Bare("talker"):  # the name is not ignored, only what was there
+                await until_async(lambda: r.shows_node("/talker"))
 
     run(scenario())
 

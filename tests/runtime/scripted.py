@@ -233,6 +233,7 @@ class ScriptedBackend:
         self.launches: list[Launch] = []
         self.running: set[str] = set()
         self.ended: list[tuple[str, float]] = []
+        self.disconnections: list[str] = []
         self.fail_start: dict[str, Exception] = {}
         self.fail_end: dict[str, Exception] = {}
         self.lingering: dict[str, int] = {}
@@ -260,6 +261,9 @@ class ScriptedBackend:
         if instance in self.fail_end:
             raise self.fail_end[instance]
         self.running.discard(instance)
+
+    def disconnected(self, instance: str) -> None:
+        self.disconnections.append(instance)
 
     async def endpoints(self) -> Endpoints:
         return Endpoints()

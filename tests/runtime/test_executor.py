@@ -15,6 +15,7 @@ from midstride.errors import BackendError, StepFailed
 from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters
 from midstride.model.component import ParameterSpec
 from midstride.model.configuration import Configuration
+from midstride.runtime.executor import STARTS_AT_ONCE
 from midstride.wire.commands import (
     AttachCommand,
     Command,
@@ -256,6 +257,21 @@ def test_creations_in_a_row_are_started_at_once(tmp_path: Path) -> None:
         await running
         assert set(b.system.configuration.instances) == {"talker", "listener", "second", "third"}
         assert len(b.backend.launches) == 2
+
+    bench(talking(), tmp_path, body)
+
+
+def test_of_many_creations_only_a_few_are_starting_at_any_time(tmp_path: Path) -> None:
+    many = [instance(f"extra_{number}", TALKER) for number in range(3 * STARTS_AT_ONCE)]
+
+    async def body(b: Bench) -> None:
+        running = asyncio.ensure_future(b.executor.run([Create(each) for each in many]))
+        for count, each in enumerate(many):
+            await asyncio.sleep(1)
+            assert len(b.backend.launches) == min(count + STARTS_AT_ONCE, len(many))
+            b.client.register(each)
+        await running
+        assert [launch.instance for launch in b.backend.launches] == [each.name for each in many]
 
     bench(talking(), tmp_path, body)
 

@@ -165,6 +165,19 @@ def test_readers_that_the_new_publisher_does_not_find_are_a_warning(tmp_path: Pa
     bench(CONFIGURATION, tmp_path, body)
 
 
+def test_readers_that_the_old_publisher_does_not_find_any_longer_are_no_warning(tmp_path: Path) -> None:
+    """Readers that were killed: the graph had dropped them, and the old publisher drops them a moment later."""
+
+    async def body(b: Bench) -> None:
+        counted = [Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=readers) for readers in (3, 2)]
+        b.client.reply("talker", GridCommand, *counted)
+        b.client.reply("talker_2", AttachCommand, Attached(matched=2))
+        await swapped(b)
+        assert b.words() == []
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
 def test_an_old_side_that_does_not_detach_is_a_warning_since_the_new_one_writes(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker", DetachCommand, TIMEOUT)

@@ -128,6 +128,7 @@ def test_a_component_that_was_started_by_hand_is_gone_with_its_connection(tmp_pa
         await moment()
         assert sorted(r.system.configuration.instances) == ["listener"]
         assert r.words("exited") == ["talker exited unexpectedly"]
+        assert r.backend.disconnections == ["talker"], "only the control connection knows of it"
 
     reconciling(talking(talker=build.source("Talker")), tmp_path, body)
 

@@ -87,6 +87,10 @@ class Backend(Protocol):
         """
         ...
 
+    def disconnected(self, instance: str) -> None:
+        """A component that was started by hand has exited, as its control connection shows."""
+        ...
+
     async def endpoints(self) -> Endpoints:
         """The nodes, and the endpoints on each topic, as the middleware sees them."""
         ...

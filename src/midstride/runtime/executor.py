@@ -7,10 +7,12 @@ partial effects are undone, then the steps before it in reverse order (docs/sema
 from __future__ import annotations
 
 import asyncio
+import itertools
 import logging
+import os
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from immutables import Map
 from msgspec import UNSET
@@ -29,6 +31,9 @@ from midstride.runtime.state_store import StateStore
 log = logging.getLogger(__name__)
 
 Done = list[tuple[Action, Configuration]]
+
+# How many processes may be starting: enough that no processor is idle while one waits for its disk or its middleware.
+STARTS_AT_ONCE: Final = 2 * len(os.sched_getaffinity(0)) + 2
 
 
 @dataclass(slots=True)
@@ -192,10 +197,13 @@ class Executor:
         return killed
 
     async def _start_ahead(self, actions: Iterable[Action]) -> None:
-        """Start the processes of consecutive creations at once, so that they load in parallel."""
-        for action in actions:
-            if not isinstance(action, Create):
-                break
+        """Start the processes of the next consecutive creations, so that they load in parallel.
+
+        At most ``STARTS_AT_ONCE``: of many more, each would take so long that the first ones time out.
+        """
+        creations = itertools.takewhile(lambda action: isinstance(action, Create), actions)
+        for action in itertools.islice(creations, STARTS_AT_ONCE):
+            assert isinstance(action, Create)
             if await self.driver.launcher.start(action.instance):
                 self.system.started(action.instance.name)
                 handle = self.driver.launcher.handles.get(action.instance.name)

@@ -60,6 +60,10 @@ class Launcher:
         if waiting is not None and not waiting.done():
             waiting.set_result(event)
 
+    def disconnected(self, name: str) -> None:
+        """The connection of a component that was started by hand has closed."""
+        self._backend.disconnected(name)
+
     async def start(self, instance: Instance) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 

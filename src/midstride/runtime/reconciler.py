@@ -77,6 +77,7 @@ class Reconciler:
                     self.events.add("note", f"{instance} cannot be reached any more; its process may still run")
                 # The only sign of exit for a component started by hand; for others the back end reports it.
                 elif instance not in self.launcher.handles:
+                    self.launcher.disconnected(instance)
                     self._record_exit(Exited(instance, None))
             case state:
                 answers_again = state.instance in self._unanswered

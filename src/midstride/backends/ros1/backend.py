@@ -10,9 +10,9 @@ import asyncio
 import contextlib
 import os
 import socket
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from midstride.backends import processes
 from midstride.backends.ros1 import launching, master_process, names
@@ -112,7 +112,13 @@ class Ros1Backend(processes.ProcessBackend):
             await self._died(instance)
             self._on_exit(Exited(instance, status, process.last_words()))
 
-        task = asyncio.get_running_loop().create_task(tidy_and_report())
+        self._begin(tidy_and_report())
+
+    def disconnected(self, instance: str) -> None:
+        self._begin(self._died(instance))
+
+    def _begin(self, tidying: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(tidying)
         self._tidying.add(task)
         task.add_done_callback(self._tidying.discard)
 

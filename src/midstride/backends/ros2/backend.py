@@ -131,6 +131,10 @@ class Ros2Backend(ProcessBackend):
         if self._context is not None:
             self._graph.died(names.full(instance))
 
+    def disconnected(self, instance: str) -> None:
+        if self._context is not None:
+            self._graph.forget(names.full(instance))
+
     # -- the graph -----------------------------------------------------------------------------------
 
     async def endpoints(self) -> Endpoints:

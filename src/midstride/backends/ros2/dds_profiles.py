@@ -1,9 +1,11 @@
 """Discovery and transports for a system whose processes come and go; and whether the settings took effect.
 
 By default Fast DDS uses shared memory, which loses the first messages to a new process and leaves files behind when a
-process is killed, and a reliable writer learns only after up to 3 s that everything has arrived. For the processes that
-Midstride starts, and for the manager itself, the profiles beside this file change that, unless the user has set a
-profile. Three things are easy to get wrong:
+process is killed; a new process is matched only at the next announcement, up to 3 s later; and a reliable writer learns
+only after up to 3 s that everything has arrived. For the processes that Midstride starts, and for the manager itself,
+the profiles beside this file change these three, unless the user has set a profile. Everything else keeps its default,
+the lease of 20 s in particular: the manager knows of deaths from sockets and processes (docs/design.md has figures).
+Three things are easy to get wrong:
 
 - Fast DDS 3 reads the profile named by one variable, Fast DDS 2 by another, in another spelling, and
   each ignores, or complains of, what is meant for the other.
@@ -55,7 +57,7 @@ def choose(environment: Mapping[str, str], middleware: str, major: int | None) -
     if middleware not in _FAST_DDS:
         return DdsSettings(
             middleware,
-            warnings=(f"discovery: {middleware} keeps its defaults, and may show a killed process for a while",),
+            warnings=(f"discovery: {middleware} keeps its defaults, and may find new processes late",),
         )
     if major is None:
         return DdsSettings(

@@ -128,6 +128,9 @@ class Simulator:
             await self.time.sleep(min(0.01, grace))
         process.kill()
 
+    def disconnected(self, instance: str) -> None:
+        pass  # it has left the simulated graph
+
     async def endpoints(self) -> Endpoints:
         topics = self.network.topics.items()
         return Endpoints(
