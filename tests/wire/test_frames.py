@@ -113,7 +113,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (CutOutCommand(cut="c", swaps=SWAPS, at=10**18, resume_after=0.5, timeout=1.5), Done()),
     (CutInCommand(cut="c", swaps=SWAPS, at=1, peer="old", address="unix:/x", epoch=2, timeout=1.5), Done()),
     (CancelCutCommand(cut="c", timeout=1.5), Done()),
-    (GateCommand(port="out", topic="/t", gate="closed", timeout=1.5), Done()),
+    (GateCommand(port="out", topic="/t", gate="closed", latch=True, timeout=1.5), Done()),
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
     (CutTakenCommand(cut="c", timeout=1.5), Relieved(resumed=True)),
