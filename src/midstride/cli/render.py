@@ -166,7 +166,7 @@ def _fallen_lines(document: Document) -> list[str]:
     lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in _fallen(document)]
     lines += [f"Stays lower: {_shift(shift)}." for shift in _lowered(document)]
     if ended := document.get("ended"):
-        lines.append(f"Exited unexpectedly meanwhile: {', '.join(ended)}; see `midstride status`.")
+        lines.append(f"Exited unexpectedly meanwhile: {', '.join(ended)}; see `midstride log`.")
     if degraded := document.get("degraded"):
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
     return lines or ["Nothing fell below its level."]

@@ -193,7 +193,8 @@ class ActionDriver:
         except MidstrideError as error:
             if not self.rolling_back and not self._is_gone(old):
                 raise
-            self.events.add("note", f"{new} keeps its own state: {error}")
+            lost = f"{old} has exited" if self._is_gone(old) else str(error)
+            self.events.add("note", f"{new} keeps its own state: {lost}")
             return
         if exported.state is not None:
             await self._import_state(new, exported.state)

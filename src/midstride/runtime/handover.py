@@ -89,6 +89,8 @@ class LiveHandover:
             await self._undo()
             raise
         for swap in self.swaps:
+            if self.is_gone(swap.old.instance):
+                continue
             try:
                 await self.client.change(swap.old.instance, self._detachment(swap.old, swap))
             except MidstrideError as error:
