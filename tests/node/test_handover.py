@@ -7,6 +7,8 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from midstride.backends.simulator import Simulator
 from midstride.testing.conformance import puppets
 from midstride.testing.conformance.lab import Lab
@@ -94,15 +96,31 @@ def test_an_old_side_too_busy_to_hear_of_the_cut_is_never_cut(tmp_path: Path) ->
     in_lab(tmp_path, main)
 
 
-def test_where_the_new_side_raises_before_it_writes_the_old_one_goes_on(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("at_call", "held_back"), [(6, 0), (10, 0), (12, 1)])
+def test_where_the_new_side_raises_before_it_writes_the_old_one_goes_on_at_once(
+    at_call: int, held_back: int, tmp_path: Path
+) -> None:
+    """Before the moment of the cut, without missing a slot; at the moment itself, with the one that it left to it."""
+
     async def main(lab: Lab, simulator: Simulator) -> None:
-        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20, mode={"raise": "oh", "at_call": 12}))
-        at = await next_slot(lab, 0.5)
-        await cut_at(lab, at, resume_after=0.5)
-        assert await outcomes(lab, timeout=2.0) == ("resumed", "waiting")
+        raising = puppets.talker(rate=20, mode={"raise": "oh", "at_call": at_call})
+        await stand_by(lab, puppets.talker(rate=20), raising)
+        await cut_at(lab, await next_slot(lab, 0.4), resume_after=5.0)
+        assert await outcomes(lab, timeout=2.0) == ("cancelled", "cancelled")
         await lab.sleep(0.2)
         assert set(sides(await lab.received("sink"))) == {"old"}
         assert (await lab.port("new", "out", TOPIC))["count"] == 0
+        assert (await lab.port("old", "out", TOPIC))["gated"] <= held_back
+
+    in_lab(tmp_path, main)
+
+
+def test_a_new_side_that_has_failed_behind_its_gate_refuses_the_cut(tmp_path: Path) -> None:
+    async def main(lab: Lab, simulator: Simulator) -> None:
+        await stand_by(lab, puppets.talker(rate=20), puppets.talker(rate=20, mode={"raise": "oh", "at_call": 2}))
+        at = await next_slot(lab, 0.5)
+        words = await lab.refusal("new", "cut_in", cut="cut", swaps=SWAPS, at=at, epoch=at, peer="old")
+        assert "cannot take over: its functionality has failed" in words
 
     in_lab(tmp_path, main)
 

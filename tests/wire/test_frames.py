@@ -116,7 +116,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (GateCommand(port="out", topic="/t", gate="closed", latch=True, timeout=1.5), Done()),
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
-    (CutTakenCommand(cut="c", timeout=1.5), Relieved(resumed=True)),
+    (CutTakenCommand(cut="c", failed=True, timeout=1.5), Relieved(resumed=True)),
 ]
 ids = [command.name for command, _ in SAMPLES]
 

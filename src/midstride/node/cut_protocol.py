@@ -21,6 +21,9 @@ TICK: Final = 0.002
 REPORT_TIMEOUT: Final = 0.25
 REPORT_ATTEMPTS: Final = 20
 
+# How often a side that waits for T looks at the clock, and at what has happened meanwhile (s).
+LONGEST_WAIT: Final = 0.01
+
 Changed = Callable[[], None]
 
 
@@ -37,10 +40,14 @@ class _CutTask:
         """Whether there is no outcome yet; a cancellation may come at any await."""
         return self.outcome is None
 
+    def _failed(self) -> bool:
+        """Whether this side will not write at T."""
+        return False
+
     async def _until(self, at: int) -> None:
-        """Wait until ``at`` on the ROS clock, which may not run like the steady one."""
-        while self._going() and (left := (at - self._host.now()) / 1e9) > 0:
-            await self._host.sleep(min(max(left, 0.0001), 0.1))
+        """Wait until ``at`` on the ROS clock, which may not run like the steady one; less long if this side fails."""
+        while self._going() and not self._failed() and (left := (at - self._host.now()) / 1e9) > 0:
+            await self._host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
 
     async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
         """Set the outcome first, since the peer may ask at any moment; then the gates; then wake those that wait."""
@@ -80,8 +87,10 @@ class CutOutTask(_CutTask):
             since = self.side.newer_at
         return 0.0 if since is None else (self._host.steady() - since) / 1e9
 
-    def taken(self) -> bool:
-        """The new side has written. Returns whether that is too late."""
+    async def taken(self, failed: bool) -> bool:
+        """The new side has written, or has failed. Returns whether this one writes again."""
+        if failed and self._going():
+            await self.cancel()
         if self.outcome in ("resumed", "cancelled"):
             return True
         self._taken = True
@@ -102,7 +111,7 @@ class CutInTask(_CutTask):
         host: Host,
         changed: Changed,
         side: IncomingCut,
-        report: Callable[[float], Awaitable[bool]],
+        report: Callable[[float, bool], Awaitable[bool]],
         rate_driven: bool,
     ) -> None:
         super().__init__(host, changed)
@@ -114,14 +123,15 @@ class CutInTask(_CutTask):
         await self._until(self.side.at)
         waited_from = self._host.steady()
         latched = self._rate_driven
-        while self._going() and not self.side.written:
+        while self._going() and not self.side.written and not self._failed():
             # A message in transit at T may still make the new side write; nothing else will.
             if not latched and (self._host.steady() - waited_from) / 1e9 > self._latch_after():
                 latched = True
                 await self._host.on_data(self.side.latch)
             else:
                 await self._host.sleep(TICK)
-        if self._going() and await self._resumed():
+        failed = self._failed()
+        if self._going() and (await self._resumed(failed) or failed):
             await self._end("cancelled", self.side.close)
         if self._going():
             self.outcome = "done"
@@ -130,16 +140,20 @@ class CutInTask(_CutTask):
             await self._host.sleep(GRACE)  # messages from before T may still be in transit to here
             await self._host.on_data(self.side.conclude)
 
+    def _failed(self) -> bool:
+        """Whether the author's code has raised before the first write."""
+        return not self.side.written and any(link.output.owner.failed for link in self.side.links)
+
     def _latch_after(self) -> float:
         return GRACE if any(link.output.owner.driven == "message" for link in self.side.links) else 0.0
 
-    async def _resumed(self) -> bool:
+    async def _resumed(self, failed: bool) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
         for _ in range(REPORT_ATTEMPTS):
             if not self._going():
                 return False
             try:
-                return await self._report(REPORT_TIMEOUT)
+                return await self._report(REPORT_TIMEOUT, failed)
             except BackendError:
                 await self._host.sleep(REPORT_TIMEOUT / 5)
         return False

@@ -99,14 +99,16 @@ class HandoverCommands:
 
     async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
         links = self._links_of(command.cut, command.swaps, CutInTask, gate="closed")
+        if failed := [str(link) for link in links if link.output.owner.failed]:
+            raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
         side = IncomingCut(links, command.at, self._host, latches)
         await self._arm(command.at, lambda: side.arm(command.epoch))
         rate_driven = all(link.output.owner.rate is not None for link in links)
 
-        async def report(timeout: float) -> bool:
-            """Report the first write to the old side; whether that has resumed by then."""
-            taken = commands.CutTakenCommand(cut=command.cut)
+        async def report(timeout: float, failed: bool) -> bool:
+            """Report the first write, or a failure, to the old side; whether that has resumed by then."""
+            taken = commands.CutTakenCommand(cut=command.cut, failed=failed)
             reply = await self._call(command.address, taken, timeout)
             return not reply.ok or result_of(reply, taken).resumed
 
@@ -135,7 +137,8 @@ class HandoverCommands:
     async def taken(self, command: commands.CutTakenCommand) -> commands.Relieved:
         """From the new side. Where the cut is unknown, this side has not stopped writing."""
         old = [side for side in self._sides.get(command.cut, []) if isinstance(side, CutOutTask)]
-        return commands.Relieved(resumed=any(side.taken() for side in old) if old else True)
+        resumed = [await side.taken(command.failed) for side in old]
+        return commands.Relieved(resumed=any(resumed) if old else True)
 
     # -- parts -------------------------------------------------------------------------------------
 

@@ -318,10 +318,11 @@ class StopCommand(Command[Done], frozen=True, kw_only=True, tag="stop"):
 
 
 class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken"):
-    """From the new side of a cut to the old one: it has written."""
+    """From the new side of a cut to the old one: it has written, or it has ``failed`` and will not."""
 
     kind = "between"
     cut: str
+    failed: bool = False
 
 
 # Every command by its name on the wire.
