@@ -7,6 +7,7 @@ import itertools
 import os
 import signal
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
@@ -66,7 +67,10 @@ def test_a_bare_recorder_agrees_with_the_report(strategy: str, tmp_path: Path, m
         for publisher in publishers - {None}:
             numbers = [row.number for row in inside if row.publisher == publisher and row.number is not None]
             assert numbers == list(range(min(numbers), max(numbers) + 1))
-        assert (swap.lost, swap.duplicates) == (0, 0)
+        assert swap.lost == 0
+        # A publisher that the machine held up may write so late that two messages share a slot: of both accounts.
+        theirs = replace(observed, rows=inside)
+        assert swap.duplicates == report(theirs).duplicates
     assert abs(median(apart)) / 1e9 <= PERIOD / 2
 
 

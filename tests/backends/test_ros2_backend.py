@@ -76,11 +76,11 @@ def test_a_component_is_started_attached_heard_and_ended(tmp_path: Path) -> None
 
 @pytest.fixture
 def short_lease(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Components that the graph drops 2 s after their death instead of 20 s, as a user's own profile may say."""
+    """Components that the graph drops 8 s after their death instead of 20 s, as a user's own profile may say."""
     with Bare():  # this process has read the usual profile now, and keeps it
         major = dds_profiles.loaded_major()
     profile = (dds_profiles.PROFILES / f"fastdds{major}_localhost.xml").read_text(encoding="utf-8")
-    lease = "<discovery_config><leaseDuration><sec>2</sec></leaseDuration><leaseAnnouncement><sec>1</sec>"
+    lease = "<discovery_config><leaseDuration><sec>8</sec></leaseDuration><leaseAnnouncement><sec>2</sec>"
     own = tmp_path / "own.xml"
     own.write_text(profile.replace("<builtin>", f"<builtin>{lease}</leaseAnnouncement></discovery_config>"))
     assert major is not None
