@@ -60,7 +60,7 @@ def link() -> None:
 
 def bare(number: str) -> None:
     """What ``link`` has of ROS, without Midstride."""
-    topics = f"/t{int(number) - 1}", f"/t{number}"
+    topics = f"/t{number}", f"/t{int(number) + 1}"
     if os.environ["MIDSTRIDE_BACKEND"] == "ros2":
         import rclpy
 

@@ -33,7 +33,7 @@ log = logging.getLogger(__name__)
 Done = list[tuple[Action, Configuration]]
 
 # How many processes may be starting: enough that no processor is idle while one waits for its disk or its middleware.
-STARTS_AT_ONCE: Final = 2 * len(os.sched_getaffinity(0)) + 2
+STARTS_AT_ONCE: Final = 8 * len(os.sched_getaffinity(0))
 
 
 @dataclass(slots=True)
