@@ -74,10 +74,9 @@ async def _hand_over_on_the_grid(backend: Backend, workspace: Path) -> str | Non
     """What was wrong with the slots, according to the messages' source times."""
     async with Lab(backend, workspace) as lab:
         await _two_talkers(lab)
+        await lab.shows(publishers=[("/old", "/chatter"), ("/new", "/chatter")])
         at, epoch, period = await _slot(lab, "old")
         await lab.change("sink", "record", inputs=["in"], on=True)
-        publishers = (await lab.backend.endpoints()).publishers
-        assert {("/old", "/chatter"), ("/new", "/chatter")} <= set(publishers), publishers
         await _cut(lab, at, epoch, resume_after=1.0)
         old, new = await _outcomes(lab)
         assert (await lab.port("old", "out", "/chatter"))["gate"] == "closed"

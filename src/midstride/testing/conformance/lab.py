@@ -6,7 +6,7 @@ import base64
 import contextlib
 import json
 import sys
-from collections.abc import Awaitable, Callable, Coroutine
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from functools import wraps
 from pathlib import Path
 from types import TracebackType
@@ -233,6 +233,24 @@ class Lab:
                 return found
             assert self.clock.steady() < deadline, f"within {patience:g} s it has not happened that {what}"
             await self.sleep(0.02)
+
+    async def shows(
+        self,
+        nodes: Sequence[str] = (),
+        publishers: Sequence[tuple[str, str]] = (),
+        subscribers: Sequence[tuple[str, str]] = (),
+    ) -> None:
+        """Wait until the graph, which follows with a delay, has these nodes and endpoints."""
+
+        async def seen() -> bool:
+            graph = await self.backend.endpoints()
+            return (
+                graph.nodes.issuperset(nodes)
+                and set(graph.publishers).issuperset(publishers)
+                and set(graph.subscribers).issuperset(subscribers)
+            )
+
+        await self.eventually(f"the graph shows {[*nodes, *publishers, *subscribers]}", seen)
 
     async def unreachable(self, instance: str) -> bool:
         """Whether a request to ``instance`` fails, as it must for a component that has ended."""

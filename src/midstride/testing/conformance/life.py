@@ -30,7 +30,7 @@ async def starts_registers_and_waits(lab: Lab) -> None:
     assert welcomed["waiting"] is None
     reports = lab.reports
     await lab.eventually("it goes on reporting its state", lambda: lab.reports > reports + 1)
-    assert "/relay_2" in (await lab.backend.endpoints()).nodes
+    await lab.shows(nodes=["/relay_2"])
 
 
 @check
