@@ -241,6 +241,59 @@ def test_hostile_texts_take_limited_time_and_space(name: str) -> None:
     assert time.process_time() - start < 10
 
 
+SPECIFICATION = """system s
+topic /t : std_msgs/msg/String
+component C { output out  functionality f { produces out  mode on { } } }
+node n : C { out -> /t }
+"""
+
+
+@pytest.mark.parametrize("way", ["a path upwards", "an absolute path", "a link", "another kind of file"])
+@pytest.mark.parametrize("statement", ["include", "parameters"])
+def test_a_specification_reads_only_below_its_folder(statement: str, way: str, tmp_path: Path) -> None:
+    """Its diagnostics would print what they quote: somebody else's file in a CI job must not choose what that is."""
+    ending = ".stride" if statement == "include" else ".yaml"
+    folder, secret = tmp_path / "robot", tmp_path / f"secret{ending}"
+    folder.mkdir()
+    secret.write_text("TOKEN=abcdef\n")
+    (folder / ".env").write_text("TOKEN=abcdef\n")
+    (folder / f"link{ending}").symlink_to(secret)
+    name = {
+        "a path upwards": f"../secret{ending}",
+        "an absolute path": str(secret),
+        "a link": f"link{ending}",
+        "another kind of file": ".env",
+    }[way]
+    (folder / "robot.stride").write_text(f'{SPECIFICATION}{statement} "{name}"\n')
+    loaded = load(folder / "robot.stride")
+    assert "E107" in {diagnostic.code for diagnostic in loaded.diagnostics}
+    assert "TOKEN" not in render(loaded.diagnostics)
+
+
+def test_further_folders_can_be_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shared, folder = tmp_path / "shared", tmp_path / "robot"
+    shared.mkdir()
+    folder.mkdir()
+    (shared / "a.stride").write_text("contract K = std_msgs/msg/String\n")
+    (folder / "robot.stride").write_text('system s\ninclude "../shared/a.stride"\ntopic /t : K\n')
+    assert load(folder / "robot.stride").has_errors
+    monkeypatch.setenv("MIDSTRIDE_INCLUDE_PATH", f"/nowhere{os.pathsep}{shared}")
+    assert not load(folder / "robot.stride").has_errors
+
+
+def test_a_system_whose_files_are_installed_as_links_is_read(tmp_path: Path) -> None:
+    source, installed = tmp_path / "src", tmp_path / "install"
+    for each in (source, installed):
+        each.mkdir()
+    for name, text in (
+        ("a.stride", "contract K = std_msgs/msg/String\n"),
+        ("s.stride", 'system s\ninclude "a.stride"\n'),
+    ):
+        (source / name).write_text(text)
+        (installed / name).symlink_to(source / name)
+    assert not load(installed / "s.stride").has_errors
+
+
 def test_an_include_bomb_is_limited(tmp_path: Path) -> None:
     for level in range(12):
         inside = "".join(f'namespace n{n} {{ include "f{level + 1}.stride" }}\n' for n in range(10))

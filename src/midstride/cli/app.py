@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import os
 from typing import TYPE_CHECKING, Final
 
 import click
@@ -101,8 +102,16 @@ def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
 @click.option(
     "--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Print the version."
 )
-def cli() -> None:
+@click.option(
+    "--include-path", multiple=True, metavar="DIR", help="Specifications may include files from below DIR, too."
+)
+def cli(include_path: tuple[str, ...]) -> None:
     """Replace the components of a running ROS system while losing as little functionality as possible.
 
     Exit status: 0 yes, or done; 1 no, with the reason; 2 wrong usage.
     """
+    if include_path:
+        from midstride.lang.files import INCLUDE_PATH
+
+        # In the environment, so that it holds in a manager that this command starts.
+        os.environ[INCLUDE_PATH] = os.pathsep.join([*include_path, os.environ.get(INCLUDE_PATH, "")])

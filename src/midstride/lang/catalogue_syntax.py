@@ -60,6 +60,16 @@ SYNTAX: Final = (
         "topic /chatter : std_msgs/msg/String\n",
         "",
     ),
+    entry(
+        "E107: file may not be read",
+        """Diagnostics quote the files that they are about. So that somebody else's specification cannot print any file
+        of this machine, it reads files only from below the folder of the file that names the system, and only
+        `.stride` files and, for parameters, `.yaml` and `.yml` files. Other folders can be named with
+        `midstride --include-path DIR`, or in the environment variable MIDSTRIDE_INCLUDE_PATH.""",
+        'system s\ninclude "../sensors.stride"\n',
+        'system s\ninclude "secrets.env"\n',
+        'system s\nparameters "/proc/self/environ"\n' + TALKING.removeprefix("system s\n"),
+    ),
     # -- characters -----------------------------------------------------------------------------------------
     entry(
         "E110: unexpected character",

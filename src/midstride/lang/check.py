@@ -16,7 +16,7 @@ from midstride.lang.components import UNRESOLVED, ComponentBuilder
 from midstride.lang.contracts import ContractResolver
 from midstride.lang.declarations import Declarations, collect, resolve_topic
 from midstride.lang.diagnostics import Diagnostic, Note, Reporter, in_order
-from midstride.lang.files import FileReader, Loader, resolve_name
+from midstride.lang.files import Bounds, FileReader, Loader, resolve_name
 from midstride.lang.hints import Hints, impact
 from midstride.lang.lexer import is_topic_name
 from midstride.lang.message_types import MessageTypes
@@ -57,7 +57,8 @@ def check_files(
     """Check ``source`` and its includes. Returns the specification (None if there are errors), the diagnostics, the
     sources and the resolved declarations."""
     reporter = Reporter()
-    loader = Loader(read, reporter)
+    bounds = Bounds.of(source)
+    loader = Loader(read, reporter, bounds)
     loader.load(source)
     semantic = reporter
     if loader.files_in_order[0].file.system is None and "system" not in loader.skipped:
@@ -70,7 +71,7 @@ def check_files(
     contracts = ContractResolver(declarations.contracts, skipped, messages, semantic)
     components = ComponentBuilder(declarations.components, contracts, skipped, semantic)
     contracts.resolve_all()
-    nodes = NodeBuilder(declarations, components.build(), components.merged, read, semantic)
+    nodes = NodeBuilder(declarations, components.build(), components.merged, read, bounds, semantic)
     builder = _SpecificationBuilder(declarations, contracts, components, nodes, skipped, semantic)
     specification = builder.specification()
     builder.report_problems(specification, loader.files_missing)

@@ -22,6 +22,8 @@ from midstride.model.near_miss import did_you_mean
 
 FileReader = Callable[[Path], str]
 
+# The environment variable with further folders that specifications may read files from, separated as in PATH.
+INCLUDE_PATH: Final = "MIDSTRIDE_INCLUDE_PATH"
 MAX_FILE: Final = 4 * 2**20  # characters in one file
 MAX_TOTAL: Final = 16 * 2**20  # characters in all files
 MAX_FILES: Final = 256  # distinct files
@@ -88,12 +90,37 @@ def read_source(path: Path, read: FileReader, name: str | None = None) -> Source
     return Source(name or str(path), text, path)
 
 
-def file_key(name: Name) -> str:
-    """The path of a file, which is relative to the file that names it. Raises Unreadable if it is not a file name."""
-    if not name.text or "\0" in name.text:
-        raise Unreadable("E100", "this is not a file name")
-    base = name.span.source.path
-    return os.path.normpath((Path() if base is None else base.parent) / name.text)
+@dataclass(frozen=True, slots=True)
+class Bounds:
+    """Which files a specification may read: those below ``folders``, which are real paths.
+
+    Diagnostics quote what they are about, so somebody else's specification must not choose freely what is read.
+    """
+
+    folders: tuple[str, ...]
+
+    @classmethod
+    def of(cls, root: Source) -> Bounds:
+        """Below the folder of the root file, and below the folders that INCLUDE_PATH lists."""
+        path = root.path or Path(root.name)
+        listed = filter(None, os.environ.get(INCLUDE_PATH, "").split(os.pathsep))
+        # The root file may be a link, as others beside it: `colcon build --symlink-install` installs links.
+        folders = (str(path.parent), os.path.dirname(os.path.realpath(path)), *listed)
+        return cls(tuple(dict.fromkeys(os.path.realpath(folder) for folder in folders)))
+
+    def path(self, name: Name, *endings: str) -> str:
+        """The path of a file, which is relative to the file that names it. Raises Unreadable if it may not be read."""
+        if not name.text or "\0" in name.text:
+            raise Unreadable("E100", "this is not a file name")
+        if not name.text.endswith(endings):
+            raise Unreadable("E107", f"its name does not end in {' or '.join(endings)}")
+        base = name.span.source.path
+        path = os.path.normpath((Path() if base is None else base.parent) / name.text)
+        real = os.path.realpath(path)
+        if not any(os.path.commonpath((folder, real)) == folder for folder in self.folders):
+            help = f"move it there, or name its folder with `--include-path` or in the variable {INCLUDE_PATH}"
+            raise Unreadable("E107", "it is not below the folder of the file that names the system", help)
+        return path
 
 
 def shown_path(name: Name) -> str:
@@ -107,6 +134,7 @@ class Loader:
 
     read: FileReader
     reporter: Reporter
+    bounds: Bounds
     files_in_order: list[NamespacedFile] = field(default_factory=list)
     sources: list[Source] = field(default_factory=list)
     skipped: set[str] = field(default_factory=set)
@@ -147,10 +175,11 @@ class Loader:
     def _include(self, name: Name, namespace: str) -> None:
         text, span = name
         try:
-            key = file_key(name)
+            key = self.bounds.path(name, ".stride")
         except Unreadable as error:
             self.files_missing = True
-            self.reporter.report(error.code, span, str(error))
+            message = f"`{text}` cannot be included: {error}" if text else str(error)
+            self.reporter.report(error.code, span, message, help=error.help)
             return
         if key in self._stack:
             cycle = [*self._stack[self._stack.index(key) :], key]

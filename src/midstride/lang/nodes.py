@@ -10,7 +10,7 @@ from immutables import Map
 
 from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, limited, resolve_topic
 from midstride.lang.diagnostics import Note, Reporter
-from midstride.lang.files import FileReader, Unreadable, file_key, read_source, shown_path
+from midstride.lang.files import Bounds, FileReader, Unreadable, read_source, shown_path
 from midstride.lang.parameter_files import ParameterSection, ParameterValueAt, read_sections
 from midstride.lang.source import Source, Span
 from midstride.lang.syntax import ComponentDeclaration, Name
@@ -27,6 +27,7 @@ class NodeBuilder:
     components: dict[str, ComponentSpec]
     merged: Mapping[str, ComponentDeclaration]
     read: FileReader
+    bounds: Bounds
     reporter: Reporter
     parameter_spans: dict[tuple[str, str], Span] = field(default_factory=dict)
     sources: list[Source] = field(default_factory=list)
@@ -110,7 +111,7 @@ class NodeBuilder:
 
     def _sections(self, path: Name) -> list[ParameterSection] | None:
         try:
-            key = file_key(path)
+            key = self.bounds.path(path, ".yaml", ".yml")
             if key not in self._files:
                 self._files[key] = None
                 source = read_source(Path(key), self.read, shown_path(path))
