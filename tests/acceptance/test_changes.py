@@ -144,7 +144,7 @@ def test_a_call_that_outlasts_the_drain_fails_the_step_and_nothing_has_changed(
                 executor.driver.drain_timeout = 0.3
                 return executor
 
-            monkeypatch.setattr(manager._session, "_executor", impatient)
+            monkeypatch.setattr(manager._session, "executor", impatient)
             await a_call_begins(manager)
             outcome = await manager.change(PlanRequest(remove=("busy",), strategy="quiesce"))
             assert outcome.outcome == "rolled_back" and "busy" in str(outcome.because)
