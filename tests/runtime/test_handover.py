@@ -405,6 +405,22 @@ def test_a_cut_that_either_side_did_not_pass_is_taken_back(
     bench(CONFIGURATION, tmp_path, body)
 
 
+def test_a_take_over_that_fails_leaves_no_new_publisher_on_the_topic(tmp_path: Path) -> None:
+    """Nor one that was attached only because the old side had exited."""
+    other = Swap("/chatter", OUT, build.port("talker_3.out"))
+    configuration = CONFIGURATION.with_instance(instance("talker_3", TALKER, "talker"))
+
+    async def body(b: Bench) -> None:
+        b.crash("talker")
+        b.client.reply("talker", GridCommand, UNREACHABLE)
+        b.client.reply("talker_3", AwaitWriteCommand, GatedWrites(gated=0, wrong_type=None))
+        with pytest.raises(StepFailed, match=r"talker_3\.out has written nothing"):
+            await swapped(b, SWAP, other)
+        assert b.client.changes[-2:] == [("talker_2", "undo detach"), ("talker_3", "undo detach")]
+
+    bench(configuration.with_modes({work("talker_3"): 0}), tmp_path, body)
+
+
 def test_a_hand_over_that_is_cancelled_is_taken_back(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         b.client.reply("talker_2", AwaitCutCommand, lambda _: asyncio.sleep(3))

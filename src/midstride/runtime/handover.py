@@ -101,7 +101,6 @@ class LiveHandover:
     async def _agree(self) -> dict[PortRef, int | None]:
         """Hand over at an agreed moment; the number of each old output's last message."""
         for swap in self.swaps:
-            self._begun.append(swap)
             await self._attach_gated(swap)
         for swap in self.swaps:
             await self._await_probation(swap)
@@ -208,6 +207,7 @@ class LiveHandover:
             patience=OUTSIDE_READERS_TIMEOUT,
             timeout=ATTACH_TIMEOUT + OUTSIDE_READERS_TIMEOUT,
         )
+        self._begun.append(swap)
         matched = (await self.client.change(swap.new.instance, attach)).matched
         self._attached.append(swap)
         return matched
