@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 import asyncio
 import json
 import os
@@ -76,7 +77,7 @@ async def listens(transport: Transport, instance: str) -> bool:
 class Children:
     """The processes of components, by instance; to be used on one event loop.
 
-    ``exited`` is called for each that ends by itself, once it is no longer among them.
+    ``exited`` is called for each that exits without being asked to, once it is no longer among them.
     """
 
     def __init__(self, guardian: Reaper | None, exited: Callable[[str, int | None, Process], None]) -> None:
@@ -135,7 +136,7 @@ class Children:
         self._processes.clear()
 
 
-class ProcessBackend:
+class ProcessBackend(abc.ABC):
     """What the back ends of real platforms share: components as processes, their control sockets and their logs.
 
     ``control`` is the folder of the sockets, ``logs`` that of the logs (default: beside ROS's own). ``guardian`` ends
@@ -150,13 +151,13 @@ class ProcessBackend:
         self._guardian = guardian
         self._children = Children(guardian, self._exited)
 
+    @abc.abstractmethod
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
-        """A process has ended by itself."""
-        raise NotImplementedError
+        """A process has exited without being asked to."""
 
+    @abc.abstractmethod
     async def _died(self, instance: str) -> None:
         """A process has ended: the graph may still show its node."""
-        raise NotImplementedError
 
     def _spawn(self, launch: Launch, node: str, command: Sequence[str], environment: Mapping[str, str]) -> Handle:
         """Start the process of the node that has the full name ``node``. Raises StartFailed."""

@@ -20,7 +20,6 @@ TICK: Final = 0.002
 # How long one attempt to report to the peer may take (s), and how many there are: a dead peer cannot write.
 REPORT_TIMEOUT: Final = 0.25
 REPORT_ATTEMPTS: Final = 20
-
 # How often a side that waits for T looks at the clock, and at what has happened meanwhile (s).
 LONGEST_WAIT: Final = 0.01
 

@@ -167,18 +167,14 @@ class Executor:
     async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
         """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns why it failed."""
         what = undoing.describe(self.system.configuration)
-        try:
-            await self.perform(undoing)
-            return None
-        except Exception as error:
-            why = _words(error)
-        if not await self._kill(name for name in undoing.instances() if name in created):
-            return f"{what}: {why}"
-        try:
-            await self.perform(undoing)
-            return None
-        except Exception as error:
-            return f"{what}: {_words(error)}"
+        while True:
+            try:
+                await self.perform(undoing)
+                return None
+            except Exception as error:
+                problem = f"{what}: {_words(error)}"
+            if not await self._kill(name for name in undoing.instances() if name in created):
+                return problem
 
     async def _kill(self, instances: Iterable[str]) -> bool:
         """Kill the processes of ``instances``, which then count as crashed; whether there was one."""

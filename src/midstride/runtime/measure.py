@@ -75,9 +75,10 @@ def report(seen: Observation) -> SwapReport:
     missed = duplicates = None
     grid = seen.grid_period or period
     tail = seen.ended - WINDOW_PERIODS / 2 * (grid or 0.0) * 1e9
+    by_side = None if sides is None else _swapped(rows, sides, seen, tail)
     if grid and not rows:
         missed = math.floor((seen.ended - seen.begun) / (grid * 1e9))
-    elif grid and sides is not None and (by_side := _swapped(rows, sides, seen, tail)) is not None:
+    elif grid and by_side is not None:
         answered = None if seen.inputs is None else _answers(by_side, seen.inputs)
         missed, duplicates = answered or _slots(rows, by_side, grid, seen.ended)
     return SwapReport(
@@ -87,7 +88,7 @@ def report(seen: Observation) -> SwapReport:
         gap=None if gap is None else round(gap, 6),
         gap_periods=None if gap is None or not period else round(gap / period, 3),
         missed=missed,
-        lost=_lost(rows, sides, seen, tail),
+        lost=_lost(rows, sides, by_side, seen),
         duplicates=duplicates,
     )
 
@@ -250,7 +251,9 @@ def _shift_late_answers(answers: dict[str, list[int]]) -> None:
         old[:] = [slot - 1 if slot > free[-1] else slot for slot in old]
 
 
-def _lost(rows: Sequence[Receipt], sides: list[str] | None, seen: Observation, tail: float) -> int | None:
+def _lost(
+    rows: Sequence[Receipt], sides: list[str] | None, by_side: dict[str, list[Receipt]] | None, seen: Observation
+) -> int | None:
     """The holes in each publisher's sequence, and the old publisher's last messages that were not received."""
     if sides is None or not rows or any(row.number is None for row in rows):
         return None
@@ -260,11 +263,10 @@ def _lost(rows: Sequence[Receipt], sides: list[str] | None, seen: Observation, t
         numbers.setdefault(side, set()).add(row.number)
     lost = sum(max(own) - min(own) + 1 - len(own) for own in numbers.values())
     if seen.last_number is not None:
-        moved = _swapped(rows, sides, seen, tail)
-        if moved is None:
+        if by_side is None:
             return None
-        old = min(moved, key=lambda name: moved[name][0].received)
-        begins = [name for name, own in moved.items() if own[0].received > seen.begun and min(numbers[name]) == 1]
+        old = min(by_side, key=lambda name: by_side[name][0].received)
+        begins = [name for name, own in by_side.items() if own[0].received > seen.begun and min(numbers[name]) == 1]
         if begins == [old]:
             return None  # these are the new publisher's messages: none of the old one's is in the window
         lost += max(0, seen.last_number - max(numbers[old]))
