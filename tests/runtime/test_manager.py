@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Sequence
 from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from midstride.model.specification import Node
 from midstride.plan.request import PlanRequest
 from midstride.runtime.backend import Launch
 from midstride.runtime.manager import Manager
-from midstride.runtime.reports import Outcome, Why
+from midstride.runtime.reports import Event, Outcome, Why
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import RecordCommand
 from tests.runtime.systems import EXAMPLES, example, kept, managed, replace, request, rewritten, saved
@@ -170,16 +171,23 @@ def test_a_crash_lowers_whoever_can_be_reached_and_later_the_others(tmp_path: Pa
     managed("filter", tmp_path, body)
 
 
+async def replaced_while(
+    manager: Manager, simulator: Simulator, kind: str, killed: str
+) -> tuple[Outcome, Sequence[Event]]:
+    """The talker is replaced, and ``killed`` dies at the first event of that kind: the outcome, and what happened."""
+    begun = len(manager.log())
+    change = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
+    while not any(event.kind == kind for event in manager.log(begun)):
+        await asyncio.sleep(0.001)
+    simulator.faults.kill(killed)
+    return await change, manager.log(begun)
+
+
 def test_a_crash_while_a_change_is_measured_is_told_and_does_not_wait_for_that(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
-        begun = len(manager.log())
-        change = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
-        while not any(event.kind == "measuring" for event in manager.log(begun)):
-            await asyncio.sleep(0.001)
-        simulator.faults.kill("talker_2")
-        outcome = await change
+        outcome, events = await replaced_while(manager, simulator, "measuring", "talker_2")
         assert (outcome.outcome, outcome.ended) == ("done", ["talker_2"])
-        kinds = [event.kind for event in manager.log(begun)]
+        kinds = [event.kind for event in events]
         assert kinds.index("degraded") < kinds.index("measured")
         view = (await manager.peek("listener")).functionalities["listen"]
         assert (view.mode, view.because.endswith("exited unexpectedly")) == ("degraded", True)
@@ -190,12 +198,7 @@ def test_a_crash_while_a_change_is_measured_is_told_and_does_not_wait_for_that(t
 
 def test_a_component_that_dies_while_it_is_being_replaced_is_replaced(tmp_path: Path) -> None:
     async def body(manager: Manager, simulator: Simulator) -> None:
-        begun = len(manager.log())
-        change = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
-        while not any(event.kind == "step" for event in manager.log(begun)):
-            await asyncio.sleep(0.001)
-        simulator.faults.kill("talker")
-        outcome = await change
+        outcome, _ = await replaced_while(manager, simulator, "step", "talker")
         assert (outcome.outcome, outcome.ended, outcome.degraded) == ("done", ["talker"], [])
         assert (await manager.peek("listener")).functionalities["listen"].mode == "normal"
         assert (await manager.status()).crashed == []

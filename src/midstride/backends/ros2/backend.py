@@ -86,7 +86,7 @@ class Ros2Backend(ProcessBackend):
             await self._leave(context)
 
     async def _leave(self, context: Any) -> None:
-        """Leave ROS 2, in a thread of its own: a middleware that has deadlocked never returns from it."""
+        """Leave ROS 2 in a separate thread: a middleware that has deadlocked never returns from it."""
         loop = asyncio.get_running_loop()
         left = asyncio.Event()
 

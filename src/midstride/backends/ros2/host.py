@@ -46,7 +46,7 @@ class Ros2Host:
         transport, self.reachable = control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
         self.logger: Any = get_logger(names.full(name, namespace).strip("/").replace("/", "."))
-        # The node gets all that the manager gave, for ROS has parameters of its own (``use_sim_time``).
+        # The node gets all that the manager gave, for ROS itself has parameters (``use_sim_time``).
         self._given = process_context.find().parameters
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
