@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
@@ -407,24 +407,30 @@ def test_the_clock_of_a_simulation_drives_the_modes(tmp_path: Path) -> None:
                     message.clock.sec, message.clock.nanosec = int(seconds), round(seconds % 1 * 1e9)
                     clock.publish(message)
 
-                at(100.0)
-                while await gated() < 1:
-                    await asyncio.sleep(0.01)
+                async def send_until(seconds: float, reached: Callable[[], Awaitable[bool]]) -> None:
+                    """Send the time until the component has it: the subscription to `/clock` is best effort, and may be
+                    matched later on its side than on ours."""
+                    while not await reached():
+                        at(seconds)
+                        await asyncio.sleep(0.02)
+
+                async def wrote(count: int) -> bool:
+                    return await gated() >= count
+
+                await send_until(100.0, lambda: wrote(1))
                 assert (await state()).waiting is None
                 grid = await r.client.read("talker", GridCommand(port="out"))
                 assert (grid.epoch, grid.period, grid.now) == (100_000_000_000, 0.02, 100_000_000_000)
                 await asyncio.sleep(0.2)
                 assert await gated() == 1  # time stands still
                 for step in range(1, 6):
-                    at(100.0 + 0.02 * step + 0.001)
-                    while await gated() < 1 + step:
-                        await asyncio.sleep(0.005)
-                at(50.0)  # the recording starts again
-                while (await r.client.read("talker", GridCommand(port="out"))).now != 50_000_000_000:
-                    await asyncio.sleep(0.005)
-                at(50.021)
-                while await gated() < 7:
-                    await asyncio.sleep(0.005)
+                    await send_until(100.0 + 0.02 * step + 0.001, lambda step=step: wrote(1 + step))  # type: ignore[misc]
+
+                async def back() -> bool:
+                    return (await r.client.read("talker", GridCommand(port="out"))).now == 50_000_000_000
+
+                await send_until(50.0, back)  # the recording starts again
+                await send_until(50.021, lambda: wrote(7))
 
     run(scenario())
 
