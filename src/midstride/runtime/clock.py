@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import time
 from typing import Protocol
 
@@ -18,6 +19,10 @@ class Clock(Protocol):
         """ROS time in nanoseconds."""
         ...
 
+    def idle(self) -> float:
+        """How long the processors have been idle, in total (s)."""
+        ...
+
     async def sleep(self, seconds: float) -> None:
         """Sleep on the monotonic clock."""
         ...
@@ -31,6 +36,10 @@ class SystemClock:
 
     def ros_now(self) -> int:
         return time.time_ns()
+
+    def idle(self) -> float:
+        with open("/proc/stat", encoding="ascii") as file:
+            return int(file.readline().split()[4]) / os.sysconf("SC_CLK_TCK")
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
