@@ -1,7 +1,8 @@
 """Many components on ROS 2 in one domain, beside as many bare rclpy nodes: up, idle, a replacement, down.
 
 The bare nodes have the endpoints of the components and the discovery settings of `midstride up`, and are started at the
-same pace. All figures of a row are of one run; the replacement is that of a source at 50 Hz, among all and among ten.
+same pace; instead of a replacement, one more node joins until it is matched. All figures of a row are of one run; the
+replacement is that of a source at 50 Hz. Idle time and memory leave that source and its sink out.
 """
 
 from __future__ import annotations
@@ -51,6 +52,8 @@ async def idle(pids: list[int], seconds: float) -> Figures:
 
 
 async def components(nodes: int, seconds: float, replacements: int) -> Figures:
+    from midstride.plan.request import PlanRequest
+
     with tempfile.TemporaryDirectory(prefix="ms") as folder:
         session = worker.Session(worker.Plane(), "ros2", Path(folder), system(nodes))
         async with session:
@@ -61,10 +64,16 @@ async def components(nodes: int, seconds: float, replacements: int) -> Figures:
             figures |= await idle(pids, seconds)
             figures["manager idle, % of a core"] = (await idle([os.getpid()], seconds))["idle, % of a core"]
             taken = []
-            for number in range(replacements):
-                asked = time.time()
-                events = await session.change(replace=(("source", ("OtherSource", "Source")[number % 2]),))
-                taken.append(worker.steps(events)[-1][2] - asked)
+            request = (("source", "OtherSource"),)
+            for _ in range(replacements):
+                asked, last = time.time(), session.events()[-1].n
+                outcome = await session.manager.change(PlanRequest(replace=request))
+                if outcome.outcome == "done":
+                    taken.append(worker.steps(session.events(last))[-1][2] - asked)
+                    request = (("source", "Source" if request[0][1] == "OtherSource" else "OtherSource"),)
+                else:
+                    print(f"{nodes:4} components  a replacement was {outcome.outcome}: {outcome.because}", flush=True)
+            figures["replaced"] = len(taken)
             if taken:
                 figures |= {"replace, median, s": statistics.median(taken), "replace, longest, s": max(taken)}
             begun = time.monotonic()
@@ -72,9 +81,10 @@ async def components(nodes: int, seconds: float, replacements: int) -> Figures:
         return figures
 
 
-async def bare(nodes: int, seconds: float) -> Figures:
+async def bare(nodes: int, seconds: float, joins: int) -> Figures:
     from midstride.backends.ros2.dds_profiles import tuned_environment
     from midstride.runtime.clock import SystemClock
+    from midstride.runtime.launcher import STOP_GRACE
     from midstride.runtime.pacing import room_for_a_start
 
     environment = tuned_environment(dict(os.environ))
@@ -91,27 +101,49 @@ async def bare(nodes: int, seconds: float) -> Figures:
             elif line.strip() == b"matched":
                 matched.release()
 
-    readers = []
+    async def start(number: int, count: int) -> asyncio.subprocess.Process:
+        process = await asyncio.create_subprocess_exec(
+            *(sys.executable, str(HERE / "_many_nodes.py"), str(number), str(count)),
+            env=environment,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.DEVNULL,
+        )
+        processes.append(process)
+        readers.append(asyncio.ensure_future(read(process)))
+        return process
+
+    readers: list[asyncio.Future[None]] = []
     begun = time.monotonic()
     try:
         for number in range(nodes):
             await room_for_a_start(clock, lambda: len(processes) - created)
-            command = (sys.executable, str(HERE / "_many_nodes.py"), str(number), str(nodes))
-            process = await asyncio.create_subprocess_exec(
-                *command, env=environment, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL
-            )
-            processes.append(process)
-            readers.append(asyncio.ensure_future(read(process)))
+            await start(number, nodes)
         async with asyncio.timeout(300):
             for _ in range(nodes):
                 await matched.acquire()
         pids = [process.pid for process in processes]
         figures = {"up, s": time.monotonic() - begun, "processor time of up, s": worker.processor_time(pids)}
         figures |= await idle(pids, seconds)
+        taken = []
+        for _ in range(joins):
+            begun = time.monotonic()
+            process = await start(nodes, nodes + 1)
+            await matched.acquire()
+            taken.append(time.monotonic() - begun)
+            process.kill()
+            await process.wait()
+            await asyncio.sleep(1.0)
+        figures |= {"one more, median, s": statistics.median(taken), "one more, longest, s": max(taken)}
         begun = time.monotonic()
         for process in processes:
-            process.terminate()
-        await asyncio.gather(*(asyncio.wait_for(process.wait(), 60) for process in processes))  # noqa: TID251
+            if process.returncode is None:
+                process.terminate()
+        _, late = await asyncio.wait({asyncio.ensure_future(p.wait()) for p in processes}, timeout=STOP_GRACE)
+        for process in processes:
+            if process.returncode is None:  # an idle rclpy node misses SIGTERM now and then
+                process.kill()
+        if late:
+            await asyncio.wait(late)
         figures["down, s"] = time.monotonic() - begun
         return figures
     finally:
@@ -138,7 +170,7 @@ def main() -> None:
                 measured = (
                     components(nodes, options.idle, options.replacements)
                     if kind == "components"
-                    else bare(nodes, options.idle)
+                    else bare(nodes, options.idle, options.replacements)
                 )
                 figures = {name: round(value, 2) for name, value in asyncio.run(measured).items()}
                 rows.append({"nodes": nodes, "kind": kind, **figures})

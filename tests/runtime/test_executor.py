@@ -262,7 +262,7 @@ def test_creations_in_a_row_are_started_at_once(tmp_path: Path) -> None:
 
 
 def registering_one_a_second(tmp_path: Path, idle: Callable[[float], float]) -> list[int]:
-    """How many processes were starting each second, while one of them registered; ``idle`` is that of the processors."""
+    """How many processes were starting each second, while one registered; ``idle`` is that of the processors."""
     many = [instance(f"extra_{number}", TALKER) for number in range(3 * pacing.MOST)]
     starting = []
 
