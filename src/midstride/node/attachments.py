@@ -8,6 +8,7 @@ before an endpoint is destroyed, its gate is closed and its readers have acknowl
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable
 from functools import partial
 from typing import Final
@@ -138,6 +139,9 @@ class Attachments:
             if link.output.owner.failed:
                 break  # it will not write
             await self._host.sleep(TICK)
+        if link.output.wrong_type is not None:
+            with contextlib.suppress(CommandRefused):
+                await self._data.run(lambda: None, command.timeout)  # until the call that wrote it has degraded
         return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
 
     async def close_all(self, timeout: float) -> None:
