@@ -72,7 +72,9 @@ class SilenceMonitor:
         for (topic, port), link in current.items():
             links = self._links.setdefault(topic, {})
             known = links.get(PortRef(state.instance, port))
-            if known is None or fresh or (known.state.gate, known.state.count) != (link.gate, link.count):
+            # Simulated time may stand still: what is published on it is not judged.
+            free = fresh or (state.simulated_time and link.gate is not None)
+            if known is None or free or (known.state.gate, known.state.count) != (link.gate, link.count):
                 links[PortRef(state.instance, port)] = _Link(link, now)
                 if known is not None and not fresh and link.gate is not None:
                     self._published(links, link.count - known.state.count, now)
@@ -123,9 +125,8 @@ class SilenceMonitor:
     ) -> Iterator[SilenceFault]:
         ref = FunctionalityRef(port.instance, configuration.component(port.instance).owner(port.port).name)
         guarantee, reported = configuration.guarantee(port), state.functionalities[ref.functionality]
-        # Simulated time may stand still, and a mode that has just been left guarantees nothing.
-        if state.simulated_time or reported.mode != configuration.mode(ref).name:
-            return
+        if reported.mode != configuration.mode(ref).name:
+            return  # a mode that has just been left guarantees nothing
         seconds = min(self.clock.steady() - since, reported.since)
         rate = guarantee.rate if isinstance(guarantee, Predicate) else None
         if rate and seconds > max(PORT_SILENCE, SILENT_PERIODS / rate):
