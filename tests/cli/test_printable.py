@@ -61,7 +61,7 @@ FILES: dict[str, dict[str, str]] = {
 
 
 @pytest.mark.parametrize("case", FILES)
-@pytest.mark.parametrize("command", ["check", "fmt", "plan", "graph", "diff"])
+@pytest.mark.parametrize("command", ["check", "fmt", "graph", "diff", "up"])
 def test_what_is_quoted_of_a_file_is_printable(
     command: str, case: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -69,7 +69,7 @@ def test_what_is_quoted_of_a_file_is_printable(
     for name, text in FILES[case].items():
         (tmp_path / name).write_text(text, encoding="utf-8", newline="")
     file = str(tmp_path / next(iter(FILES[case])))
-    words = {"plan": ["plan", "--from", file, "--to", file], "diff": ["diff", file, file]}.get(command, [command, file])
+    words = {"diff": ["diff", file, file], "up": ["up", file, "--backend", "sim"]}.get(command, [command, file])
     status = main(words)
     out, err = capsys.readouterr()
     assert raw(out) == raw(err) == []
