@@ -25,6 +25,7 @@ from midstride.model.action import (
 )
 from midstride.model.best import best
 from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
+from midstride.model.component_rules import component_rules
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import specification_names
@@ -80,8 +81,11 @@ def _parts(form: PlanForm) -> tuple[PlanForm, Specification, Specification]:
 
 def _names(parts: tuple[PlanForm, Specification, Specification]) -> Iterable[Problem]:
     _, start, target = parts
-    yield from under("start", specification_names(start))
-    yield from under("target", specification_names(target))
+    for key, specification in (("start", start), ("target", target)):
+        yield from under(key, specification_names(specification))
+        for name, component in specification.components.items():  # no configuration has a functionality without modes
+            rules = component_rules(component, ("components", name))
+            yield from under(key, (problem for problem in rules if problem.code == "E015"))
 
 
 def _values(parameters: Mapping[str, PlainValue]) -> Map[str, Any]:
