@@ -23,8 +23,7 @@ from midstride.model.specification import Constraint, Limit, Order, Specificatio
 from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between, change_of_roles
 from midstride.plan.constraints import in_force
-from midstride.plan.decoding import decode_plan
-from midstride.plan.forms import encode_plan
+from midstride.plan.forms import decode_plan, encode_plan
 from midstride.plan.plan import Plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.validate import replay

@@ -40,7 +40,7 @@ from midstride.codec.form import (
     named,
     plain,
 )
-from midstride.codec.parameter import PlainValue, Value, value_of, values_form
+from midstride.codec.parameter import Value, values_form, values_of
 from midstride.codec.reading import decode
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.name_checks import specification_names
@@ -112,13 +112,9 @@ class NodeForm(Form, frozen=True):
         )
 
     def node(self, role: str) -> Node:
-        return node_of(role, self.component, self.attachments, self.parameters)
-
-
-def node_of(role: str, component: str, attachments: dict[str, list[str]], parameters: dict[str, PlainValue]) -> Node:
-    """Raises ValueError as :func:`midstride.codec.parameter.value_of` does."""
-    topics = {port: tuple(names) for port, names in attachments.items()}
-    return Node(role, component, Map(topics), Map({name: value_of(value) for name, value in parameters.items()}))
+        """Raises ValueError as :func:`midstride.codec.parameter.values_of` does."""
+        topics = {port: tuple(names) for port, names in self.attachments.items()}
+        return Node(role, self.component, Map(topics), values_of(self.parameters))
 
 
 class ConstraintForm(ShapedForm, frozen=True):

@@ -307,10 +307,9 @@ class Degrade(_ModeAction):
         now, was = Evaluator(after), Evaluator(configuration)
         affected: dict[FunctionalityRef, None] = dict.fromkeys(self.modes)
         for ref in self.modes:
-            for output in configuration.functionality(ref).outputs:
-                for name in configuration.connectors_of.get(PortRef(ref.instance, output), ()):
-                    if was.connector_satisfied(name) and not now.connector_satisfied(name):
-                        affected.update(dict.fromkeys(configuration.consumers(name)))
+            for _, name in configuration.published(ref):
+                if was.connector_satisfied(name) and not now.connector_satisfied(name):
+                    affected.update(dict.fromkeys(configuration.consumers(name)))
         return _unsatisfied(after, affected)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:

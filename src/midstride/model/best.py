@@ -131,13 +131,10 @@ def _lower(configuration: Configuration, overlay: dict[FunctionalityRef, int], p
 def affected_connectors(configuration: Configuration, ref: FunctionalityRef, before: int, after: int) -> Iterator[str]:
     """The connectors that ``ref`` satisfies in one of the two modes and not in the other."""
     functionality = configuration.functionality(ref)
-    for output in functionality.outputs:
+    for output, name in configuration.published(ref):
         was, will = functionality.modes[before].guarantee(output), functionality.modes[after].guarantee(output)
-        if was is will:
+        connector = configuration.context.connectors.get(name)
+        if was is will or connector is None:
             continue
-        for name in configuration.connectors_of.get(PortRef(ref.instance, output), ()):
-            connector = configuration.context.connectors.get(name)
-            if connector is None:
-                continue
-            if satisfies(was, connector.guarantee) != satisfies(will, connector.guarantee):
-                yield name
+        if satisfies(was, connector.guarantee) != satisfies(will, connector.guarantee):
+            yield name

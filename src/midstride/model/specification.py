@@ -134,12 +134,6 @@ class Specification:
     def roles(self) -> list[str]:
         return sorted(self.nodes)
 
-    def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
-        """How long a step of that kind takes (s): declared for the component, else in ``timing``, else the default."""
-        if kind == "create" and component is not None and component.startup_seconds is not None:
-            return component.startup_seconds
-        return self.timing.get(kind, DEFAULT_SECONDS[kind])
-
     # -- changes that share everything else ------------------------------------------------------------
 
     def with_node(self, node: Node) -> Specification:
@@ -158,10 +152,13 @@ class Specification:
         return changed
 
     def with_replaced(self, role: str, component: str) -> Specification:
-        """``role`` with another component, on the same topics. Raises KeyError for an unknown name."""
-        if component not in self.components:
-            raise KeyError(component)
-        return self.with_node(replace(self.nodes[role], component=component))
+        """``role`` with another component, on the same topics, without the values of parameters that this one lacks.
+
+        Raises KeyError for an unknown name.
+        """
+        node, declared = self.nodes[role], self.components[component].parameters
+        parameters = Map({name: value for name, value in node.parameters.items() if name in declared})
+        return self.with_node(replace(node, component=component, parameters=parameters))
 
 
 def roles_of(constraint: Constraint) -> tuple[str, ...]:

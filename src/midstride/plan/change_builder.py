@@ -257,14 +257,10 @@ def _connectors(configuration: Configuration, target: Specification) -> tuple[Ma
     throughout = running.update(target.connectors)
     for name in sorted(target.connectors):
         wanted, current = target.connectors[name], running.get(name)
-        if current is None or current.same_contract(wanted):
+        in_use = configuration.publishers_on(name) or configuration.subscribers_on(name)
+        if current is None or current.same_contract(wanted) or not in_use:
             continue
-        if not configuration.publishers_on(name) and not configuration.subscribers_on(name):
-            continue
-        number = 2
-        while f"{name}@{number}" in throughout:
-            number += 1
-        identity = f"{name}@{number}"
+        identity = next(free for number in count(2) if (free := f"{name}@{number}") not in throughout)
         identities[name] = identity
         throughout = throughout.set(name, current).set(identity, replace(wanted, name=identity))
     return throughout, identities

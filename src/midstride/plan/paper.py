@@ -91,11 +91,8 @@ def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
         ref = pending.pop()
         if ref in overlay or evaluator.satisfied(ref):
             continue
-        functionality = after.functionality(ref)
-        overlay[ref] = functionality.last_mode
-        for output in functionality.outputs:
-            for name in after.connectors_of.get(PortRef(ref.instance, output), ()):
-                pending.extend(after.consumers(name))
+        overlay[ref] = after.functionality(ref).last_mode
+        pending.extend(after.downstream(ref))
     return overlay
 
 

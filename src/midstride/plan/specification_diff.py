@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar
 
 from midstride.codec.form import Form
 from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, Resource
-from midstride.model.contract import NOTHING, Contract, format_number
+from midstride.model.contract import format_number
 from midstride.model.specification import Node, Specification
 
 Kind = Literal["added", "removed", "changed", "replaced", "rewired", "set"]
@@ -139,11 +139,7 @@ def _functionality(name: str, before: ComponentSpec, after: ComponentSpec) -> It
         for output in sorted({*mode.guarantees, *other.guarantees}):
             given, gives = mode.guarantee(output), other.guarantee(output)
             if given != gives:
-                yield _became(f"{where}, mode {mode.name}: {output}", _contract(given), _contract(gives))
-
-
-def _contract(contract: Contract) -> str:
-    return "nothing" if contract is NOTHING else str(contract)
+                yield _became(f"{where}, mode {mode.name}: {output}", given, gives)
 
 
 # -- nodes -----------------------------------------------------------------------------------------------
