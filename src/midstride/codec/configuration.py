@@ -11,7 +11,7 @@ from __future__ import annotations
 from typing import Annotated, ClassVar, TypeAlias
 
 from midstride.codec.component import NamedComponentForm
-from midstride.codec.form import Document, Form, Name, encode, field
+from midstride.codec.form import Form, Name, field
 from midstride.codec.parameter import Value, values_form, values_of
 from midstride.codec.reading import decode_form
 from midstride.codec.specification import SpecificationForm
@@ -93,7 +93,3 @@ class ConfigurationForm(Form, frozen=True):
 def decode_configuration(document: object) -> Configuration:
     """The configuration that a document states; nothing is judged. Raises SpecificationError where it is none."""
     return decode_form(document, ConfigurationForm).configuration()
-
-
-def encode_configuration(configuration: Configuration) -> Document:
-    return encode(ConfigurationForm.of(configuration))

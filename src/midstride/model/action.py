@@ -164,15 +164,21 @@ def _port_reasons(configuration: Configuration, port: PortRef, connector: str) -
 
 
 @dataclass(frozen=True, slots=True)
-class Attach(Action):
-    """``attach p k``: the normal mode of an output, or the topic of an input, must satisfy the other side."""
+class _AttachmentAction(Action):
+    """What attaching and detaching have in common."""
 
-    kind: ClassVar[str] = "attach"
     port: PortRef
     connector: str
 
     def instances(self) -> tuple[str, ...]:
         return (self.port.instance,)
+
+
+@dataclass(frozen=True, slots=True)
+class Attach(_AttachmentAction):
+    """``attach p k``: the normal mode of an output, or the topic of an input, must satisfy the other side."""
+
+    kind: ClassVar[str] = "attach"
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := _port_reasons(configuration, self.port, self.connector):
@@ -205,15 +211,10 @@ def contract_reasons(configuration: Configuration, port: PortRef, connector: Con
 
 
 @dataclass(frozen=True, slots=True)
-class Detach(Action):
+class Detach(_AttachmentAction):
     """``detach p k``: every functionality must stay satisfied without the attachment."""
 
     kind: ClassVar[str] = "detach"
-    port: PortRef
-    connector: str
-
-    def instances(self) -> tuple[str, ...]:
-        return (self.port.instance,)
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := _port_reasons(configuration, self.port, self.connector):
@@ -364,16 +365,14 @@ class Handover(Action):
         return configuration
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
-        back, separate = [], []
+        back: list[Swap] = []
+        separate: list[Action] = []
         for swap in self.swaps:
             if satisfies(before.guarantee(swap.old), before.context.connectors[swap.connector].guarantee):
                 back.append(Swap(swap.connector, swap.new, swap.old))
             else:
-                separate.append(swap)
-        steps: list[Action] = [Handover(tuple(back))] if back else []
-        for swap in separate:
-            steps += [Detach(swap.new, swap.connector), Attach(swap.old, swap.connector)]
-        return tuple(steps)
+                separate += [Detach(swap.new, swap.connector), Attach(swap.old, swap.connector)]
+        return (*([Handover(tuple(back))] if back else []), *separate)
 
     def describe(self, configuration: Configuration | None = None) -> str:
         return wording.handover((swap.connector, str(swap.old), str(swap.new)) for swap in self.swaps)
@@ -414,19 +413,18 @@ class SetParameters(Action):
         instance = configuration.instances.get(self.instance)
         if instance is None:
             return (Reason("live", (self.instance,), f"{self.instance} is not live"),)
-        return tuple(self._reasons(instance))
-
-    def _reasons(self, instance: Instance) -> Iterator[Reason]:
+        reasons = []
         for name, value in sorted(self.parameters.items()):
             declared, subjects = instance.component.parameters.get(name), (f"{self.instance}.{name}",)
             if declared is None:
-                yield Reason("parameter", subjects, f"{self.instance} has no parameter {name}")
+                reasons.append(Reason("parameter", subjects, f"{self.instance} has no parameter {name}"))
             elif not declared.changeable:
                 because = f"parameter {name} of {self.instance} is not changeable; replace the node instead"
-                yield Reason("changeable", subjects, because)
+                reasons.append(Reason("changeable", subjects, because))
             elif not value_fits(value, declared.value):
-                kind, given = value_kind(declared.value), value_kind(value)
-                yield Reason("type", subjects, f"parameter {name} of {self.instance} takes {kind}, not {given}")
+                takes = f"takes {value_kind(declared.value)}, not {value_kind(value)}"
+                reasons.append(Reason("type", subjects, f"parameter {name} of {self.instance} {takes}"))
+        return tuple(reasons)
 
     def effect(self, configuration: Configuration) -> Configuration:
         return configuration.with_parameters(self.instance, self.parameters)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
-from midstride.model.contract import satisfies
+from midstride.model.contract import Contract, satisfies
 from midstride.model.rules import Evaluator
 
 
@@ -84,19 +84,10 @@ class MonotoneEvaluator(Evaluator):
         super().__init__(configuration, overlay)
         self._supports: dict[str, tuple[PortRef | None, Iterator[PortRef]]] = {}
 
-    def connector_satisfied(self, name: str) -> bool:
-        connector = self.configuration.context.connectors.get(name)
-        if connector is None:
-            return False
-        needed = connector.guarantee
+    def _published(self, name: str, needed: Contract) -> bool:
         if name in self._supports:
             support, others = self._supports[name]
         else:
-            if any(
-                satisfies(offer.guarantee, needed)
-                for offer in self.configuration.context.publishers_out_of_scope(connector)
-            ):
-                return True
             others = iter(self.configuration.publishers_on(name))
             support = next(others, None)
         while support is not None and not satisfies(self.guarantee(support), needed):
