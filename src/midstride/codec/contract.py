@@ -102,10 +102,7 @@ class QoSForm(Form, frozen=True):
 
     @classmethod
     def of(cls, qos: QoS) -> QoSForm:
-        values: dict[str, Any] = {name: getattr(qos, name) for name in cls.__struct_fields__}
-        for name, value in values.items():
-            values[name] = value if isinstance(value, str) else stated(value)
-        return cls(**values)
+        return cls(**{name: stated(getattr(qos, name)) for name in cls.__struct_fields__})
 
     def qos(self) -> QoS:
         return QoS(**{name: given(finite(getattr(self, name))) for name in self.__struct_fields__})

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, NamedTuple, TypeAlias
 
 import msgspec
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import UNSET, Meta
 
 Document: TypeAlias = dict[str, Any]
 
@@ -89,9 +89,11 @@ def plain(number: float) -> int | float:
     return int(number) if abs(number) < 2**53 and number == int(number) else number
 
 
-def stated(number: float | None) -> float | UnsetType:
-    """The same for a number that may not be stated."""
-    return UNSET if number is None else plain(number)
+def stated(value: Any) -> Any:
+    """What is written for a value that may not be stated, a whole number without its ``.0``."""
+    if value is None:
+        return UNSET
+    return plain(value) if isinstance(value, float) else value
 
 
 def given(value: Any) -> Any:

@@ -39,6 +39,7 @@ from midstride.codec.form import (
     given,
     named,
     plain,
+    stated,
 )
 from midstride.codec.parameter import Value, values_form, values_of
 from midstride.codec.reading import decode
@@ -61,7 +62,7 @@ class TopicForm(PredicateForm, frozen=True):
     def of_connector(cls, connector: Connector) -> TopicForm:
         return cls(
             **predicate_keys(connector.guarantee),
-            max_publishers=UNSET if connector.max_publishers is None else connector.max_publishers,
+            max_publishers=stated(connector.max_publishers),
             topic=UNSET if connector.topic == connector.name else connector.topic,
         )
 

@@ -50,12 +50,6 @@ class Change:
     renamed: tuple[Instance, ...] = ()
     measured: Map[str, float] = field(default_factory=Map)
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing differs."""
-        structural = self.leaving or self.coming or self.detached or self.attached
-        return not (structural or self.parameters or self.pending)
-
     def instances(self) -> list[str]:
         """The instances with structural changes."""
         ports = [port.instance for port, _ in (*self.detached, *self.attached)]

@@ -114,7 +114,8 @@ class ChangeBuilder:
             for instance in running:
                 self._leave(instance)
             return
-        _check_references(self.target, role)
+        if found := node_names(self.target, self.target.nodes[role], ("nodes", role)):
+            raise PlanRefused("; ".join(str(problem) for problem in found))
         wanted = self.target.instance(role)
         kept = next((instance for instance in running if not _differs(instance, wanted)), None)
         if kept is not None:
@@ -233,12 +234,6 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
         and not (name in declared and declared[name].changeable and name in asked and asked[name].changeable)
         for name, value in wanted.parameters.items()
     )
-
-
-def _check_references(target: Specification, role: str) -> None:
-    """Refuse a node with a reference to something that is not declared."""
-    if found := node_names(target, target.nodes[role], ("nodes", role)):
-        raise PlanRefused("; ".join(str(problem) for problem in found))
 
 
 def _check_limits(end: str, configuration: Configuration, connectors: Iterable[str], resources: Iterable[str]) -> None:

@@ -193,12 +193,7 @@ def dependencies(steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...]
 
 def makespan(steps: Sequence[Step], levels: Levels) -> float:
     """The critical path (s): each step begins as soon as all those it waits for are done."""
-    ends: dict[Mark, float] = defaultdict(float)
-    for step, marks in zip(steps, _marks(steps, levels), strict=True):
-        begin = 0.0
-        for thing, claim in marks:
-            for awaited in _WAITS_FOR[claim]:
-                begin = max(begin, ends.get((thing, awaited), 0.0))
-        for mark in marks:
-            ends[mark] = max(ends[mark], begin + step.seconds)
-    return round(max(ends.values(), default=0.0), DIGITS)
+    ends: list[float] = []
+    for step, awaited in zip(steps, dependencies(steps, levels), strict=True):
+        ends.append(max((ends[index] for index in awaited), default=0.0) + step.seconds)
+    return round(max(ends, default=0.0), DIGITS)
