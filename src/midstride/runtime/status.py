@@ -20,12 +20,14 @@ from midstride.runtime.reports import (
     Why,
 )
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.silence import SilenceMonitor
 from midstride.wire.state import ComponentState, FunctionalityState, GateState
 
 
 def status(
     system: RunningSystem,
     client: ComponentClient,
+    monitor: SilenceMonitor,
     *,
     pids: Mapping[str, int | None],
     backend: str,
@@ -34,13 +36,14 @@ def status(
 ) -> Status:
     """The answer to ``midstride status``. ``pids`` has the processes of components that report nothing."""
     configuration = system.configuration
-    found = violations(configuration)
+    found, silences = violations(configuration), monitor.faults(configuration)
     components = [
         _component(configuration, instance, client.responsive(name), pids.get(name))
         for name, instance in sorted(configuration.instances.items())
     ]
     return Status(
-        valid=not found and all(each.reachable and each.as_modelled for each in components),
+        # A component that waits for the clock of a simulation does not do what its modes guarantee.
+        valid=not found and not silences and all(each.as_modelled and each.waiting is None for each in components),
         violations=[str(violation) for violation in found],
         components=components,
         crashed=[
@@ -48,6 +51,7 @@ def status(
             for name, exited in sorted({**system.missing, **system.crashed}.items())
             if name not in configuration.instances
         ],
+        silences=silences,
         topics=_topics(configuration),
         system=system.specification.name,
         backend=backend,
