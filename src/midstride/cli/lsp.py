@@ -57,13 +57,8 @@ def make_server() -> LanguageServer:
         service.roots = [_path(folder.uri) for folder in server.workspace.folders.values()]
 
     @server.feature(types.TEXT_DOCUMENT_DID_OPEN)
-    def did_open(parameters: types.DidOpenTextDocumentParams) -> None:
-        path = _path(parameters.text_document.uri)
-        service.open(path, parameters.text_document.text)
-        publish(path)
-
     @server.feature(types.TEXT_DOCUMENT_DID_CHANGE)
-    def did_change(parameters: types.DidChangeTextDocumentParams) -> None:
+    def did_change(parameters: types.DidOpenTextDocumentParams | types.DidChangeTextDocumentParams) -> None:
         uri = parameters.text_document.uri
         service.open(_path(uri), server.workspace.get_text_document(uri).source)
         publish(_path(uri))

@@ -116,7 +116,7 @@ class Create(Action):
         return (Remove(self.instance.name),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.creation(self.instance.name, self.instance.component.name)
+        return wording.existence(self.kind, self.instance.name, self.instance.component.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class Remove(Action):
         return (Create(instance), *raised)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.removal(self.instance)
+        return wording.existence(self.kind, self.instance)
 
 
 def _port_reasons(configuration: Configuration, port: PortRef, connector: str) -> tuple[Reason, ...]:
@@ -172,6 +172,9 @@ class _AttachmentAction(Action):
 
     def instances(self) -> tuple[str, ...]:
         return (self.port.instance,)
+
+    def describe(self, configuration: Configuration | None = None) -> str:
+        return wording.attachment(self.kind, str(self.port), self.connector)
 
 
 @dataclass(frozen=True, slots=True)
@@ -197,9 +200,6 @@ class Attach(_AttachmentAction):
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Detach(self.port, self.connector),)
-
-    def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.attachment(str(self.port), self.connector)
 
 
 def contract_reasons(configuration: Configuration, port: PortRef, connector: Connector) -> tuple[Reason, ...]:
@@ -233,9 +233,6 @@ class Detach(_AttachmentAction):
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Attach(self.port, self.connector),)
-
-    def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.detachment(str(self.port), self.connector)
 
 
 def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], *others: str) -> tuple[Reason, ...]:

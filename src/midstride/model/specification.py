@@ -49,10 +49,6 @@ class Node:
     attachments: Map[str, tuple[str, ...]] = field(default_factory=Map)
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
 
-    @property
-    def namespace(self) -> str:
-        return self.role.rpartition("/")[0]
-
 
 @dataclass(frozen=True, slots=True)
 class Keep:
@@ -117,10 +113,6 @@ class Specification:
     def instance(self, role: str, name: str | None = None) -> Instance:
         """The instance of ``role`` called ``name`` (the role's own name where None)."""
         return Instance(name or role, role, self.component_of(role), self.nodes[role].parameters)
-
-    def parameters_of(self, role: str) -> Map[str, ParameterValue]:
-        """The parameter values of the role: its own, and its component's for the rest."""
-        return self.instance(role).parameters
 
     def attachments_of(self, role: str, instance: str | None = None) -> list[tuple[PortRef, str]]:
         """The attachments of the role, outputs first, in order of declaration."""

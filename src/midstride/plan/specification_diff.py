@@ -167,7 +167,7 @@ def _node(subject: str, old: Specification, new: Specification, before: Node, af
     elif not was.same_body(will):
         kind = "replaced"
         details.append(f"component {after.component} is declared differently")
-    then, now = old.parameters_of(before.role), new.parameters_of(after.role)
+    then, now = old.instance(before.role).parameters, new.instance(after.role).parameters
     for name in sorted({*then, *now}):
         if name in then and name in now and then[name] == now[name]:
             continue
