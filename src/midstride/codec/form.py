@@ -73,8 +73,6 @@ def field(
 # Python's ``$`` accepts a line break after it.
 END = r"(?!\n)$"
 
-# -- numbers ---------------------------------------------------------------------------------------------------
-
 # msgspec takes infinity for a number unless it is bounded. The schema leaves this bound out.
 LARGEST = sys.float_info.max
 
@@ -111,8 +109,6 @@ def finite(value: Any) -> Any:
     return value
 
 
-# -- names -----------------------------------------------------------------------------------------------------
-
 TOKEN = "[A-Za-z_][A-Za-z0-9_]*"
 
 
@@ -122,6 +118,11 @@ def named(pattern: str = TOKEN) -> dict[str, Any]:
     The schema alone: what may be a name is judged by :mod:`midstride.model.name_checks`, wherever it is written.
     """
     return {"pattern": f"^{pattern}$", "maxLength": 255}
+
+
+def by_name(what: str, description: str, pattern: str = TOKEN) -> Meta:
+    """The field for an object whose keys are the names that its entries are declared by."""
+    return field(what, description, extra_json_schema={"propertyNames": named(pattern)})
 
 
 Name: TypeAlias = Annotated[str, Meta(min_length=1)]

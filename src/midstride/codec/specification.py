@@ -33,6 +33,7 @@ from midstride.codec.form import (
     SecondsOrZero,
     Shape,
     ShapedForm,
+    by_name,
     encode,
     field,
     finite,
@@ -181,23 +182,12 @@ class SpecificationForm(Form, frozen=True):
     ] = {}
     environment: Annotated[
         dict[str, OfferForm],
-        field(
-            "an object of guarantees of the environment",
-            "what is there without any node's doing",
-            extra_json_schema={"propertyNames": named()},
-        ),
+        by_name("an object of guarantees of the environment", "what holds without any node"),
     ] = {}
-    components: Annotated[
-        dict[str, ComponentForm],
-        field("an object of components", "types of nodes", extra_json_schema={"propertyNames": named()}),
-    ] = {}
+    components: Annotated[dict[str, ComponentForm], by_name("an object of components", "types of nodes")] = {}
     nodes: Annotated[
         dict[str, NodeForm],
-        field(
-            "an object of nodes",
-            "the nodes, by name, namespaces in front",
-            extra_json_schema={"propertyNames": named(f"/?{TOKEN}(/{TOKEN})*")},
-        ),
+        by_name("an object of nodes", "the nodes, by name, namespaces in front", f"/?{TOKEN}(/{TOKEN})*"),
     ] = {}
     constraints: Annotated[list[ConstraintForm], field("a list of constraints")] = []
     timing_seconds: TimingForm | UnsetType = UNSET

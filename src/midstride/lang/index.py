@@ -99,8 +99,6 @@ class SymbolIndex:
     def _topic(self, namespace: str, name: syntax.Name, node: str | None) -> Occurrence:
         return Occurrence(Symbol("topic", resolve_topic(namespace, name.text, node)), name.span, namespace=namespace)
 
-    # -- components --------------------------------------------------------------------------------------
-
     def _owner(self, component: str, kind: str, name: str) -> str:
         """The component that declares a part: ``component``, or one that it is like."""
         for declared in ancestry(self.declarations.components, component):
@@ -155,8 +153,6 @@ class SymbolIndex:
             yield from self._contract(assumed)
         elif assumed.base is not None and assumed.is_bare_name:
             yield self._part(own, "port", assumed.base)
-
-    # -- nodes -------------------------------------------------------------------------------------------
 
     def _node(self, entry: NodeEntry) -> Iterator[Occurrence]:
         declared = entry.declaration

@@ -80,8 +80,6 @@ class NodeBuilder:
             found[port] = found.get(port, ()) + topics
         return Map(found)
 
-    # -- parameter files -----------------------------------------------------------------------------------
-
     def _from_files(self, entry: NodeEntry) -> dict[str, ParameterValueAt]:
         """The parameters of a node from files: those for all nodes first, then its component's, then its own."""
         given: dict[str, ParameterValueAt] = {}

@@ -109,8 +109,6 @@ class LanguageService:
             if "system" in text and "include" in text:
                 yield Path(name)
 
-    # -- requests ----------------------------------------------------------------------------------------
-
     def diagnostics(self, path: Path) -> dict[Path, list[Diagnostic]]:
         """The diagnostics of the system that ``path`` belongs to, by file; a file without any has an empty list."""
         analysis = self.analysis(path)

@@ -126,8 +126,6 @@ class Specification:
     def roles(self) -> list[str]:
         return sorted(self.nodes)
 
-    # -- changes that share everything else ------------------------------------------------------------
-
     def with_node(self, node: Node) -> Specification:
         return self._with(nodes=self.nodes.set(node.role, node))
 

@@ -66,9 +66,6 @@ def prove_command(
     return int(not ok)
 
 
-# -- by solvers ------------------------------------------------------------------------------------------------
-
-
 def _proofs(solver: str, timeout: float, verbose: bool) -> tuple[bool, dict[str, Any]]:
     names = NAMES if solver == "both" else tuple(name for name in NAMES if name == solver)
     proofs: list[Proof] = []
@@ -115,9 +112,6 @@ def _show(proof: Proof, verbose: bool) -> None:
             _line(f"          without `{left_out}`: {fails}", "dim")
         elif verbose and weakened.as_expected:
             _line(f"          without `{left_out}`: still holds", "dim")
-
-
-# -- by Alloy --------------------------------------------------------------------------------------------------
 
 
 def _checks(alloy: Alloy, scope: int, jobs: int | None, limit: float) -> tuple[bool, dict[str, Any]]:
