@@ -121,7 +121,11 @@ class ChangeBuilder:
         if kept is not None:
             self._keep(kept, wanted)
         else:
-            self._come(role, running)
+            name = self._fresh(role, bare=not running)
+            self.coming[name] = self.target.instance(role, name)
+            self.attached.extend(self._wanted(role, name))
+            if running:
+                self.replaced[running[0].name] = name
         for instance in running:
             if instance is not kept:
                 self._leave(instance)
@@ -129,13 +133,6 @@ class ChangeBuilder:
     def _leave(self, instance: Instance) -> None:
         self.leaving.append(instance.name)
         self.detached.extend(self.start.attached_ports(instance.name))
-
-    def _come(self, role: str, running: list[Instance]) -> None:
-        name = self._fresh(role, bare=not running)
-        self.coming[name] = self.target.instance(role, name)
-        self.attached.extend(self._wanted(role, name))
-        if running:
-            self.replaced[running[0].name] = name
 
     def _keep(self, instance: Instance, wanted: Instance) -> None:
         current = instance.parameters

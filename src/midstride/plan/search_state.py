@@ -9,6 +9,7 @@ go on, and the planner (:mod:`midstride.plan.minimal`) chooses among them.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -143,11 +144,8 @@ class SearchState:
 
     def _attach_what_fits(self, gate: OrderGate) -> SearchState:
         """Attach what fits beside every other publisher that is, or may have to be, attached to the same topic."""
-        wanted: dict[str, int] = {}
         is_output = self.builder.change.is_output
-        for port, connector in self.attaches:
-            if is_output(port):
-                wanted[connector] = wanted.get(connector, 0) + 1
+        wanted = Counter(connector for port, connector in self.attaches if is_output(port))
         for swap in (swap for swaps in self.swaps.values() for swap in swaps):
             if swap.connector in wanted and not self.can_take_over(swap):
                 wanted[swap.connector] += 1

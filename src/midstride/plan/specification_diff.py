@@ -159,32 +159,24 @@ def _nodes(old: Specification, new: Specification) -> Iterator[Difference]:
 
 def _node(subject: str, old: Specification, new: Specification, before: Node, after: Node) -> Iterator[Difference]:
     details: list[str] = []
-    kind: Kind = "rewired"
     was, will = old.component_of(before.role), new.component_of(after.role)
-    if before.component != after.component and not was.same_body(will):
-        kind = "replaced"
+    replaced = not was.same_body(will)
+    if replaced and before.component != after.component:
         details.append(_became("component", before.component, after.component))
-    elif not was.same_body(will):
-        kind = "replaced"
+    elif replaced:
         details.append(f"component {after.component} is declared differently")
     then, now = old.instance(before.role).parameters, new.instance(after.role).parameters
     for name in sorted({*then, *now}):
         if name in then and name in now and then[name] == now[name]:
             continue
         declared = [component.parameters.get(name) for component in (was, will)]
-        changeable = all(parameter is not None and parameter.changeable for parameter in declared)
-        in_place = kind != "replaced" and changeable
-        details.append(
-            _became(f"parameter {name}", then.get(name), now.get(name)) + (", set in place" if in_place else "")
-        )
-        if not in_place:
-            kind = "replaced"
-        elif kind == "rewired":
-            kind = "set"
+        in_place = not replaced and all(parameter is not None and parameter.changeable for parameter in declared)
+        became = _became(f"parameter {name}", then.get(name), now.get(name))
+        details.append(became + (", set in place" if in_place else ""))
+        replaced = not in_place
     wiring = list(_wiring(before, after))
-    if wiring and kind == "set":
-        kind = "rewired"
     if details or wiring:
+        kind: Kind = "replaced" if replaced else "rewired" if wiring else "set"
         yield Difference(subject, kind, (*details, *wiring))
 
 
