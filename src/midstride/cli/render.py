@@ -208,6 +208,8 @@ def _heading(document: Document) -> str:
 
 def _process(component: Document) -> Text:
     process = str(component["pid"] or "–")
+    if component["ending"]:
+        return Text(f"{process}, ending", style="dim")
     if not component["reachable"]:
         return Text(f"{process}, not responding", style="red")
     return Text(process, style="dim")

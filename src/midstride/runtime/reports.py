@@ -115,6 +115,7 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     component: str
     pid: int | None
     reachable: bool
+    ending: Annotated[bool, Meta(description="it has been asked to end")]
     waiting: Annotated[str | None, Meta(description="what it is waiting for")]
     as_modelled: bool
     functionalities: list[FunctionalityStatus]
