@@ -197,16 +197,14 @@ class SearchState:
 
     def is_contended(self, swaps: Iterable[Swap]) -> bool:
         """Whether another output could use a slot that these swaps hand on, if the slot were given up instead."""
-        return not self.eager and any(self._is_contended(swap) for swap in swaps)
+        return not self.eager and any(self._is_capped(swap.connector) and self._is_awaited(swap) for swap in swaps)
 
-    def _is_contended(self, swap: Swap) -> bool:
-        if not self._is_capped(swap.connector):
-            return False
-        others = [other for swaps in self.swaps.values() for other in swaps if other.connector == swap.connector]
-        if any(other != swap and not self.can_take_over(other) for other in others):
-            return True
+    def _is_awaited(self, swap: Swap) -> bool:
+        others = (other for group in self.swaps.values() for other in group if other.connector == swap.connector)
         is_output = self.builder.change.is_output
-        return any(connector == swap.connector and is_output(port) for port, connector in self.attaches)
+        return any(other != swap and not self.can_take_over(other) for other in others) or any(
+            connector == swap.connector and is_output(port) for port, connector in self.attaches
+        )
 
     def _is_capped(self, connector: str) -> bool:
         return self.builder.configuration.context.connectors[connector].max_publishers is not None
