@@ -31,6 +31,7 @@ class ChangeRequest(Form, frozen=True):
     what: ClassVar[str] = "a request"
 
     replace: Annotated[list[Replacement], field("a list of replacements", "[node, component] pairs")] = []
+    restart: Annotated[list[Name], field("a list of nodes", "nodes to restart: each gets a new instance")] = []
     add: Annotated[list[NewNode], field("a list of new nodes", "nodes to add")] = []
     remove: Annotated[list[Name], field("a list of nodes", "nodes to remove")] = []
     to: SpecificationForm | None = None
@@ -43,6 +44,7 @@ class ChangeRequest(Form, frozen=True):
         """The request as the planners know it; names are not checked. Raises ValueError as the parts do."""
         return PlanRequest(
             replace=tuple(self.replace),
+            restart=tuple(self.restart),
             add=tuple(form.node(form.role) for form in self.add),
             remove=tuple(self.remove),
             to=None if self.to is None else self.to.specification(),
