@@ -55,7 +55,7 @@ def test_what_stays_lower_is_reported() -> None:
     assert len(crashed) == 2
 
 
-QUIET: dict[str, Any] = {"waiting": None}
+QUIET: dict[str, Any] = {"waiting": None, "ending": False}
 
 
 def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
@@ -98,7 +98,7 @@ def test_the_reason_for_a_mode_is_the_error_and_not_the_end_of_its_traceback() -
 
 def test_silence_and_waiting_are_shown() -> None:
     row = {"name": "talker.talk", "mode": "normal", "normal": True, "because": None, "busy": None}
-    component = {"name": "talker", "component": "Talker", "pid": 5, "reachable": True, "functionalities": [row]}
+    component = {"name": "talker", "component": "Talker", "pid": 5, "reachable": True, "functionalities": [row]} | QUIET
     fault = {"kind": "not_receiving", "words": "sink.in receives nothing of what is published on /t", "seconds": 4.5}
     document = {"system": "s", "backend": "sim", "valid": False, "topics": [], "violations": [], "silences": [fault]}
     lines = shown(render.status({**document, "components": [{**component, "waiting": "no /clock"}]}))

@@ -18,7 +18,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from midstride.codec.configuration import decode_configuration, encode_configuration
+from midstride.codec.configuration import ConfigurationForm, decode_configuration
+from midstride.codec.form import encode
 from midstride.codec.reading import parse_json
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import MidstrideError, SpecificationError
@@ -27,8 +28,7 @@ from midstride.lang.diagnostics import Diagnostic
 from midstride.lang.source import Source
 from midstride.model.specification import initial
 from midstride.plan.change_builder import change_between
-from midstride.plan.decoding import decode_plan
-from midstride.plan.forms import encode_plan
+from midstride.plan.forms import decode_plan, encode_plan
 from midstride.plan.registry import planner
 from midstride.plan.request_form import decode_request
 
@@ -291,7 +291,7 @@ DOCUMENTS: dict[str, tuple[list[Any], Callable[[Any], None]]] = {
     "request": (REQUESTS, form_is_handled(decode_request)),
     "plan": ([_plan()], form_is_handled(decode_plan)),
     "configuration": (
-        [encode_configuration(initial(decode_specification(json.loads(text)))) for text in SPECIFICATIONS],
+        [encode(ConfigurationForm.of(initial(decode_specification(json.loads(text))))) for text in SPECIFICATIONS],
         form_is_handled(decode_configuration),
     ),
 }

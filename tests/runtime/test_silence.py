@@ -23,7 +23,7 @@ class Reports:
 
     def __init__(self, b: Bench) -> None:
         self.b = b
-        self.monitor = SilenceMonitor(b.client, b.clock, b.events)
+        self.monitor = SilenceMonitor(b.client, b.clock, b.events, ())
         self.counts = {"talker": 0, "listener": 0}
         self.gate: Any = "open"
         self.changed: dict[str, Any] = {}
@@ -153,6 +153,20 @@ def test_a_component_that_does_not_answer_is_a_fault(tmp_path: Path) -> None:
         assert (await manager.status()).valid
         words = [event.words for event in manager.log() if event.kind in ("silence", "note")]
         assert words == ["listener does not answer", "listener answers again"]
+
+    managed("talker", tmp_path, body)
+
+
+def test_a_component_that_is_being_ended_is_not_missed(tmp_path: Path) -> None:
+    async def body(manager: Manager, _: Simulator) -> None:
+        changing = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
+        shown = set()
+        while not changing.done():
+            status = await manager.status()
+            assert status.silences == []
+            shown |= {(row.name, row.reachable) for row in status.components if row.ending}
+            await asyncio.sleep(0.001)
+        assert ("talker", False) in shown
 
     managed("talker", tmp_path, body)
 

@@ -12,7 +12,7 @@ from itertools import pairwise
 from typing import Final
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode, ParameterValue
-from midstride.model.contract import OneOf, Predicate, QoS, ValueSet, explain, format_number
+from midstride.model.contract import OneOf, Predicate, QoS, explain, format_number
 from midstride.model.diagnostics import Problem
 
 Path = tuple[str, ...]
@@ -47,10 +47,13 @@ def value_problems(value: ParameterValue, path: Path) -> Iterator[Problem]:
 def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
     """A predicate needs meaningful numbers, and constraints on fields that some value meets."""
     yield from number_problems(predicate.rate, "a rate in Hz", (*path, "rate"))
-    yield from _qos_problems(predicate.qos, (*path, "qos"))
+    for name in ("deadline", "lease", "lifespan"):
+        yield from number_problems(getattr(predicate.qos, name), f"a {name}", (*path, "qos", f"{name}_seconds"))
+    yield from number_problems(predicate.qos.depth, "a depth", (*path, "qos", "depth"), most=MAX_DEPTH)
     for field, values in predicate.fields:
         where = (*path, "where", field)
-        numbers = [number for number in _numbers(values) if not math.isinf(number)]
+        stated = values.values if isinstance(values, OneOf) else (values.low, values.high)
+        numbers = [number for number in stated if isinstance(number, (int, float)) and not math.isinf(number)]
         if any(math.isnan(number) for number in numbers):
             yield Problem("E004", where, f"field {field}: not a number")
         elif any(abs(number) > MAX_NUMBER for number in numbers):
@@ -59,18 +62,6 @@ def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
             yield Problem("E004", where, f"field {field}: a number is beyond {most}", help)
         elif values.is_empty:
             yield Problem("E016", where, f"no value of field {field} meets all its constraints ({values})")
-
-
-def _qos_problems(qos: QoS, path: Path) -> Iterator[Problem]:
-    for name in ("deadline", "lease", "lifespan"):
-        yield from number_problems(getattr(qos, name), f"a {name}", (*path, f"{name}_seconds"))
-    yield from number_problems(qos.depth, "a depth", (*path, "depth"), most=MAX_DEPTH)
-
-
-def _numbers(values: ValueSet) -> list[float]:
-    if isinstance(values, OneOf):
-        return [value for value in values.values if isinstance(value, (int, float))]
-    return [values.low, values.high]
 
 
 def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:

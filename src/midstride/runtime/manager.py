@@ -65,8 +65,8 @@ class Manager:
         self._since = 0.0  # when it started (steady s)
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
-        self._monitor = SilenceMonitor(self._client, backend.clock, self.events)
         self._launcher = Launcher(backend, self._client, directory)
+        self._monitor = SilenceMonitor(self._client, backend.clock, self.events, self._launcher.ending)
         self._reconciler = Reconciler(
             self.system,
             self._client,
@@ -206,6 +206,7 @@ class Manager:
             self.system,
             self._client,
             self._monitor,
+            ending=self._launcher.ending,
             pids={name: handle.pid for name, handle in self._launcher.handles.items()},
             backend=self._backend.name,
             running=running,

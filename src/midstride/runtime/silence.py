@@ -7,7 +7,7 @@ during which they began (docs/semantics.md section 7).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -54,6 +54,7 @@ class SilenceMonitor:
     client: ComponentClient
     clock: Clock
     events: EventLog
+    ending: Container[str]  # the instances that have been asked to end, and do not answer any more
     _links: dict[str, dict[PortRef, _Link]] = field(default_factory=dict)  # by topic
     _reported: dict[str, float] = field(default_factory=dict)  # when each instance last did (steady s)
     _known: dict[str, SilenceFault] = field(default_factory=dict)  # the faults of the last check
@@ -106,6 +107,8 @@ class SilenceMonitor:
     def _faults_of(self, instance: str, configuration: Configuration) -> Iterator[SilenceFault]:
         state, latest = self.client.responsive(instance), self.client.latest(instance)
         if state is None:
+            if instance in self.ending:
+                return
             seconds = None if latest is None else round(self.clock.steady() - latest.at, 3)
             words = f"{instance} does not answer"
             yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)
