@@ -17,8 +17,8 @@ from midstride.plan.plan import Plan
 from midstride.plan.step import Step
 from midstride.verify.alloy_atoms import AlloyAtoms
 from midstride.verify.alloy_text import Obligations, StepName, StepObligation, configuration_detail, render, step_detail
-from midstride.verify.formulas import NotEncoded, formula
-from midstride.verify.world_encoder import WorldEncoder
+from midstride.verify.formulas import formula
+from midstride.verify.world_encoder import NotEncoded, WorldEncoder
 
 
 @dataclass(frozen=True, slots=True)

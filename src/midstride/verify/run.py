@@ -81,10 +81,10 @@ class Alloy:
             options = [*(["-XX:TieredStopAtLevel=1"] if quick else []), *([f"-Xmx{memory}m"] if memory else [])]
             output = Path(folder) / "out"
             line = [*self._java(folder, *options), "exec", "-q", "-f", "-t", "json", "-s", solver, "-o", str(output)]
-            ended = run([*line, "-c", commands, str(source)], limit, stop)
+            status, text = run([*line, "-c", commands, str(source)], limit, stop)
             receipt = output / "receipt.json"
-            if ended.code != 0 or not receipt.is_file():
-                raise AlloyFailed(_reason(ended.text))
+            if status != 0 or not receipt.is_file():
+                raise AlloyFailed(_reason(text))
             try:
                 document = json.loads(receipt.read_text(encoding="utf-8"))
                 return {name: _outcome(entry) for name, entry in document["commands"].items()}
@@ -94,7 +94,7 @@ class Alloy:
     def solvers(self) -> list[str]:
         """The solvers available on this machine. Raises AlloyFailed where there is no answer."""
         with tempfile.TemporaryDirectory(prefix="midstride-alloy-") as folder:
-            return run([*self._java(folder), "solvers", "-l"], 60.0).text.split()
+            return run([*self._java(folder), "solvers", "-l"], 60.0)[1].split()
 
     def _java(self, folder: str, *options: str) -> list[str]:
         """The start of a command line of the Analyzer, with ``folder`` for its temporary files."""
@@ -102,16 +102,11 @@ class Alloy:
         return [self.java, f"-Djava.io.tmpdir={folder}", headless, "-XX:+UseSerialGC", *options, "-jar", str(self.jar)]
 
 
-@dataclass(frozen=True, slots=True)
-class AlloyOutput:
-    """The exit status and the output of a process."""
+def run(line: Sequence[str], limit: float, stop: Event | None = None) -> tuple[int, str]:
+    """The exit status and the output of a process, which runs in its own group.
 
-    code: int
-    text: str
-
-
-def run(line: Sequence[str], limit: float, stop: Event | None = None) -> AlloyOutput:
-    """Run a process in its own group. After ``limit`` (s), or on ``stop``, kill the group and raise AlloyFailed."""
+    After ``limit`` (s), or on ``stop``, kills the group and raises AlloyFailed.
+    """
     try:
         process = subprocess.Popen(
             line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
@@ -123,7 +118,7 @@ def run(line: Sequence[str], limit: float, stop: Event | None = None) -> AlloyOu
     finally:
         if process.poll() is None:
             _kill(process)
-    return AlloyOutput(process.returncode, text.decode("utf-8", "replace"))
+    return process.returncode, text.decode("utf-8", "replace")
 
 
 def _output(process: subprocess.Popen[bytes], limit: float, stop: Event | None) -> bytes:
@@ -235,7 +230,7 @@ def _java() -> str:
 @cache
 def _java_version(java: str) -> int | None:
     try:
-        found = re.search(r'version "(?:1\.)?(\d+)', run([java, "-version"], 60.0).text)
+        found = re.search(r'version "(?:1\.)?(\d+)', run([java, "-version"], 60.0)[1])
     except AlloyFailed:
         return None
     return int(found[1]) if found else None

@@ -33,7 +33,7 @@ class Counterexample:
         return self.value(term) == "true"
 
     def every(self, sort: str) -> list[Term]:
-        return self.t.logic.elements(sort)
+        return self.t.elements(sort)
 
     @staticmethod
     def short(element: Term) -> str:
@@ -74,7 +74,7 @@ class Counterexample:
             if not self.true(self.t.is_output(p)):
                 lines.append(f"input {self.port(p)} on {self.short(k)}")
                 continue
-            meets = self.true(self.t.satisfies(self.t.current(s, p), self.t.topic_guarantee(k)))
+            meets = self.true(self.t.meets(s, p, k))
             lines.append(f"output {self.port(p)} on {self.short(k)} ({'meets' if meets else 'does not meet'} it)")
         return lines
 
@@ -135,7 +135,7 @@ class Counterexample:
 
     def __str__(self) -> str:
         before, *later = self.case.states
-        failed = [part.name for part in self.case.conclusion if not self.true(part.formula)]
+        failed = [name for name, formula in self.case.conclusion.items() if not self.true(formula)]
         in_validity = any("satisfied" in name or name.startswith(("only ports", "no ")) for name in failed)
         parts = [f"before: {self.configuration(before)}"]
         if action := self.action():

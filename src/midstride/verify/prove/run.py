@@ -23,7 +23,7 @@ from midstride.verify.prove.facts import FACT_GOALS
 from midstride.verify.prove.goals import ACTION_GOALS, Case, Goal
 from midstride.verify.prove.rules import rules
 from midstride.verify.prove.terms import Term, and_, app, not_
-from midstride.verify.prove.theory import SORTS, Part, Theory
+from midstride.verify.prove.theory import SORTS, Parts, Theory
 from midstride.verify.verdict import Answer
 
 GOALS: Final[tuple[Goal, ...]] = (*ACTION_GOALS, *FACT_GOALS)
@@ -133,43 +133,42 @@ def _combined(answers: Iterable[Answer]) -> Answer:
 
 def weakenings(goal: Goal) -> Iterator[tuple[tuple[str, ...], bool]]:
     """The parts to leave out, and whether the goal must fail without them."""
-    for part in goal.build(Theory()).asked:
-        yield (part.name,), part.name not in goal.spare
+    for name in goal.build(Theory()).asked:
+        yield (name,), name not in goal.spare
     for rule in goal.rules:
         yield (rule,), True
     for names in goal.together:
         yield names, True
 
 
-def premises(t: Theory, case: Case, dropped: tuple[str, ...]) -> list[tuple[str, Term]]:
+def premises(t: Theory, case: Case, dropped: tuple[str, ...]) -> Parts:
     """The premises of a goal, without the dropped ones."""
-    parts = [*rules(t), *case.given, *case.asked]
-    missing = set(dropped) - {part.name for part in parts}
+    parts = rules(t) | case.given | case.asked
+    missing = set(dropped) - parts.keys()
     assert not missing, f"no conjunct is called {missing}"
-    return [(part.name, part.formula) for part in parts if part.name not in dropped]
+    return {name: formula for name, formula in parts.items() if name not in dropped}
 
 
-def script(goal: Goal, part: int, dropped: tuple[str, ...] = ()) -> str:
-    """The unbounded negation of one part of the goal, as SMT-LIB text."""
+def script(goal: Goal, part: str, dropped: tuple[str, ...] = ()) -> str:
+    """The unbounded negation of one part of the goal's conclusion, as SMT-LIB text."""
     t = Theory()
     case = goal.build(t)
-    concluded: Part = case.conclusion[part]
-    return t.logic.script([*premises(t, case, dropped), (f"NOT: {concluded.name}", not_(concluded.formula))])
+    return t.script(premises(t, case, dropped) | {f"NOT: {part}": not_(case.conclusion[part])})
 
 
 def _proved(goal: Goal, name: solvers.Name, seconds: float, dropped: tuple[str, ...] = ()) -> tuple[Answer, str | None]:
-    for number, part in enumerate(goal.build(Theory()).conclusion):
+    for part in goal.build(Theory()).conclusion:
         answer: solvers.Answer = "unknown"
         for strategy in solvers.STRATEGIES[name]:
             session = solvers.open_session(name, seconds, strategy)
-            solvers.send(session, script(goal, number, dropped))
+            solvers.send(session, script(goal, part, dropped))
             answer = solvers.check_sat(session)
             if answer != "unknown":
                 break
         if answer == "sat":
-            return Answer.VIOLATED, f"{name}: does not follow: {part.name}"
+            return Answer.VIOLATED, f"{name}: does not follow: {part}"
         if answer == "unknown":
-            return Answer.UNKNOWN, f"{name} does not decide within {seconds:g} s: {part.name}"
+            return Answer.UNKNOWN, f"{name} does not decide within {seconds:g} s: {part}"
     return Answer.HOLDS, None
 
 
@@ -192,9 +191,9 @@ def _model(goal: Goal, name: solvers.Name, dropped: tuple[str, ...], seconds: fl
     for sizes in SIZES:
         t = Theory(sizes)
         case = goal.build(t)
-        query = not_(and_(*(part.formula for part in case.conclusion))) if violated else case.occurs
+        query = not_(and_(*case.conclusion.values())) if violated else case.occurs
         session = solvers.open_session(name, seconds)
-        solvers.send(session, t.logic.script([*premises(t, case, dropped), ("query", query)]))
+        solvers.send(session, t.script(premises(t, case, dropped) | {"query": query}))
         if solvers.check_sat(session) != "sat":
             continue
         if violated:
@@ -223,7 +222,7 @@ def _atoms(t: Theory) -> list[Term]:
     """Every relation applied to every combination of elements."""
     return [
         app(name, *chosen)
-        for name, (arguments, result) in t.logic.declared.items()
+        for name, (arguments, result) in t.declared.items()
         if result == "Bool"
-        for chosen in product(*map(t.logic.elements, arguments))
+        for chosen in product(*map(t.elements, arguments))
     ]
