@@ -9,6 +9,7 @@ import signal
 import sys
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -103,23 +104,14 @@ def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], ob
     calling = asyncio.get_running_loop()
     done: asyncio.Future[T] = calling.create_future()
 
-    def settle(result: T | None, error: BaseException | None) -> None:
-        if done.cancelled():
-            return
-        if error is None:
-            done.set_result(result)  # type: ignore[arg-type]
-        else:
-            done.set_exception(error)
-
     def work() -> None:
-        result: T | None = None
-        raised: BaseException | None = None
         try:
-            result = function()
+            settle = partial(done.set_result, function())
         except BaseException as error:
             raised = RuntimeError(str(error)) if isinstance(error, StopIteration) else error
+            settle = partial(done.set_exception, raised)
         with suppress(RuntimeError):  # the loop is closed: the process is ending
-            calling.call_soon_threadsafe(settle, result, raised)
+            calling.call_soon_threadsafe(lambda: done.cancelled() or settle())
 
     post(work)
     return done

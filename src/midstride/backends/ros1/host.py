@@ -196,11 +196,7 @@ class Ros1Host:
     async def _close(self) -> None:
         self._states.destroy()
         await asyncio.gather(self._publishers.end(_PORTS_END), self._subscribers.end(_PORTS_END))
-        await self._take_down_parameters()
-
-    async def _take_down_parameters(self) -> None:
-        """They are this instance's; the next one of its name must not find them."""
-        with contextlib.suppress(BackendError):
+        with contextlib.suppress(BackendError):  # they are this instance's: the next one of its name must not find them
             for name in self.parameters.values:
                 await self._master.call("deleteParam", self._node, f"{self._node}/{name}", timeout=0.5)
 

@@ -136,7 +136,8 @@ class Registrar(Generic[T]):
         node, uri = self._identity
         others = await self._master.call(f"register{self._kind}", node, topic.resolved_name, topic.type, uri)
         if self._kind == "Subscriber":
-            _connect(topic.resolved_name, others)
+            for manager in managers():  # connects to those to which it is not connected yet
+                manager.publisher_update(topic.resolved_name, others)
         return len(set(others))
 
     async def _leave(self, topic: T) -> None:
@@ -150,9 +151,3 @@ class Registrar(Generic[T]):
 def managers() -> list[Any]:
     """rospy's managers of connections to publishers (one, once a node has started)."""
     return [found for found in get_registration_listeners().listeners if isinstance(found, RegManager)]
-
-
-def _connect(topic: str, publishers: list[str]) -> None:
-    """Have rospy connect to the publishers of a topic to which it is not connected yet."""
-    for manager in managers():
-        manager.publisher_update(topic, publishers)

@@ -1,4 +1,4 @@
-"""The endpoints of ports: a publisher or a subscription of rclpy, and what the middleware reports about it."""
+"""The endpoints of ports: publishers and subscriptions of rclpy, their QoS, and what the middleware reports."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any, Final
 
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription as RclpySubscription
 
 from midstride.model.contract import QoS
@@ -19,6 +20,27 @@ HAS_INFO: Final = hasattr(RclpySubscription, "CallbackType")
 _UNKNOWN: Final = MessageInfo(None, None, None)
 _UNSUPPORTED: Final = 2**64 - 1  # a middleware's word for "I do not count"
 _POLL: Final = 0.002
+
+
+def profile_of(qos: QoS) -> Any:
+    """The profile of a real endpoint: what is not stated is ROS 2's default (semantics.md section 1)."""
+    stated = qos.effective()
+    result = QoSProfile(
+        history=HistoryPolicy.KEEP_ALL if stated.history == "keep_all" else HistoryPolicy.KEEP_LAST,
+        depth=stated.depth,
+        reliability=ReliabilityPolicy.RELIABLE if stated.is_reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if stated.is_transient_local else DurabilityPolicy.VOLATILE,
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC
+        if stated.liveliness == "manual_by_topic"
+        else LivelinessPolicy.AUTOMATIC,
+    )
+    if stated.deadline is not None:
+        result.deadline = Duration(nanoseconds=round(stated.deadline * 1e9))
+    if stated.lease is not None:
+        result.liveliness_lease_duration = Duration(nanoseconds=round(stated.lease * 1e9))
+    if stated.lifespan is not None:
+        result.lifespan = Duration(nanoseconds=round(stated.lifespan * 1e9))
+    return result
 
 
 class RosPublisher:

@@ -20,7 +20,7 @@ from rclpy.logging import get_logger
 from rclpy.task import Future
 
 from midstride.backends.common import control_transport, ending_on_signals, on_thread, with_short_pauses
-from midstride.backends.ros2 import endpoints, names, node_parameters, qos
+from midstride.backends.ros2 import endpoints, names, node_parameters
 from midstride.backends.ros2.nodes import ComponentNodes
 from midstride.backends.ros2.parameter_services import parameters_of
 from midstride.backends.ros2.timers import Ros2GridTimer
@@ -94,16 +94,16 @@ class Ros2Host:
         timer = self._node.create_timer(max(0.0, seconds), over, callback_group=self._group)
         return future  # type: ignore[no-any-return]
 
-    def create_publisher(self, topic: str, type_: type, qos_: QoS) -> endpoints.RosPublisher:
-        publisher = self._node.create_publisher(type_, topic, qos.profile(qos_), callback_group=self._group)
+    def create_publisher(self, topic: str, type_: type, qos: QoS) -> endpoints.RosPublisher:
+        publisher = self._node.create_publisher(type_, topic, endpoints.profile_of(qos), callback_group=self._group)
         self._ports.add(id(publisher))
-        return endpoints.RosPublisher(publisher, qos_, self._destroy(self._node.destroy_publisher))
+        return endpoints.RosPublisher(publisher, qos, self._destroy(self._node.destroy_publisher))
 
     def create_subscription(
-        self, topic: str, type_: type, qos_: QoS, callback: Callable[[Any, Any], None]
+        self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
     ) -> endpoints.RosSubscription:
         subscription = self._node.create_subscription(
-            type_, topic, endpoints.for_rclpy(callback), qos.profile(qos_), callback_group=self._group
+            type_, topic, endpoints.for_rclpy(callback), endpoints.profile_of(qos), callback_group=self._group
         )
         self._ports.add(id(subscription))
         return endpoints.RosSubscription(

@@ -52,7 +52,8 @@ class SimulatedWriter:
         return True
 
     def destroy(self) -> None:
-        self._network.remove_writer(self)
+        with suppress(ValueError):  # it went with its process
+            self._network.topic(self.topic).writers.remove(self)
 
 
 class SimulatedReader:
@@ -80,7 +81,8 @@ class SimulatedReader:
 
     def destroy(self) -> None:
         self.gone = True
-        self._network.remove_reader(self)
+        with suppress(ValueError):
+            self._network.topic(self.topic).readers.remove(self)
 
 
 def _depth(qos: QoS) -> int | None:
@@ -133,14 +135,6 @@ class Network:
         for writer in self.topic(topic).writers:
             self._latch(writer, reader)
         return reader
-
-    def remove_writer(self, writer: SimulatedWriter) -> None:
-        with suppress(ValueError):  # it went with its process
-            self.topic(writer.topic).writers.remove(writer)
-
-    def remove_reader(self, reader: SimulatedReader) -> None:
-        with suppress(ValueError):
-            self.topic(reader.topic).readers.remove(reader)
 
     def remove_process(self, owner: SimulatedProcess) -> None:
         """Remove the endpoints of a process that has ended."""
@@ -197,7 +191,7 @@ class Network:
         self.clock.loop.call_later(at - self.clock.steady(), self._arrive, writer, reader)
 
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        left = reader.owner.frozen_until() - self.clock.steady()
+        left = reader.owner.thawed_at - self.clock.steady()
         if left > 0 and not reader.gone:
             self.clock.loop.call_later(left, self._arrive, writer, reader)  # a frozen process acknowledges nothing
             return
