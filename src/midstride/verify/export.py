@@ -6,7 +6,6 @@ scope. It includes the specification, so that Alloy can open it without other fi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -149,21 +148,16 @@ class _PlanWalk:
             else:
                 if isinstance(action, SetParameters):  # the specification has no parameters
                     self.unencodable += [Unencodable(number, str(reason)) for reason in action.check(configuration)]
-                self.unencodable += [Unencodable(number, reason) for reason in _wrong_modes(configuration, step)]
+                for change in step.modes:
+                    ref = change.functionality
+                    if ref in configuration.modes and (now := configuration.mode(ref).name) != change.before:
+                        because = f"it assumes that {ref} is in mode {change.before}, but it is in mode {now}"
+                        self.unencodable.append(Unencodable(number, because))
                 # If it cannot be applied, its precondition fails, and Alloy reports that.
                 with suppress(KeyError):
                     configuration = action.effect(configuration)
             taken.append(configuration)
         self.configurations = tuple(taken)
-
-
-def _wrong_modes(configuration: Configuration, step: Step) -> Iterator[str]:
-    """Functionalities that a step takes to be in another mode than they are."""
-    for change in step.modes:
-        if change.functionality not in configuration.modes:
-            continue
-        if (now := configuration.mode(change.functionality).name) != change.before:
-            yield f"it assumes that {change.functionality} is in mode {change.before}, but it is in mode {now}"
 
 
 def _encodable(configuration: Configuration) -> tuple[Configuration, tuple[Unencodable, ...]]:

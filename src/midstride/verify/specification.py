@@ -160,11 +160,9 @@ def _mismatch(command: AlloyCommand, outcome: SolverOutcome) -> str:
         missing = "a counterexample" if command.kind == "check" else "an instance"
         return f"{command} should have {missing} at scope {command.scope}, but has none"
     name = f"${command.name}_"
-    bound = {skolem.removeprefix(name): tuples for skolem, tuples in outcome.skolems.items()}
-    values = ", ".join(f"{variable} = {_tuples(tuples)}" for variable, tuples in bound.items())
+    bound = []
+    for skolem, tuples in outcome.skolems.items():
+        values = " + ".join(" -> ".join(atom.rpartition("/")[2] for atom in entry) for entry in tuples)
+        bound.append(f"{skolem.removeprefix(name)} = {values or 'none'}")
     kind = "counterexample" if command.kind == "check" else "instance"
-    return f"{command} should have no {kind}, but has one" + (f": {values}" if values else "")
-
-
-def _tuples(tuples: Sequence[Sequence[str]]) -> str:
-    return " + ".join(" -> ".join(atom.rpartition("/")[2] for atom in entry) for entry in tuples) or "none"
+    return f"{command} should have no {kind}, but has one" + (f": {', '.join(bound)}" if bound else "")

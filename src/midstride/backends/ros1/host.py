@@ -59,7 +59,9 @@ class Ros1Host:
         if launching.is_local(uri) and not os.environ.get("ROS_HOSTNAME"):
             os.environ.setdefault("ROS_IP", launching.LOOPBACK)
         self._arguments = given
-        self._node_name = _renamed(given, node_name)
+        # A launch file may give another name to a component that no manager started.
+        renamed = (argument.partition(":=")[2] for argument in given if argument.startswith("__name:="))
+        self._node_name = next(renamed, node_name)
         self._node = names.full(self._node_name, inside)
         self.instance = self._node.lstrip("/")
         transport, self.reachable = common.control_transport(os.environ, sys.argv[1:])
@@ -222,8 +224,3 @@ class Ros1Host:
                 with manager.cond:
                     manager.cond.notify_all()
             leaving.join(0.01)
-
-
-def _renamed(given: list[str], name: str) -> str:
-    """The node's name: a launch file may give another one to a component that no manager started."""
-    return next((argument.partition(":=")[2] for argument in given if argument.startswith("__name:=")), name)

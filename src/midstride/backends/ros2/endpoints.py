@@ -120,14 +120,10 @@ def read_info(info: Any) -> MessageInfo:
     """What rclpy's dictionary says; what it does not say is None, never 0."""
     if not info:
         return _UNKNOWN
-    number = info.get("publication_sequence_number")
+    number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
+    data = gid.get("data") if isinstance(gid, dict) else gid
     return MessageInfo(
         source=info.get("source_timestamp") or None,
         number=None if number is None or number == _UNSUPPORTED else int(number),
-        publisher=_identity(info.get("publisher_gid")),
+        publisher=bytes(data).hex() if data else None,
     )
-
-
-def _identity(gid: Any) -> str | None:
-    data = gid.get("data") if isinstance(gid, dict) else gid
-    return bytes(data).hex() if data else None

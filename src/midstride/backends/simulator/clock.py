@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from functools import partial
 from typing import Final
 
 # What the ROS clock reads at 0 of the steady one (ns): any time but 0, which would mean "no clock yet".
@@ -83,10 +84,8 @@ class SimulatedTimer:
     def _arm(self) -> None:
         if self._handle is not None:
             self._handle.cancel()
-        self._handle = self._clock.loop.call_at(self._clock.loop_time(self._due), self._fire, self._due)
-
-    def _fire(self, slot: int) -> None:
-        self._enqueue(lambda: self._call(slot))
+        call = partial(self._call, self._due)
+        self._handle = self._clock.loop.call_at(self._clock.loop_time(self._due), self._enqueue, call)
 
     def _call(self, slot: int) -> None:
         if self._cancelled or slot != self._due:  # cancelled, or put on another grid, while it waited its turn

@@ -132,8 +132,11 @@ class Network:
     ) -> SimulatedReader:
         reader = SimulatedReader(self, owner, topic, type_, qos, wake)
         self.topic(topic).readers.append(reader)
+        # A late joiner gets what transient-local writers have kept, once they are matched.
         for writer in self.topic(topic).writers:
-            self._latch(writer, reader)
+            if writer.qos.is_transient_local and reader.qos.is_transient_local and _compatible(writer, reader):
+                for message, info in writer.history:
+                    self._send(writer, reader, message, info, self.discovery)
         return reader
 
     def remove_process(self, owner: SimulatedProcess) -> None:
@@ -170,12 +173,6 @@ class Network:
             return
         for reader in self.readers_of(writer):
             self._send(writer, reader, message, info)
-
-    def _latch(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        """A late joiner gets what a transient-local writer has kept, once they are matched."""
-        if writer.qos.is_transient_local and reader.qos.is_transient_local and _compatible(writer, reader):
-            for message, info in writer.history:
-                self._send(writer, reader, message, info, self.discovery)
 
     def _send(
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0

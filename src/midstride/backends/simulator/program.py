@@ -47,7 +47,8 @@ class SimulatedProgram:
 
     def __init__(self, launch: Launch, log: ProcessOutput) -> None:
         command = " ".join(launch.arguments)
-        if not launch.arguments or not _is_python(launch.arguments[0]):
+        program = launch.arguments[0] if launch.arguments else ""
+        if program != sys.executable and not _PYTHON.match(Path(program).name):
             raise StartFailed(
                 f"{launch.instance}: the simulator runs `python3 FILE.py` and `python3 -m MODULE`, not `{command}`"
             )
@@ -149,7 +150,3 @@ class SimulatedProgram:
             file = getattr(sys.modules[name], "__file__", None)
             if isinstance(file, str) and file.startswith(folder):
                 self._modules[name] = sys.modules.pop(name)
-
-
-def _is_python(program: str) -> bool:
-    return program == sys.executable or bool(_PYTHON.match(Path(program).name))

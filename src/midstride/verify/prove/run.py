@@ -113,22 +113,18 @@ def prove_goal(goal: Goal, names: Sequence[solvers.Name] = solvers.NAMES, second
     if not installed:
         return Proof(goal, Answer.UNKNOWN, took, "; ".join(because))
     first = installed[0]
-    total = _combined(answers)
+    total = answers[0] if len(set(answers)) == 1 else Answer.UNKNOWN  # also where the solvers differ
     if total is not Answer.HOLDS:
         model = _model(goal, first, (), seconds, violated=True)
         if model is not None and Answer.HOLDS in answers:
             total, because = Answer.UNKNOWN, [*because, "the solvers disagree"]
         elif model is not None:
             total, because = Answer.VIOLATED, [model]
-    possible = Answer.HOLDS if all(_possible(goal, name, seconds) for name in installed) else Answer.UNKNOWN
+    # Whether the premises can all be true in a non-trivial case.
+    occurs = all(_model(goal, name, (), seconds, violated=False) is not None for name in installed)
+    possible = Answer.HOLDS if occurs else Answer.UNKNOWN
     weakened = tuple(_weakened(goal, dropped, needed, first, seconds) for dropped, needed in weakenings(goal))
     return Proof(goal, total, took, "; ".join(because) or None, possible, weakened)
-
-
-def _combined(answers: Iterable[Answer]) -> Answer:
-    """HOLDS only if every solver agrees; UNKNOWN if they differ."""
-    distinct = set(answers)
-    return distinct.pop() if len(distinct) == 1 else Answer.UNKNOWN
 
 
 def weakenings(goal: Goal) -> Iterator[tuple[tuple[str, ...], bool]]:
@@ -179,11 +175,6 @@ def _weakened(goal: Goal, dropped: tuple[str, ...], needed: bool, name: solvers.
             return Weakened(dropped, needed, answer)
     text = _model(goal, name, dropped, seconds, violated=True)
     return Weakened(dropped, needed, Answer.UNKNOWN if text is None else Answer.VIOLATED, text)
-
-
-def _possible(goal: Goal, name: solvers.Name, seconds: float) -> bool:
-    """Whether the premises can all be true in a non-trivial case."""
-    return _model(goal, name, (), seconds, violated=False) is not None
 
 
 def _model(goal: Goal, name: solvers.Name, dropped: tuple[str, ...], seconds: float, *, violated: bool) -> str | None:
