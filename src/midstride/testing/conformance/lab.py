@@ -6,7 +6,7 @@ import base64
 import contextlib
 import json
 import sys
-from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from functools import wraps
 from pathlib import Path
 from types import TracebackType
@@ -275,6 +275,12 @@ def check(body: Callable[[Lab], Coroutine[Any, Any, None]]) -> Check:
 
     CHECKS.append(opened)
     return opened
+
+
+def assert_unbroken(words: Iterable[str]) -> None:
+    """A puppet numbers its calls: no message is missing, doubled or out of order, whatever the middleware reports."""
+    numbers = [int(word.rsplit(" ", 1)[1]) for word in words]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), numbers
 
 
 def settled(state: dict[str, Any]) -> dict[str, Any]:
