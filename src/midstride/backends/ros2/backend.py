@@ -42,8 +42,6 @@ log = logging.getLogger(__name__)
 
 
 class Ros2Backend(ProcessBackend):
-    """To be opened, used and closed on one event loop."""
-
     name = "ros2"
 
     def __init__(self, control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:
@@ -80,7 +78,7 @@ class Ros2Backend(ProcessBackend):
             self._node.get_logger().warning(words)
 
     async def close(self) -> None:
-        self._children.close()
+        self._stop_watching()
         if self._context is not None:
             context, self._context = self._context, None
             await self._leave(context)
@@ -111,7 +109,7 @@ class Ros2Backend(ProcessBackend):
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         if (
-            launch.instance in self._children
+            launch.instance in self._processes
             or await processes.listens(self.transport, launch.instance)
             or graph.has(full_name)
         ):

@@ -21,10 +21,7 @@ _BOOTSTRAPPED: Final = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 def environment(
     launch: Launch, control: Path, program: str, settings: DdsSettings, base: Mapping[str, str]
 ) -> dict[str, str]:
-    """The environment of a component's process: the manager's, without what would break another interpreter.
-
-    ``control`` is the folder of the control sockets.
-    """
+    """The environment of a component's process: the manager's, without what would break another interpreter."""
     result, variables = dict(base), settings.variables
     if program != sys.executable:
         if result.pop(_BOOTSTRAPPED, None) is not None:

@@ -139,10 +139,7 @@ class SimulatedProgram:
             sys.stdout, sys.stderr, sys.argv = before
 
     def _keep_own_modules(self, known: int) -> None:
-        """Keep modules from its own folder apart: another component's `helper` is another module.
-
-        ``known`` modules were there before.
-        """
+        """Keep modules from its own folder apart, beyond the first ``known``: another's `helper` is another module."""
         if len(sys.modules) <= known or self._module is not None:
             return
         folder = self._directory.rstrip("/") + "/"

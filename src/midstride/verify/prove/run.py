@@ -21,7 +21,6 @@ from midstride.verify.prove import solvers
 from midstride.verify.prove.counterexample import Counterexample
 from midstride.verify.prove.facts import FACT_GOALS
 from midstride.verify.prove.goals import ACTION_GOALS, Case, Goal
-from midstride.verify.prove.rules import rules
 from midstride.verify.prove.terms import Term, and_, app, not_
 from midstride.verify.prove.theory import SORTS, Parts, Theory
 from midstride.verify.verdict import Answer
@@ -139,7 +138,7 @@ def weakenings(goal: Goal) -> Iterator[tuple[tuple[str, ...], bool]]:
 
 def premises(t: Theory, case: Case, dropped: tuple[str, ...]) -> Parts:
     """The premises of a goal, without the dropped ones."""
-    parts = rules(t) | case.given | case.asked
+    parts = t.rules() | case.given | case.asked
     missing = set(dropped) - parts.keys()
     assert not missing, f"no conjunct is called {missing}"
     return {name: formula for name, formula in parts.items() if name not in dropped}

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TypeAlias
 
-from midstride.verify.prove.terms import TRUE, Logic, Term, and_, app, equal, if_, implies, or_
+from midstride.verify.prove.terms import TRUE, Logic, Term, and_, app, equal, if_, implies, not_, or_
 
 COMPONENT, FUNCTIONALITY, MODE, PORT = "Component", "Functionality", "Mode", "Port"
 TOPIC, PREDICATE, ASSUMPTION, OFFER, RESOURCE = "Topic", "Predicate", "Assumption", "Offer", "Resource"
@@ -39,7 +39,7 @@ class State:
 
 
 class Theory(Logic):
-    """The declarations, as SMT-LIB functions, and satisfaction in a state. The rules are in :mod:`.rules`."""
+    """The declarations, as SMT-LIB functions; the rules; and satisfaction in a state."""
 
     def __init__(self, sizes: Mapping[str, int] | None = None) -> None:
         super().__init__(SORTS, sizes)
@@ -83,6 +83,60 @@ class Theory(Logic):
         else:
             self._offers_on = declare("number_of_offers", (TOPIC,), "Int")
             self.facts.append(self.all((TOPIC,), lambda k: app(">=", self._offers_on(k), "0")))
+
+    def rules(self) -> Parts:
+        """The rules that every well-formed system obeys (docs/semantics.md, sections 1 and 2), by name."""
+        sat, nothing, better, whose = self.satisfies, self.nothing, self.better, self.whose
+        satisfaction = and_(
+            self.all((PREDICATE,), lambda q: not_(sat(nothing, q))),
+            self.all((PREDICATE,), lambda q: or_(equal(q, nothing), sat(q, q))),
+            self.all((PREDICATE,) * 3, lambda p, q, r: implies(and_(sat(p, q), sat(q, r)), sat(p, r))),
+        )
+        declared = and_(
+            self.all((PORT,), lambda p: implies(self.is_output(p), equal(self.host(self.owner(p)), self.component(p)))),
+            self.all(
+                (FUNCTIONALITY, PORT),
+                lambda f, p: implies(
+                    self.uses(f, p), and_(not_(self.is_output(p)), equal(self.component(p), self.host(f)))
+                ),
+            ),
+            self.all((OFFER, TOPIC), lambda e, k: implies(self.is_free(e), not_(self.offered_on(e, k)))),
+            self.all((COMPONENT, RESOURCE), lambda c, r: app(">=", self.holds(c, r), "0.0")),
+        )
+        named = self.all(
+            (MODE, ASSUMPTION, PORT),
+            lambda m, a, p: implies(
+                and_(self.assumes(m, a), self.is_named(a), self.names(a, p)), self.uses(whose(m), p)
+            ),
+        )
+        chains = and_(
+            self.all((MODE,), lambda m: not_(better(m, m))),
+            self.all((MODE,) * 3, lambda m, n, o: implies(and_(better(m, n), better(n, o)), better(m, o))),
+            self.all((MODE, MODE), lambda m, n: implies(better(m, n), equal(whose(m), whose(n)))),
+            self.all(
+                (MODE, MODE),
+                lambda m, n: implies(equal(whose(m), whose(n)), or_(equal(m, n), better(m, n), better(n, m))),
+            ),
+            self.all((FUNCTIONALITY,), lambda f: and_(equal(whose(self.normal(f)), f), equal(whose(self.last(f)), f))),
+            self.all((MODE,), lambda m: not_(better(m, self.normal(whose(m))))),
+            self.all((MODE,), lambda m: not_(better(self.last(whose(m)), m))),
+        )
+        m1 = self.all((FUNCTIONALITY, ASSUMPTION), lambda f, a: not_(self.assumes(self.last(f), a)))
+        m2 = self.all(
+            (MODE, MODE, PORT, PREDICATE),
+            lambda m, n, p, q: implies(
+                and_(self.is_output(p), equal(self.owner(p), whose(m)), better(m, n), sat(self.guarantee(n, p), q)),
+                sat(self.guarantee(m, p), q),
+            ),
+        )
+        return {
+            "satisfaction is a preorder, and `nothing` satisfies nothing": satisfaction,
+            "ports, functionalities and offers are well-formed": declared,
+            "an assumption names associated inputs": named,
+            "modes form chains": chains,
+            "M1": m1,
+            "M2": m2,
+        }
 
     # -- states --------------------------------------------------------------------------------------
 
