@@ -7,6 +7,8 @@ import gc
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -24,6 +26,7 @@ T = TypeVar("T")
 SYSTEM_FLAG: Final = "--system"
 # How long the control thread may keep the data thread from running, while both are busy (s).
 SWITCH_INTERVAL: Final = 0.0005
+_POLL: Final = 0.002
 
 
 def control_transport(environment: Mapping[str, str], arguments: Sequence[str]) -> tuple[SocketFolder | None, str]:
@@ -115,6 +118,21 @@ def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], ob
 
     post(work)
     return done
+
+
+def on_new_thread(function: Callable[[], T]) -> Awaitable[T]:
+    """The result of ``function``, called in a thread that the end of the process does not wait for."""
+    return on_thread(function, lambda work: threading.Thread(target=work, daemon=True).start())
+
+
+async def comes_true(condition: Callable[[], bool], timeout: float) -> bool:
+    """Whether ``condition`` is true within ``timeout`` seconds; it is evaluated again and again."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        await asyncio.sleep(_POLL)
+    return True
 
 
 def with_short_pauses() -> None:

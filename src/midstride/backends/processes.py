@@ -132,8 +132,6 @@ class ProcessBackend(abc.ABC):
             self._forget(instance, process)
         await self._died(instance)
 
-    # -- watching processes --------------------------------------------------------------------------
-
     def _watch(self, instance: str, process: Process) -> None:
         self._processes[instance] = process
         if self._guardian is not None:

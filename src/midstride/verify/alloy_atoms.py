@@ -173,8 +173,6 @@ class AlloyAtoms:
         exactly = ", ".join(f"exactly {len(atoms)} {sig}" for sig, atoms in self.sigs.items())
         return f"for 1 but {exactly}, {self.bitwidth} Int"
 
-    # -- text -----------------------------------------------------------------------------------------
-
     def text(self) -> str:
         """The signatures and relations. Raises TooLarge if they exceed what Alloy can handle."""
         if self.size + 2**self.bitwidth > MAX_ATOMS:

@@ -15,6 +15,7 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
@@ -135,13 +136,9 @@ def _output(process: subprocess.Popen[bytes], limit: float, stop: Event | None) 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
     for number in (signal.SIGTERM, signal.SIGKILL):
-        try:
+        with suppress(ProcessLookupError, subprocess.TimeoutExpired):
             os.killpg(process.pid, number)
             process.wait(_STOP_TIMEOUT)
-            break
-        except subprocess.TimeoutExpired:
-            continue
-        except ProcessLookupError:
             break
     if process.stdout is not None:
         process.stdout.close()
@@ -166,9 +163,6 @@ def _reason(text: str) -> str:
         return "Alloy ran out of memory"
     lines = [line for line in text.splitlines() if line.strip() and not _NOISE.match(line)]
     return " ".join(dict.fromkeys(line.strip() for line in lines)) or "Alloy ended without an answer"
-
-
-# -- finding it --------------------------------------------------------------------------------------------
 
 
 def find(named: Path | None = None) -> Alloy:

@@ -37,8 +37,6 @@ class Ros1Backend(processes.ProcessBackend):
         self._tidying: set[asyncio.Task[None]] = set()
         self._dead: set[str] = set()  # nodes whose process has ended, and that the master may still list
 
-    # -- joining and leaving -------------------------------------------------------------------------
-
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         uri = launching.master_uri(os.environ)
         environment = launching.environment(os.environ, uri)
@@ -65,8 +63,6 @@ class Ros1Backend(processes.ProcessBackend):
         if not any_left:
             with contextlib.suppress(BackendError):  # a master that does not answer is left alone
                 await master_process.release(self._master, self._guardian)
-
-    # -- components ----------------------------------------------------------------------------------
 
     async def start(self, launch: Launch) -> Handle:
         master = self._opened()
@@ -128,8 +124,6 @@ class Ros1Backend(processes.ProcessBackend):
             async with within(_TIDY):
                 await self._opened().forget(node)
                 self._dead.discard(node)
-
-    # -- the graph -----------------------------------------------------------------------------------
 
     async def endpoints(self) -> Endpoints:
         state = await self._opened().state()

@@ -158,9 +158,7 @@ class Ros1Host:
         task = asyncio.ensure_future(main())  # it answers its manager, and waits for the data thread
         opened = False
         with common.ending_on_signals(task) as signals:
-            joining = asyncio.ensure_future(
-                common.on_thread(self._join, lambda join: threading.Thread(target=join, daemon=True).start())
-            )
+            joining = asyncio.ensure_future(common.on_new_thread(self._join))
             try:
                 await asyncio.wait({task, joining}, return_when=asyncio.FIRST_COMPLETED)
                 if joining.done() and not signals:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import time
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -12,6 +10,7 @@ from rclpy.exceptions import InvalidHandle
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription as RclpySubscription
 
+from midstride.backends.common import comes_true
 from midstride.model.contract import QoS
 from midstride.node.host import MessageInfo
 
@@ -19,7 +18,6 @@ from midstride.node.host import MessageInfo
 HAS_INFO: Final = hasattr(RclpySubscription, "CallbackType")
 _UNKNOWN: Final = MessageInfo(None, None, None)
 _UNSUPPORTED: Final = 2**64 - 1  # a middleware's word for "I do not count"
-_POLL: Final = 0.002
 
 
 def profile_of(qos: QoS) -> Any:
@@ -68,17 +66,11 @@ class RosPublisher:
         """
         if not self._reliable:
             return None
-        deadline = time.monotonic() + timeout
         at_once = Duration(nanoseconds=0)
-        while True:
-            try:
-                if self._publisher.wait_for_all_acked(at_once):
-                    return True
-            except InvalidHandle:
-                return None
-            if time.monotonic() > deadline:
-                return None
-            await asyncio.sleep(_POLL)
+        try:
+            return await comes_true(lambda: self._publisher.wait_for_all_acked(at_once), timeout) or None
+        except InvalidHandle:
+            return None
 
     def destroy(self) -> None:
         self._destroy(self._publisher)

@@ -65,8 +65,6 @@ class Simulator:
         self._active = False
         self._pids = FIRST_PID
 
-    # -- running -----------------------------------------------------------------------------------
-
     def run(self, main: Coroutine[Any, Any, T]) -> T:
         """Run ``main`` in virtual time to its end, then shut down: no thread, import hook or patch remains."""
 
@@ -93,8 +91,6 @@ class Simulator:
             self._patches.enter_context(messages.served())
             self._patches.enter_context(simulated_sleep())
             self._active = True
-
-    # -- the back-end protocol ---------------------------------------------------------------------
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._activate()
@@ -157,8 +153,6 @@ class Simulator:
     def _report(self, exited: Exited) -> None:
         if self._on_exit is not None:
             self._on_exit(exited)
-
-    # -- observing ---------------------------------------------------------------------------------
 
     def log(self, instance: str) -> str:
         """What a running component has written to its output."""

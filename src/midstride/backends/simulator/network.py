@@ -120,8 +120,6 @@ class Network:
     def topic(self, name: str) -> SimulatedTopic:
         return self.topics.setdefault(name if name.startswith("/") else f"/{name}", SimulatedTopic())
 
-    # -- endpoints ---------------------------------------------------------------------------------
-
     def create_writer(self, owner: SimulatedProcess, topic: str, type_: str, qos: QoS) -> SimulatedWriter:
         writer = SimulatedWriter(self, owner, topic, type_, qos)
         self.topic(topic).writers.append(writer)
@@ -157,8 +155,6 @@ class Network:
     def _matched(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
         known = max(writer.created, reader.created) + self.discovery
         return known <= self.clock.steady() and _compatible(writer, reader)
-
-    # -- messages ----------------------------------------------------------------------------------
 
     def publish(self, writer: SimulatedWriter, message: Any) -> None:
         topic = self.topic(writer.topic)

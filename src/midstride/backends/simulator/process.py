@@ -66,8 +66,6 @@ class SimulatedProcess:
         context.run(process_context.current.set, own)
         self._thread = CooperativeThread(launch.instance, self._program.run, context)
 
-    # -- running -----------------------------------------------------------------------------------
-
     def resume(self, work: Callable[[], None] | None = None) -> None:
         """Let the thread run, and handle what it yields for."""
         if self.dead:
@@ -120,8 +118,6 @@ class SimulatedProcess:
             return
         self._asleep = False
         self.resume()
-
-    # -- signals and faults ------------------------------------------------------------------------
 
     def terminate(self) -> None:
         """SIGTERM: a component in ``start()`` ends in order; a process that has not got there ends at once."""

@@ -171,10 +171,9 @@ class Lab:
     def _result(self, reply: Reply) -> dict[str, Any]:
         if reply.refused is not None:
             raise CommandRefused(reply.refused)
-        result: dict[str, Any] = msgspec.json.decode(reply.result)
-        return result
+        return dict(msgspec.json.decode(reply.result))
 
-    # -- common steps of checks ----- --------------------------------------------------------------
+    # -- common steps of checks --------------------------------------------------------------------
 
     async def listen(self, topic: str = "/chatter") -> None:
         """Start ``sink``, attached and in its normal mode."""
@@ -191,30 +190,24 @@ class Lab:
     async def exported(self, instance: str) -> dict[str, Any]:
         """What a puppet exports: calls, received messages, imported state."""
         state = (await self.read(instance, "export_state"))["state"]
-        exported: dict[str, Any] = json.loads(base64.b64decode(state))
-        return exported
+        return dict(json.loads(base64.b64decode(state)))
 
     async def received(self, instance: str, port: str = "in") -> list[str]:
-        words: list[str] = (await self.exported(instance))["received"].get(port, [])
-        return words
+        return list((await self.exported(instance))["received"].get(port, []))
 
     async def calls(self, instance: str, mode: str) -> int:
         """How often a puppet's mode was called, given as ``talk.normal``."""
-        calls: int = (await self.exported(instance))["calls"].get(mode, 0)
-        return calls
+        return int((await self.exported(instance))["calls"].get(mode, 0))
 
     async def rows(self, instance: str, port: str = "in") -> list[list[Any]]:
-        rows: list[list[Any]] = (await self.read(instance, "records", input=port))["rows"]
-        return rows
+        return list((await self.read(instance, "records", input=port))["rows"])
 
     async def port(self, instance: str, port: str, topic: str) -> dict[str, Any]:
         """The state of one attachment."""
-        link: dict[str, Any] = (await self.read(instance, "observe"))["ports"][port][topic]
-        return link
+        return dict((await self.read(instance, "observe"))["ports"][port][topic])
 
     async def functionality(self, instance: str, name: str) -> dict[str, Any]:
-        state: dict[str, Any] = (await self.read(instance, "observe"))["functionalities"][name]
-        return state
+        return dict((await self.read(instance, "observe"))["functionalities"][name])
 
     async def in_mode(self, instance: str, functionality: str, mode: str) -> bool:
         return bool((await self.functionality(instance, functionality))["mode"] == mode)

@@ -52,8 +52,6 @@ class Counterexample:
             return " or ".join(named) or "no input"
         return f"contract {self.short(self.value(self.t.wants(a)))}"
 
-    # -- the configuration -------------------------------------------------------------------------------
-
     def needs(self, f: Term, m: Term) -> str:
         wanted = [self.assumption(f, a) for a in self.every(ASSUMPTION) if self.true(self.t.assumes(m, a))]
         return f"assumes {' and '.join(wanted)}" if wanted else "assumes nothing"
@@ -85,8 +83,6 @@ class Counterexample:
             if self.true(self.t.offered_on(e, k)):
                 parts.append(f"the environment publishes on {self.short(k)}")
         return "; ".join(parts)
-
-    # -- the action and its result ------------------------------------------------------------
 
     def action(self) -> str:
         action = self.case.action
