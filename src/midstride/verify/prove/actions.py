@@ -69,26 +69,22 @@ def detach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> ActionF
 Group = Callable[[Term], Term]
 
 
-def _changed(t: Theory, s: State, group: Group, to: Callable[[Term], Term], better: bool) -> tuple[Parts, State]:
-    """The shared precondition of mode changes: F is live, and each new mode is strictly better or worse."""
+def change_modes(t: Theory, s: State, group: Group, to: Callable[[Term], Term], kind: str) -> ActionFormula:
+    """``degrade`` or ``upgrade``: F is live, and each new mode is strictly worse or strictly better."""
     after = s.in_modes(lambda f: if_(group(f), to(f), s.mode(f)))
-    live = t.all((FUNCTIONALITY,), lambda f: implies(group(f), s.live(t.host(f))))
+    better = kind == "upgrade"
 
     def strictly(f: Term) -> Term:
         return t.better(to(f), s.mode(f)) if better else t.better(s.mode(f), to(f))
 
-    named = t.all((FUNCTIONALITY,), lambda f: implies(group(f), strictly(f)))
-    return {LIVE: live, STRICTLY.format("better" if better else "worse"): named}, after
-
-
-def degrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> ActionFormula:
-    parts, after = _changed(t, s, group, to, better=False)
-    parts |= {OUTSIDE: t.all_satisfied(after, lambda f: not_(group(f))), INSIDE: t.all_satisfied(after, group)}
-    return ActionFormula(parts, after)
-
-
-def upgrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> ActionFormula:
-    parts, after = _changed(t, s, group, to, better=True)
+    parts = {
+        LIVE: t.all((FUNCTIONALITY,), lambda f: implies(group(f), t.live_in(s, f))),
+        STRICTLY.format("better" if better else "worse"): t.all(
+            (FUNCTIONALITY,), lambda f: implies(group(f), strictly(f))
+        ),
+    }
+    if not better:
+        parts[OUTSIDE] = t.all_satisfied(after, lambda f: not_(group(f)))
     return ActionFormula(parts | {INSIDE: t.all_satisfied(after, group)}, after)
 
 

@@ -75,7 +75,7 @@ def _step(t: Theory, s: State, action: str) -> tuple[act.ActionFormula, Term]:
         return (act.create if action == "create" else act.remove)(t, s, component), TRUE
     if action in ("degrade", "upgrade"):
         group, to = t.function("in_group", (FUNCTIONALITY,), "Bool"), t.assignment("mode_named")
-        return (act.degrade if action == "degrade" else act.upgrade)(t, s, group, to), t.some((FUNCTIONALITY,), group)
+        return act.change_modes(t, s, group, to, action), t.some((FUNCTIONALITY,), group)
     if action == "handover":
         swaps = t.function("swapped", (TOPIC, PORT, PORT), "Bool")
         return act.handover(t, s, swaps), t.some((TOPIC, PORT, PORT), swaps)
@@ -123,8 +123,7 @@ def _undone(action: str, t: Theory) -> Case:
         asked["every old output still meets its topic"] = old_meets
         back = act.handover(t, after, lambda k, old, new: act.swap(k, new, old), "undone")
     else:
-        other = act.upgrade if action == "degrade" else act.degrade
-        back = other(t, after, act.in_group, s.mode)
+        back = act.change_modes(t, after, act.in_group, s.mode, "upgrade" if action == "degrade" else "degrade")
     conclusion = _named("the undo requires: ", back.precondition)
     conclusion |= _named("after the undo, ", t.same(back.after, s))
     return Case(given, asked, conclusion, (s, after, back.after), and_(some, active(t, s)), action)
@@ -140,7 +139,7 @@ def _remove_undone(t: Theory) -> Case:
     f = t.constant("the_functionality", FUNCTIONALITY)
     midway = again.after.in_modes(lambda g: if_(and_(raised(g), equal(t.host(g), c)), s.mode(g), again.after.mode(g)))
     t.facts += [equal(t.host(f), c), not_(raised(f)), not_(equal(s.mode(f), t.last(f)))]
-    up = act.upgrade(t, midway, lambda g: equal(g, f), s.mode)
+    up = act.change_modes(t, midway, lambda g: equal(g, f), s.mode, "upgrade")
     conclusion = _named("the undo requires: ", again.precondition)
     conclusion |= _named("the upgrade of the undo requires: ", up.precondition)
     all_raised = again.after.in_modes(lambda g: if_(equal(t.host(g), c), s.mode(g), again.after.mode(g)))
@@ -178,24 +177,19 @@ def _checked(action: str, t: Theory) -> Case:
     after = step.after
     required = {name: step.precondition[name] for name in step.precondition if name in _ABOUT_MODES}
     asked = {name: step.precondition[name] for name in step.precondition if name not in required}
-    affected: Callable[[Term], Term]
-    if action == "detach output":
-        k = "the_topic"
-        affected = lambda f: _consumes(t, after, f, k)  # noqa: E731
-        topic_kept = t.topic_satisfied(after, k)
-    elif action == "detach input":
-        affected = lambda f: t.uses(f, "the_port")  # noqa: E731
-        topic_kept = FALSE
-    else:
-        topic_kept = FALSE
 
-        def lost(k: Term) -> Term:
-            fed = t.some((PORT,), lambda p: and_(t.is_output(p), act.in_group(t.owner(p)), s.attached(p, k)))
-            return and_(fed, t.topic_satisfied(s, k), not_(t.topic_satisfied(after, k)))
+    def lost(k: Term) -> Term:
+        fed = t.some((PORT,), lambda p: and_(t.is_output(p), act.in_group(t.owner(p)), s.attached(p, k)))
+        return and_(fed, t.topic_satisfied(s, k), not_(t.topic_satisfied(after, k)))
 
-        def affected(f: Term) -> Term:
-            return or_(act.in_group(f), t.some((TOPIC,), lambda k: and_(lost(k), _consumes(t, s, f, k))))
+    def affected(f: Term) -> Term:
+        if action == "detach output":
+            return _consumes(t, after, f, "the_topic")
+        if action == "detach input":
+            return t.uses(f, "the_port")
+        return or_(act.in_group(f), t.some((TOPIC,), lambda k: and_(lost(k), _consumes(t, s, f, k))))
 
+    topic_kept = t.topic_satisfied(after, "the_topic") if action == "detach output" else FALSE
     examined = or_(topic_kept, t.all_satisfied(after, affected))
     asked["every functionality that `check` examines is satisfied"] = examined
     return Case(t.valid(s), asked, required, (s, after), and_(some, active(t, s)), action)

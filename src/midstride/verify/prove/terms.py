@@ -98,13 +98,9 @@ class Logic:
         bound = " ".join(f"({variable} {sort})" for variable, sort in zip(variables, sorts, strict=True))
         return f"({name} ({bound}) {inside})"
 
-    def total(self, sort: str, amount: Callable[[Term], Term]) -> Term:
-        """The sum over all elements of a bounded sort."""
-        return app("+", "0", *map(amount, self.elements(sort)))
-
     def number(self, sort: str, holds: Callable[[Term], Term]) -> Term:
         """The number of elements of a bounded sort for which ``holds`` is true."""
-        return self.total(sort, lambda element: if_(holds(element), "1", "0"))
+        return app("+", "0", *(if_(holds(element), "1", "0") for element in self.elements(sort)))
 
     def script(self, assertions: Mapping[str, Term]) -> str:
         """Declarations, facts and named assertions as SMT-LIB text, without ``check-sat``."""
