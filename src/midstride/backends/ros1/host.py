@@ -51,6 +51,8 @@ _LATCHED: Final = QoS(durability="transient_local", depth=10)
 class Ros1Host:
     """Made and run in the thread that calls ``Component.start``. Raises NodeError where the name is taken."""
 
+    ros_node: Any = rospy  # there, a process is one node
+
     def __init__(self, name: str, namespace: str) -> None:
         managed = bool(os.environ.get(ENV_TOKEN))
         node_name, inside = names.split(name, namespace or rospy.names.get_namespace())
@@ -68,9 +70,9 @@ class Ros1Host:
         self.transport: Transport | None = transport
         self._master = Master(uri, self._node)
         asyncio.run(self._must_be_alone())
-        self._logger = logging.getLogger("rosout")
+        self.logger: Any = logging.getLogger("rosout")
         self._data = DataThread(
-            lambda failure: self._logger.error(f"a callback raised; the component goes on:\n{failure}")
+            lambda failure: self.logger.error(f"a callback raised; the component goes on:\n{failure}")
         )
         self.parameters = node_parameters.Ros1NodeParameters(managed, self._show_parameter)
         self._ended = threading.Event()
@@ -94,15 +96,6 @@ class Ros1Host:
             )
 
     # -- data thread ---------------------------------------------------------------------------------
-
-    @property
-    def logger(self) -> Any:
-        return self._logger
-
-    @property
-    def ros_node(self) -> Any:
-        """rospy itself: there, a process is one node."""
-        return rospy
 
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
         return common.on_thread(function, self._data.post)
@@ -152,7 +145,7 @@ class Ros1Host:
         finally:
             self._leave()
         if self._shut_down_because:
-            self._logger.warning(f"{self.instance} was shut down {self._shut_down_because}")
+            self.logger.warning(f"{self.instance} was shut down {self._shut_down_because}")
 
     async def _run(self, main: Callable[[], Awaitable[None]]) -> None:
         self._loop = asyncio.get_running_loop()
@@ -213,7 +206,7 @@ class Ros1Host:
         """User code ends first, then rospy, which calls the master; each in bounded time."""
         self._ended.set()
         if not self._data.stop(_DATA_THREAD_END):
-            self._logger.error(f"user code has not returned for {_DATA_THREAD_END:g} s; the process ends all the same")
+            self.logger.error(f"user code has not returned for {_DATA_THREAD_END:g} s; the process ends all the same")
         connecting = managers()
         leaving = threading.Thread(target=rospy.signal_shutdown, args=("the component has ended",), daemon=True)
         leaving.start()

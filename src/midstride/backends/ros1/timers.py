@@ -20,16 +20,13 @@ class RosClock:
     def __init__(self, data: DataThread) -> None:
         self.data = data
         self.simulated = not rospy.rostime.is_wallclock()
-        self.now: Callable[[], int] = self._simulated_now if self.simulated else time.time_ns
+        self.now: Callable[[], int] = time.time_ns
         self._waiting: dict[object, tuple[int, Callable[[], None]]] = {}
         if self.simulated:
+            self.now = lambda: int(rospy.get_rostime().to_nsec())
             from rosgraph_msgs.msg import Clock
 
             rospy.Subscriber("/clock", Clock, lambda message: data.post(self._tick), queue_size=1)
-
-    @staticmethod
-    def _simulated_now() -> int:
-        return int(rospy.get_rostime().to_nsec())
 
     def call_at(self, key: object, when: int, function: Callable[[], None]) -> Callable[[], object]:
         """Call ``function`` on the data thread at ``when`` (ns); returns a function that cancels it."""

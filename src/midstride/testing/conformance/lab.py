@@ -9,7 +9,6 @@ import sys
 from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from functools import wraps
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -46,9 +45,7 @@ class Lab:
         await self.backend.open(self.on_exit)
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *raised: object) -> None:
         for channel in self._channels.values():
             channel.close()
         try:
