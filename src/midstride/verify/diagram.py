@@ -83,13 +83,11 @@ def _boxes(verdict: Verdict) -> Iterator[_Box]:
         lines = (*wrap(finding.where, _WIDTH), *wrap(f"{finding.subject}: {finding.because}", _WIDTH))
         yield _Box(name, None, "finding", lines, False)
         if finding.chain is not None:
-            yield from _links(finding.chain, name, name)
+            yield from _links(finding.chain, f"{name}_1", name)
 
 
-def _links(link: CauseLink, name: str, above: str) -> Iterator[_Box]:
-    id = f"{name}_1" if above == name else name
-    lines = [link.name, *wrap(link.detail, _WIDTH)]
-    yield _Box(id, above, link.thing, tuple(lines), link.satisfied)
+def _links(link: CauseLink, id: str, above: str) -> Iterator[_Box]:
+    yield _Box(id, above, link.thing, (link.name, *wrap(link.detail, _WIDTH)), link.satisfied)
     for number, under in enumerate(link.under, start=1):
         yield from _links(under, f"{id}_{number}", id)
 

@@ -23,8 +23,6 @@ from pathlib import Path
 from threading import Event
 from typing import Any, Final
 
-import psutil
-
 from midstride.errors import AlloyFailed, AlloyMissing
 
 VERSION: Final = "6.2.0"
@@ -237,8 +235,3 @@ def fast_solver(alloy: Alloy) -> str:
         return "glucose" if "glucose" in alloy.solvers() else "sat4j"
     except AlloyFailed:
         return "sat4j"
-
-
-def available_memory() -> int:
-    """Memory that can be used without swapping (MiB)."""
-    return int(psutil.virtual_memory().available) // 2**20

@@ -17,10 +17,12 @@ from pathlib import Path
 from threading import Event
 from typing import Any, Final
 
+import psutil
+
 from midstride.errors import AlloyFailed
 from midstride.verify import library
 from midstride.verify.library import AlloyCommand
-from midstride.verify.run import Alloy, SolverOutcome, available_memory, fast_solver
+from midstride.verify.run import Alloy, SolverOutcome, fast_solver
 from midstride.verify.verdict import Answer
 
 # The heap of one process (MiB), and its default time limit (s).
@@ -96,7 +98,7 @@ def tasks(scope: int, modules: Sequence[str] | None = None) -> list[Task]:
 def parallel_jobs() -> int:
     """How many processes this machine has processors and memory for; at least one."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(processors, available_memory() // MEMORY))
+    return max(1, min(processors, int(psutil.virtual_memory().available) // (MEMORY * 2**20)))
 
 
 def check_specification(

@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from midstride.backends import naming
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Sleeps, Waits, Yielded
+from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Sleeps, Yielded
 from midstride.backends.simulator.program import ProcessOutput, SimulatedProgram
 from midstride.errors import BackendError
 from midstride.node import process_context
@@ -108,7 +108,7 @@ class SimulatedProcess:
 
     def run_work(self) -> None:
         """In its thread: let the loop run until there is work, and do that."""
-        work: Callable[[], None] = self._thread.yield_to_loop(Waits())
+        work: Callable[[], None] = self._thread.yield_to_loop(None)
         work()
 
     def _wake(self) -> None:
