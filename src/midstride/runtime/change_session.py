@@ -108,13 +108,13 @@ class ChangeSession:
     ) -> Outcome:
         system = self.system
         preview = PlanPreview.of(plan)
+        silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
         self.events.add("plan", f"{counted(len(plan.steps), 'step')}, disruption {plan.disruption:g}", plan=preview)
         actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
         timer = DegradationTimer(plan.change, self.clock.steady)
         started, before, missing = self.clock.steady(), system.configuration, dict(system.missing)
         self.reconciler.degraded.clear()
-        silent_before = {fault.words for fault in self.monitor.faults(before)}
         system.configuration = plan.change.start
         executor = self.executor()
         executor.on_moved = timer.moved
