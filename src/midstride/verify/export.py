@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from midstride.model.action import Create, SetParameters
 from midstride.model.best import best
-from midstride.model.configuration import Configuration, Instance, configure
+from midstride.model.configuration import Configuration, configure
 from midstride.plan.plan import Plan
 from midstride.plan.step import Step
 from midstride.verify.alloy_atoms import AlloyAtoms
@@ -56,8 +56,7 @@ def dump_configuration(configuration: Configuration, name: str, subject: str = "
     """One configuration, to be checked for validity. Raises TooLarge."""
     atoms = AlloyAtoms()
     encoder = WorldEncoder(atoms, configuration.context)
-    for instance in _sorted(configuration):
-        encoder.instance(instance)
+    encoder.instances(configuration)
     encodable, unencodable = _encodable(configuration)
     encoder.overloads()
     system = encoder.system(encodable, 0, subject)
@@ -86,8 +85,7 @@ def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
     walk = _PlanWalk(encoder, plan)
     target, unencodable = _target(plan, walk.configurations[-1])
     if target is not None:
-        for instance in _sorted(target):
-            encoder.instance(instance)
+        encoder.instances(target)
     encoder.overloads()
     encoded = range(len(plan.steps) + 1) if detail is None else range(max(0, detail - 1), detail + 1)
     systems: dict[int, str] = {}
@@ -122,10 +120,6 @@ def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
     )
 
 
-def _sorted(configuration: Configuration) -> list[Instance]:
-    return sorted(configuration.instances.values(), key=lambda instance: instance.name)
-
-
 class _PlanWalk:
     """The configurations that a plan passes through, and the steps that refer to something that does not exist."""
 
@@ -133,8 +127,7 @@ class _PlanWalk:
         self.unencodable: list[Unencodable] = []
         self.impossible: set[int] = set()
         configuration = plan.change.start
-        for instance in _sorted(configuration):
-            encoder.instance(instance)
+        encoder.instances(configuration)
         taken = [configuration]
         for number, step in enumerate(plan.steps, start=1):
             action = step.action

@@ -87,6 +87,11 @@ class WorldEncoder:
 
     # -- declarations -----------------------------------------------------------------------------------
 
+    def instances(self, configuration: Configuration) -> None:
+        """Add the declarations of the instances of a configuration."""
+        for _, instance in sorted(configuration.instances.items()):
+            self.instance(instance)
+
     def instance(self, instance: Instance) -> None:
         """Add the declaration of an instance. Raises ValueError if the name stands for another component."""
         name, component = instance.name, instance.component
