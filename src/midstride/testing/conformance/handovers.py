@@ -294,14 +294,9 @@ async def refuses_impossible_cuts(lab: Lab) -> None:
 async def keeps_to_the_grid_across_a_busy_spell(lab: Lab) -> None:
     """A new side that is busy at the cut writes its slots late or not at all, but never one of the old side's."""
     await _two_talkers(lab, rate=20, mode={"sleep": 0.2, "at_call": 30})
-    await lab.eventually("it is about to be busy", lambda: _called(lab, 24))
+    await lab.eventually("it is about to be busy", lambda: lab.calls("new", "talk.normal"), lambda calls: calls >= 24)
     at, epoch, _ = await _slot(lab, "old", lead=0.25)
     await _cut(lab, at, epoch, resume_after=2.0)
     await _outcomes(lab)
     await lab.sleep(0.3)
     assert (await lab.port("old", "out", "/chatter"))["count"] == _turn(await lab.received("sink"))
-
-
-async def _called(lab: Lab, least: int) -> bool:
-    calls: int = (await lab.exported("new"))["calls"].get("talk.normal", 0)
-    return calls >= least

@@ -212,14 +212,16 @@ class Lab:
     async def sleep(self, seconds: float) -> None:
         await self.clock.sleep(seconds)
 
-    async def eventually(self, what: str, look: Callable[[], Any], patience: float = PATIENCE) -> Any:
-        """The first true result of ``look``, which may be async."""
+    async def eventually(
+        self, what: str, look: Callable[[], Any], enough: Callable[[Any], bool] = bool, patience: float = PATIENCE
+    ) -> Any:
+        """The first result of ``look``, which may be async, that is ``enough``."""
         deadline = self.clock.steady() + patience
         while True:
             found = look()
             if isinstance(found, Awaitable):
                 found = await found
-            if found:
+            if enough(found):
                 return found
             assert self.clock.steady() < deadline, f"within {patience:g} s it has not happened that {what}"
             await self.sleep(0.02)
