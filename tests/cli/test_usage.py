@@ -314,7 +314,8 @@ def test_a_topic_that_the_environment_satisfies_has_a_publisher(capsys: pytest.C
         {"name": name, "satisfied": satisfied, "publishers": [], "subscribers": ["amcl.odom"]}
         for name, satisfied in (("/odom", True), ("/map", False))
     ]
-    document = {"system": "s", "backend": "sim", "valid": True, "components": [], "topics": topics, "violations": []}
+    document = {"system": "s", "backend": "sim", "valid": True, "components": [], "topics": topics}
+    document |= {"violations": [], "silences": []}
     console().print(render.status(document))
     shown = capsys.readouterr().out
     assert "/odom: the environment → amcl.odom" in shown

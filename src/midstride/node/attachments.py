@@ -140,6 +140,14 @@ class Attachments:
             await self._host.sleep(TICK)
         return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
 
+    async def await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
+        link = self.port(command.port).link(command.topic)
+        if link is None:
+            raise CommandRefused(f"{command.port} is not attached to {command.topic}")
+        endpoint = link.subscription if isinstance(link, InputLink) else link.publisher
+        assert endpoint is not None
+        return commands.Attached(matched=max(0, await self._match(endpoint, command.peers, command.timeout)))
+
     async def close_all(self, timeout: float) -> None:
         """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""
         links = [link for output in self._outputs.values() for link in output.links]

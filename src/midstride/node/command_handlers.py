@@ -69,6 +69,7 @@ class CommandHandlers:
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._attachments.detach,
             commands.GateCommand: self._attachments.gate,
+            commands.AwaitMatchCommand: self._attachments.await_match,
             commands.AwaitWriteCommand: self._attachments.await_write,
             commands.GridCommand: self._handovers.grid,
             commands.MeetCommand: self._handovers.meet,
@@ -180,6 +181,7 @@ class CommandHandlers:
             parameters={parameter.name: parameter.value for parameter in self._parts.parameters.values()},
             stopping=self._parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
+            simulated_time=self._host.simulated_time,
         )
 
     def _busy_words(self) -> str:

@@ -21,6 +21,7 @@ from midstride.model.contract import Predicate
 from midstride.runtime.agreed_cut import Cut, agree_cuts
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
+from midstride.runtime.handover_conditions import require_found, require_same_clock
 from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
@@ -100,11 +101,16 @@ class LiveHandover:
 
     async def _agree(self) -> dict[PortRef, int | None]:
         """Hand over at an agreed moment; the number of each old output's last message."""
+        pairs = sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps})
+        for old, new in pairs:
+            await require_same_clock(self.client, old, new)
         for swap in self.swaps:
             await self._attach_gated(swap)
+        for connector in sorted({swap.connector for swap in self.swaps}):
+            await require_found(self.client, self.configuration, self.swaps, connector, self.is_gone)
         for swap in self.swaps:
             await self._await_probation(swap)
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+        for old, new in pairs:
             await self._meet(new, old)
         for lead in LEADS:
             self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead)
@@ -221,7 +227,9 @@ class LiveHandover:
         if seen.wrong_type:
             raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
         if not seen.gated:
-            raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
+            waiting = (await self.client.peek(swap.new.instance)).waiting
+            because = "" if waiting is None else f": {waiting}"
+            raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")
 
     async def _meet(self, new: str, old: str) -> None:
         """Have the new side connect to the old one.

@@ -18,7 +18,7 @@ from starlette.requests import ClientDisconnect
 
 from midstride import __version__
 from midstride.codec.specification import SpecificationForm
-from midstride.errors import MidstrideError
+from midstride.errors import MidstrideError, SpecificationError
 from midstride.plan.request_form import ChangeRequest
 from midstride.runtime.reports import (
     DownReport,
@@ -51,6 +51,7 @@ def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
     app.include_router(_reading(lifecycle, backend), prefix="/api/v1", tags=["reading"])
     app.include_router(_changing(lifecycle), prefix="/api/v1", tags=["changing"])
     app.add_exception_handler(MidstrideError, _refused)
+    app.add_exception_handler(SpecificationError, _faulty)
     app.add_exception_handler(RequestValidationError, _invalid)
     app.add_exception_handler(HTTPException, _http_error)
     app.add_exception_handler(ClientDisconnect, _disconnected)
@@ -60,7 +61,11 @@ def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
 
 
 async def _refused(_: Request, error: Exception) -> Response:
-    return await asyncio.to_thread(lambda: answer(Failure.of(error), status_of(error)))  # it may have many faults
+    return answer(Failure.of(error), status_of(error))
+
+
+async def _faulty(_: Request, error: Exception) -> Response:
+    return await asyncio.to_thread(lambda: answer(Failure.of(error), status_of(error)))  # of thousands of faults
 
 
 async def _invalid(_: Request, error: Exception) -> Response:

@@ -73,6 +73,7 @@ class Ros1Host:
         self.parameters = node_parameters.Ros1NodeParameters(managed, self._show_parameter)
         self._ended = threading.Event()
         self._shut_down_because = ""
+        self.simulated_time = False
         self.now: Callable[[], int] = time.time_ns  # until rospy knows whether the clock is simulated
         self.steady: Callable[[], int] = time.monotonic_ns
         self.read_info: Callable[[Any], MessageInfo] = subscribing.read_info
@@ -181,7 +182,7 @@ class Ros1Host:
         publishing.prepare()
         self._node = rospy.get_name()
         self._clock = RosClock(self._data)
-        self.now = self._clock.now
+        self.now, self.simulated_time = self._clock.now, self._clock.simulated
         common.with_short_pauses()
 
     def _open(self, main: asyncio.Future[None]) -> None:

@@ -50,7 +50,7 @@ class Ros2Host:
         self._given = process_context.find().parameters
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
-        self._simulated = False
+        self.simulated_time = False
         self._failure: Exception | None = None
         # What is to run on the data thread once there is one.
         self._early: list[Callable[[], None]] = []
@@ -62,10 +62,10 @@ class Ros2Host:
 
     def now(self) -> int:
         # Without a simulation the ROS clock is the system's, and asking Python for that is cheaper by far.
-        return int(self._clock.now().nanoseconds) if self._simulated else time.time_ns()
+        return int(self._clock.now().nanoseconds) if self.simulated_time else time.time_ns()
 
     def _clock_changed(self, jump: Any) -> None:
-        self._simulated = bool(self._clock.ros_time_is_active)
+        self.simulated_time = bool(self._clock.ros_time_is_active)
 
     # -- data thread -----------------------------------------------------------------------------------
 
@@ -185,7 +185,7 @@ class Ros2Host:
         self._group = ReentrantCallbackGroup()
         self.parameters: NodeParameters = node_parameters.Ros2NodeParameters(self._node, self._given)
         self._clock = self._node.get_clock()
-        self._simulated = bool(self._clock.ros_time_is_active)
+        self.simulated_time = bool(self._clock.ros_time_is_active)
         self._clock_changes = self._clock.create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=None, on_clock_change=True), post_callback=self._clock_changed
         )

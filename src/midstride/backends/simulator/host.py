@@ -35,6 +35,7 @@ class SimulatedHost:
     """Implements :class:`midstride.node.host.Host`."""
 
     ros_node = None
+    simulated_time = False
     reachable = "in this simulation"
 
     def __init__(self, process: SimulatedProcess, instance: str, network: Network, transport: Transport) -> None:

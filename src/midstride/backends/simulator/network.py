@@ -7,6 +7,7 @@ where one is asked for. Matching, latching, queue depths and QoS are as ROS 2 ha
 from __future__ import annotations
 
 import copy
+import math
 import random
 from collections import deque
 from collections.abc import Callable
@@ -108,6 +109,8 @@ class Network:
         self._jitter = jitter
         self._random = random.Random(seed)
         self._identities = 0
+        # The processes that find no endpoints any more, and since when (steady s): a fault.
+        self.undiscovering: dict[SimulatedProcess, float] = {}
         # What is in flight between two endpoints, in order: timers of the same moment fire in any order.
         self._in_flight: dict[tuple[SimulatedWriter, SimulatedReader], deque[tuple[float, Any, Any]]] = {}
 
@@ -155,11 +158,16 @@ class Network:
         return [reader for reader in self.topic(writer.topic).readers if self._matched(writer, reader)]
 
     def writers_of(self, reader: SimulatedReader) -> list[SimulatedWriter]:
-        return [writer for writer in self.topic(reader.topic).writers if self._matched(writer, reader)]
+        writers = self.topic(reader.topic).writers
+        return [writer for writer in writers if self._matched(writer, reader) and self._found(writer, reader)]
 
     def _matched(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
         known = max(writer.created, reader.created) + self.discovery
         return known <= self.clock.steady() and _compatible(writer, reader)
+
+    def _found(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
+        """Whether the reader's process knows of the writer."""
+        return writer.created < self.undiscovering.get(reader.owner, math.inf)
 
     # -- messages ----------------------------------------------------------------------------------
 
@@ -175,7 +183,8 @@ class Network:
             topic.dropping -= 1
             return
         for reader in self.readers_of(writer):
-            self._send(writer, reader, message, info)
+            if self._found(writer, reader):
+                self._send(writer, reader, message, info)
 
     def _latch(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
         """A late joiner gets what a transient-local writer has kept, once they are matched."""

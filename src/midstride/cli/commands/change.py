@@ -118,7 +118,7 @@ def change(system: str | None, request: Document, title: str, yes: bool, verify:
     outcome = _carry_out(client, document, title, show_plan=yes)
     if wants_json():
         print_json(outcome)
-    return 0 if outcome["outcome"] == "done" else 1
+    return 0 if outcome["outcome"] == "done" and not outcome["silences"] else 1
 
 
 def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool) -> Document:
