@@ -269,4 +269,4 @@ def test_connectors_of_the_target_alone_are_there_throughout() -> None:
     change = change_between(initial(start), start, target)
     assert "/more" in change.start.context.connectors
     assert "/more" not in change.origin.context.connectors
-    assert change.end_context == target.context
+    assert change.settled(change.final).context == target.context

@@ -114,13 +114,18 @@ class ChangeBuilder:
             for instance in running:
                 self._leave(instance)
             return
-        _check_references(self.target, role)
+        if found := node_names(self.target, self.target.nodes[role], ("nodes", role)):
+            raise PlanRefused("; ".join(str(problem) for problem in found))
         wanted = self.target.instance(role)
         kept = next((instance for instance in running if not _differs(instance, wanted)), None)
         if kept is not None:
             self._keep(kept, wanted)
         else:
-            self._come(role, running)
+            name = self._fresh(role, bare=not running)
+            self.coming[name] = self.target.instance(role, name)
+            self.attached.extend(self._wanted(role, name))
+            if running:
+                self.replaced[running[0].name] = name
         for instance in running:
             if instance is not kept:
                 self._leave(instance)
@@ -128,13 +133,6 @@ class ChangeBuilder:
     def _leave(self, instance: Instance) -> None:
         self.leaving.append(instance.name)
         self.detached.extend(self.start.attached_ports(instance.name))
-
-    def _come(self, role: str, running: list[Instance]) -> None:
-        name = self._fresh(role, bare=not running)
-        self.coming[name] = self.target.instance(role, name)
-        self.attached.extend(self._wanted(role, name))
-        if running:
-            self.replaced[running[0].name] = name
 
     def _keep(self, instance: Instance, wanted: Instance) -> None:
         current = instance.parameters
@@ -235,12 +233,6 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     )
 
 
-def _check_references(target: Specification, role: str) -> None:
-    """Refuse a node with a reference to something that is not declared."""
-    if found := node_names(target, target.nodes[role], ("nodes", role)):
-        raise PlanRefused("; ".join(str(problem) for problem in found))
-
-
 def _check_limits(end: str, configuration: Configuration, connectors: Iterable[str], resources: Iterable[str]) -> None:
     """Refuse an end of the change that exceeds a cap or a capacity."""
     found: list[Violation | None] = [cap_violation(configuration, name) for name in connectors]
@@ -257,14 +249,10 @@ def _connectors(configuration: Configuration, target: Specification) -> tuple[Ma
     throughout = running.update(target.connectors)
     for name in sorted(target.connectors):
         wanted, current = target.connectors[name], running.get(name)
-        if current is None or current.same_contract(wanted):
+        in_use = configuration.publishers_on(name) or configuration.subscribers_on(name)
+        if current is None or current.same_contract(wanted) or not in_use:
             continue
-        if not configuration.publishers_on(name) and not configuration.subscribers_on(name):
-            continue
-        number = 2
-        while f"{name}@{number}" in throughout:
-            number += 1
-        identity = f"{name}@{number}"
+        identity = next(free for number in count(2) if (free := f"{name}@{number}") not in throughout)
         identities[name] = identity
         throughout = throughout.set(name, current).set(identity, replace(wanted, name=identity))
     return throughout, identities

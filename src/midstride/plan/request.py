@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 
-from immutables import Map
-
 from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec
 from midstride.model.diagnostics import Problem, suggestion, unknown_name
@@ -91,5 +89,4 @@ def _replaced(target: Specification, role: str, name: str) -> Specification:
         raise PlanRefused(
             f"{name} cannot replace {role}: it has no port {ports_on}; use `apply` with a changed specification"
         )
-    parameters = Map({key: value for key, value in node.parameters.items() if key in component.parameters})
-    return target.with_node(replace(node, component=name, parameters=parameters))
+    return target.with_replaced(role, name)

@@ -92,11 +92,10 @@ class Counterexample:
         action = self.case.action
         kind, _, direction = action.partition(" ")
         if kind in ("create", "remove"):
-            instance = self.short(self.value("the_component"))
-            return wording.creation(instance) if kind == "create" else wording.removal(instance)
+            return wording.existence(kind, self.short(self.value("the_component")))
         if kind in ("attach", "detach"):
             port, topic = f"{direction} {self.port(self.value('the_port'))}", self.short(self.value("the_topic"))
-            return wording.attachment(port, topic) if kind == "attach" else wording.detachment(port, topic)
+            return wording.attachment(kind, port, topic)
         if kind in ("degrade", "upgrade"):
             members = [f for f in self.every(FUNCTIONALITY) if self.true(app("in_group", f))]
             entered = {f: self.short(self.value(app("mode_named", f))) for f in members}
