@@ -486,6 +486,13 @@ def test_json_that_is_nested_too_deep_is_reported_where_it_is(
     assert status == 1 and "not JSON: nested too deep" in out and f"{file}:3:" in out
 
 
+def test_half_of_a_surrogate_pair_is_reported_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "s.json"
+    file.write_text('{"system":\n "\\ud800"}')
+    status, out, _ = run(capsys, "check", str(file))
+    assert status == 1 and "half of a surrogate pair" in out and f"{file}:2:3" in out
+
+
 def test_what_was_generated_is_forgotten_where_its_record_is_damaged(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

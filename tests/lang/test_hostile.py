@@ -271,9 +271,9 @@ def specification_is_handled(document: Any) -> None:
 
 def form_is_handled(decode: Callable[[object], object]) -> Callable[[Any], None]:
     def check(document: Any) -> None:
-        for value in (document, parse_json(json.dumps(document))):
+        for read in (lambda: document, lambda: parse_json(json.dumps(document))):
             try:
-                decode(value)
+                decode(read())
             except MidstrideError as error:
                 assert_printable(str(error))
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 
-from midstride.codec.reading import parse_json
+from midstride.codec.reading import parse_json, strict_json
 from midstride.codec.specification import decode_specification
 from midstride.errors import SpecificationError
 from midstride.lang.diagnostics import Diagnostic, Reporter, in_order
@@ -39,7 +39,7 @@ def check_json(source: Source) -> tuple[Specification | None, tuple[Diagnostic, 
 def _syntax_place(source: Source, places: dict[tuple[str, ...], Span]) -> Span | None:
     """Where the text stops being JSON, or where it is nested too deep, if it does or is."""
     try:
-        json.loads(source.text)
+        strict_json(source.text)
     except json.JSONDecodeError as error:
         return Span(source, error.pos, error.pos)
     except RecursionError:
