@@ -45,7 +45,7 @@ FILES: dict[str, dict[str, str]] = {
         "x.json": json.dumps({"system": f"{HOSTILE}\n", HOSTILE: 1, "topics": {HOSTILE: {"type": HOSTILE}}})
     },
     "names in JSON": {
-        "x.json": json.dumps({"system": "s", "nodes": {"n": {"component": f"C\n{HOSTILE}\ud800"}, f"{HOSTILE}": {}}})
+        "x.json": json.dumps({"system": "s", "nodes": {"n": {"component": f"C\n{HOSTILE}"}, f"{HOSTILE}": {}}})
     },
     "raw text in JSON": {"x.json": '{"system": "s", "nodes": {"' + HOSTILE.replace("\r", "") + '": {}}}'},
     "no JSON": {"x.json": f'{{"system": {HOSTILE}'},
