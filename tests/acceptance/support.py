@@ -11,14 +11,16 @@ import subprocess
 import sys
 import time
 import uuid
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncIterator, Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 from midstride.model.specification import Specification
+from midstride.plan.request import PlanRequest
 from midstride.runtime import reaper
 from midstride.runtime.manager import Manager
+from midstride.runtime.measure import Observation
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Receipt
@@ -72,7 +74,9 @@ class Recorder:
 
         self._path = folder / "recorded.json"
         self._process = subprocess.Popen(
-            [sys.executable, str(NODES), "recorder", str(self._path)], env=tuned_environment(dict(os.environ))
+            [sys.executable, str(NODES), "recorder", str(self._path)],
+            env=tuned_environment(dict(os.environ)),
+            start_new_session=True,  # what is left of it is ended as a group, which must not be that of the tests
         )
 
     def wait_until_it_hears(self, seconds: float = 30.0) -> None:
@@ -80,6 +84,10 @@ class Recorder:
         while not self._path.exists():
             assert time.monotonic() < deadline, "the recorder hears nothing"
             time.sleep(0.02)
+
+    def kill(self) -> None:
+        self._process.kill()
+        self._process.wait()
 
     def stop(self) -> list[Receipt]:
         self._process.send_signal(signal.SIGTERM)
@@ -104,3 +112,22 @@ async def managed(
     finally:
         await manager.down()
         await manager.close()
+
+
+def other_source(manager: Manager, strategy: str = "minimal") -> PlanRequest:
+    """Replace the source by the other one."""
+    now = manager.specification.nodes["source"].component
+    return PlanRequest(replace=(("source", "Source" if now == "OtherSource" else "OtherSource"),), strategy=strategy)
+
+
+def window(observed: Observation) -> list[Receipt]:
+    """The messages that a report counts: from 20 periods before the change to the end of the observation."""
+    begun = observed.begun - 20 * PERIOD * 1e9
+    return [row for row in observed.rows if begun <= row.received <= observed.ended]
+
+
+def by_source(rows: Sequence[Receipt]) -> dict[int, Receipt]:
+    """Messages by their times of publication, which no two have in common."""
+    found = {row.source: row for row in rows if row.source is not None}
+    assert len(found) == len(rows)
+    return found

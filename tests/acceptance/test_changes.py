@@ -155,6 +155,35 @@ def test_a_call_that_outlasts_the_drain_fails_the_step_and_nothing_has_changed(
         run(main())
 
 
+@pytest.mark.full
+def test_a_subscriber_stopped_while_its_publisher_is_replaced_is_named_and_answers_when_it_continues(
+    tmp_path: Path,
+) -> None:
+    async def main() -> None:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
+            pid = (await manager.peek("sink")).pid
+            os.kill(pid, signal.SIGSTOP)
+            try:
+                outcome = await manager.change(REPLACE)
+                assert outcome.outcome == "rolled_back", outcome.because
+                status = await manager.status()
+                assert [(fault.kind, fault.instance) for fault in status.silences] == [("not_answering", "sink")]
+                assert [fault.instance for fault in outcome.silences] == ["sink"]
+            finally:
+                os.kill(pid, signal.SIGCONT)
+
+            async def is_valid() -> bool:
+                return (await manager.status()).valid
+
+            await until_async(is_valid)
+            outcome = await manager.change(REPLACE)
+            assert outcome.outcome == "done", outcome.because
+            assert outcome.swaps[0].gap is not None
+
+    with ended():
+        run(main(), 120)
+
+
 async def picture(manager: Manager, backend: Any) -> dict[str, Any]:
     """Modes and gates by the components' own word, the graph, and the model."""
     own = {}

@@ -1,7 +1,7 @@
-"""Very many replacements in a row: no component stops being matched with the publishers that come.
+"""Very many replacements in a row: every component stays matched, the status stays true, the report agrees.
 
 A process whose peers come and go could lose its discovery for good (eProsima/Fast-DDS#6502): it then never hears a new
-publisher. MIDSTRIDE_REPLACEMENTS says how many replacements there are, where 2,000 take too long.
+publisher. MIDSTRIDE_REPLACEMENTS says how many replacements there are, where 2,000 (and 500) take too long.
 """
 
 from __future__ import annotations
@@ -14,14 +14,27 @@ from pathlib import Path
 import pytest
 
 from midstride.plan.request import PlanRequest
+from midstride.runtime import recording
 from midstride.runtime.manager import Manager
-from tests.acceptance.support import Recorder, ended, managed, swap_specification
+from midstride.runtime.measure import Observation, SwapReport, report
+from midstride.wire.commands import Receipt
+from tests.acceptance.support import (
+    PERIOD,
+    Recorder,
+    by_source,
+    ended,
+    managed,
+    other_source,
+    swap_specification,
+    window,
+)
 
 pytestmark = [pytest.mark.ros2, pytest.mark.long, pytest.mark.timeout(7200)]
 
 REPLACEMENTS = int(os.environ.get("MIDSTRIDE_REPLACEMENTS", "2000"))
 # A hand-over may be given up on a machine that is too busy for its cut; the next one has to succeed.
 GIVEN_UP_AT_MOST = 0.02
+POLLED_REPLACEMENTS = REPLACEMENTS // 4
 
 
 async def received(manager: Manager) -> int:
@@ -74,3 +87,67 @@ def test_every_component_is_matched_after_very_many_replacements(tmp_path: Path)
     with ended():
         given_up = asyncio.run(body())
     assert len(given_up) <= GIVEN_UP_AT_MOST * REPLACEMENTS, given_up
+
+
+def test_the_status_is_true_while_readers_come_and_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No living component is ever shown as silent, and a bare recorder has the messages of every report."""
+    seen: list[Observation] = []
+
+    def kept(observation: Observation) -> SwapReport:
+        seen.append(observation)
+        return report(observation)
+
+    async def body() -> tuple[list[Receipt], list[str]]:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
+            recorder = Recorder(tmp_path)
+            await asyncio.to_thread(recorder.wait_until_it_hears)
+            await asyncio.sleep(40 * PERIOD)  # it has what comes before the first window, too
+            others = [asyncio.create_task(poll(manager)), asyncio.create_task(readers(tmp_path))]
+            given_up = []
+            for number in range(POLLED_REPLACEMENTS):
+                outcome = await manager.change(other_source(manager))
+                assert outcome.silences == [], number
+                if outcome.outcome != "done":
+                    given_up.append(f"{number}: {outcome.because}")
+                for task in others:
+                    if task.done():
+                        task.result()
+            for task in others:
+                task.cancel()
+            for result in await asyncio.gather(*others, return_exceptions=True):
+                assert isinstance(result, asyncio.CancelledError), result
+            return await asyncio.to_thread(recorder.stop), given_up
+
+    monkeypatch.setattr(recording, "report", kept)
+    with ended():
+        rows, given_up = asyncio.run(body())
+    assert len(given_up) <= GIVEN_UP_AT_MOST * POLLED_REPLACEMENTS, given_up
+    assert len(seen) == POLLED_REPLACEMENTS
+    outside = by_source(rows)
+    for observed in seen:
+        own = by_source(window(observed))
+        assert own.keys() == {source for source in outside if min(own) <= source <= max(own)}
+
+
+async def poll(manager: Manager) -> None:
+    """The status, ten times a second: every component answers, and nothing is silent."""
+    while True:
+        status = await manager.status()
+        assert [row.name for row in status.components if not (row.reachable or row.ending)] == []
+        assert status.silences == []
+        await asyncio.sleep(0.1)
+
+
+async def readers(folder: Path) -> None:
+    """A reader outside the system, and the next one: nine of ten end in order, the tenth is killed."""
+    for number in itertools.count():
+        own = folder / f"reader{number}"
+        own.mkdir()
+        recorder = Recorder(own)
+        try:
+            await asyncio.to_thread(recorder.wait_until_it_hears)
+            await asyncio.sleep(1.0)
+            if number % 10 != 9:
+                await asyncio.to_thread(recorder.stop)
+        finally:
+            recorder.kill()

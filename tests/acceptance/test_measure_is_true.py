@@ -6,28 +6,31 @@ import asyncio
 import itertools
 import os
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 import pytest
 
-from midstride.plan.request import PlanRequest
 from midstride.runtime import recording
-from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.wire.commands import GateCommand, Receipt, RecordCommand, RecordsCommand
-from tests.acceptance.support import NODES, PERIOD, Recorder, ended, managed, swap_specification
+from tests.acceptance.support import (
+    NODES,
+    PERIOD,
+    Recorder,
+    by_source,
+    ended,
+    managed,
+    other_source,
+    swap_specification,
+    window,
+)
 from tests.backends.ros2_support import Rig, rig, run, until_async
 
 pytestmark = pytest.mark.ros2
 SWAPS = 5
-
-
-def other(manager: Manager, strategy: str = "minimal") -> PlanRequest:
-    now = manager.specification.nodes["source"].component
-    return PlanRequest(replace=(("source", "Source" if now == "OtherSource" else "OtherSource"),), strategy=strategy)
 
 
 @pytest.mark.parametrize("strategy", ["minimal", pytest.param("paper", marks=pytest.mark.full)])
@@ -74,19 +77,6 @@ def test_a_bare_recorder_agrees_with_the_report(strategy: str, tmp_path: Path, m
     assert abs(median(apart)) / 1e9 <= PERIOD / 2
 
 
-def window(observed: Observation) -> list[Receipt]:
-    """The messages that a report counts: from 20 periods before the change to the end of the observation."""
-    begun = observed.begun - 20 * PERIOD * 1e9
-    return [row for row in observed.rows if begun <= row.received <= observed.ended]
-
-
-def by_source(rows: Sequence[Receipt]) -> dict[int, Receipt]:
-    """Messages by their times of publication, which no two have in common."""
-    found = {row.source: row for row in rows if row.source is not None}
-    assert len(found) == len(rows)
-    return found
-
-
 def longest_gap(observed: Observation) -> float:
     """The longest time without a message (s)."""
     times = sorted(row.received for row in window(observed))
@@ -123,7 +113,7 @@ def recorded_swaps(strategy: str, folder: Path) -> tuple[list[Receipt], list[Swa
             await asyncio.to_thread(recorder.wait_until_it_hears)
             await asyncio.sleep(40 * PERIOD)
             for _ in range(SWAPS):
-                outcome = await manager.change(other(manager, strategy))
+                outcome = await manager.change(other_source(manager, strategy))
                 assert outcome.outcome == "done", outcome.because
                 swaps.extend(outcome.swaps)
             return recorder.stop()
@@ -136,7 +126,7 @@ def recorded_swaps(strategy: str, folder: Path) -> tuple[list[Receipt], list[Swa
 def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Path) -> None:
     async def main() -> SwapReport:
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
-            changing = asyncio.ensure_future(manager.change(other(manager)))
+            changing = asyncio.ensure_future(manager.change(other_source(manager)))
             async for event in manager.subscribe():
                 if event.kind == "step_done" and event.step and event.step.action == "handover":
                     break

@@ -55,10 +55,20 @@ def test_what_stays_lower_is_reported() -> None:
     assert len(crashed) == 2
 
 
+QUIET: dict[str, Any] = {"waiting": None, "ending": False}
+
+
 def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
     row = {"name": "talker.talk", "mode": "normal", "normal": True, "because": None, "busy": None}
-    component = {"name": "talker", "component": "Talker", "pid": 7, "reachable": True, "functionalities": [row]}
-    state = {"system": "talker", "backend": "sim", "valid": True, "components": [component], "topics": []}
+    component = {"name": "talker", "component": "Talker", "pid": 7, "reachable": True, "functionalities": [row]} | QUIET
+    state = {
+        "system": "talker",
+        "backend": "sim",
+        "valid": True,
+        "components": [component],
+        "topics": [],
+        "silences": [],
+    }
     live = shown(render.status({**state, "violations": []}))
     assert live[2].split() == ["talker", "Talker", "7", "talk", "normal"]
     silent = {**component, "reachable": False}
@@ -71,7 +81,7 @@ def test_the_reason_for_a_mode_is_the_error_and_not_the_end_of_its_traceback() -
         'mode normal raised: ValueError: no map\n  File "slam.py", line 3, in normal\n    load(path)\n    ^^^^^^^^^^'
     )
     row = {"name": "slam.f", "mode": "off", "normal": False, "because": because, "busy": None}
-    component = {"name": "slam", "component": "Slam", "pid": 5, "reachable": True, "functionalities": [row]}
+    component = {"name": "slam", "component": "Slam", "pid": 5, "reachable": True, "functionalities": [row]} | QUIET
     document = {
         "system": "s",
         "backend": "sim",
@@ -79,10 +89,22 @@ def test_the_reason_for_a_mode_is_the_error_and_not_the_end_of_its_traceback() -
         "components": [component],
         "topics": [],
         "violations": [],
+        "silences": [],
     }
     text = "\n".join(shown(render.status(document)))
     assert "mode normal raised: ValueError: no map" in text
     assert "^^^" not in text
+
+
+def test_silence_and_waiting_are_shown() -> None:
+    row = {"name": "talker.talk", "mode": "normal", "normal": True, "because": None, "busy": None}
+    component = {"name": "talker", "component": "Talker", "pid": 5, "reachable": True, "functionalities": [row]} | QUIET
+    fault = {"kind": "not_receiving", "words": "sink.in receives nothing of what is published on /t", "seconds": 4.5}
+    document = {"system": "s", "backend": "sim", "valid": False, "topics": [], "violations": [], "silences": [fault]}
+    lines = shown(render.status({**document, "components": [{**component, "waiting": "no /clock"}]}))
+    assert "waiting: no /clock" in lines[2]
+    assert lines[-1] == "sink.in receives nothing of what is published on /t (for 4.50 s)"
+    assert shown(render.outcome(done(silences=[{**fault, "seconds": None}])))[1:] == [fault["words"]]
 
 
 def test_unexpected_degradation_is_reported() -> None:

@@ -11,11 +11,11 @@ from midstride.codec.form import encode
 from midstride.codec.specification import SpecificationForm
 from midstride.errors import SpecificationError
 from midstride.model.specification import Node
-from midstride.plan.decoding import decode_plan
-from midstride.plan.forms import AnyStep, PlanForm, PlanPreview, encode_plan
+from midstride.plan.forms import PlanForm, PlanPreview, decode_plan, encode_plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.request import PlanRequest
 from midstride.plan.request_form import ChangeRequest, NewNode, Strategy, decode_request
+from midstride.plan.step_forms import AnyStep
 from tests.plan.cases import replaced, talker
 
 
@@ -56,6 +56,15 @@ def test_every_fault_of_a_plan_is_found_at_once() -> None:
     ]
 
 
+@pytest.mark.parametrize("key", ["start", "target"])
+def test_a_functionality_without_modes_is_a_fault_of_a_plan(key: str) -> None:
+    document = encode_plan(replaced(talker(), "talker", "NewTalker", "paper"))
+    document[key]["components"]["Talker"]["functionalities"]["talk"]["modes"] = {}
+    with pytest.raises(SpecificationError) as refused:
+        decode_plan(document)
+    assert any(f"/{key}/components/Talker/functionalities/talk/modes:" in str(p) for p in refused.value.problems)
+
+
 def test_a_preview_is_the_plan_without_its_specifications() -> None:
     plan = replaced(talker(), "talker", "NewTalker", "paper")
     document = encode_plan(plan)
@@ -76,7 +85,7 @@ def test_a_request_comes_back() -> None:
     node = talker().nodes["talker"]
     document = {
         "replace": [["talker", "NewTalker"]],
-        "add": [encode(NewNode.of(Node("second", "Talker", node.attachments)))],
+        "add": [encode(NewNode(role="second", component="Talker", attachments={"out": ["/chatter"]}))],
         "remove": ["listener"],
         "to": encode(SpecificationForm.of(talker())),
         "components": [{"name": "Idle"}],

@@ -30,12 +30,14 @@ from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
 from midstride.testing.clock import run
 from midstride.wire.commands import (
     AttachCommand,
     Attached,
     AwaitCutCommand,
+    AwaitMatchCommand,
     AwaitWriteCommand,
     Command,
     CutResult,
@@ -78,6 +80,7 @@ UNREACHABLE = Unreachable("the component cannot be reached")
 REPLIES: dict[type[Command[Any]], Any] = {
     AttachCommand: Attached(matched=1),
     AwaitCutCommand: CutResult(outcome="done"),
+    AwaitMatchCommand: lambda command: Attached(matched=command.peers),
     AwaitWriteCommand: GatedWrites(gated=1, wrong_type=None),
     DetachCommand: Detached(acknowledged=True, last=None),
     ExportStateCommand: ExportedState(state=None),
@@ -338,9 +341,11 @@ class ReconcilingBench(Bench):
         super().__post_init__()
         self.turn = asyncio.Lock()
         self.busy = False
+        self.monitor = SilenceMonitor(self.client, self.clock, self.events, self.launcher.ending)
         self.reconciler = Reconciler(
             self.system,
             self.client,
+            self.monitor,
             self.launcher,
             self.events,
             self.store,

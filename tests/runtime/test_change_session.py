@@ -66,6 +66,7 @@ class SessionBench(ReconcilingBench):
         self.session = ChangeSession(
             self.system,
             self.client,
+            self.monitor,
             self.clock,
             self.events,
             self.store,

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from immutables import Map
+from msgspec import structs
 
 from midstride.errors import CommandRefused, StepFailed, Unreachable
 from midstride.model.action import Swap
@@ -24,10 +25,12 @@ from midstride.runtime.handover import (
     PROBATION,
     LiveHandover,
 )
+from midstride.runtime.handover_conditions import FIND_TIMEOUT
 from midstride.wire.commands import (
     AttachCommand,
     Attached,
     AwaitCutCommand,
+    AwaitMatchCommand,
     AwaitWriteCommand,
     CancelCutCommand,
     CutInCommand,
@@ -52,7 +55,6 @@ from tests.runtime.scripted import (
     C,
     bench,
     instance,
-    reported,
     started,
     talking,
 )
@@ -96,8 +98,11 @@ def test_the_two_sides_are_asked_in_the_order_that_loses_nothing(tmp_path: Path)
         b.client.reply("talker", AwaitCutCommand, CutResult(outcome="done", last=last))
         assert await swapped(b) == {OUT: 17}
         assert [(sent.instance, sent.command.name) for sent in b.client.sent] == [
+            ("talker", "observe"),
+            ("talker_2", "observe"),
             ("talker", "grid"),
             ("talker_2", "attach"),
+            ("listener", "await_match"),
             ("talker_2", "await_write"),
             ("talker", "observe"),
             ("talker_2", "meet"),
@@ -246,27 +251,64 @@ def test_an_old_side_that_ends_meanwhile_is_known_in_one_turn(tmp_path: Path) ->
     bench(CONFIGURATION, tmp_path, body)
 
 
-def test_a_new_side_that_degraded_is_the_reason_whatever_it_refused(tmp_path: Path) -> None:
-    async def body(b: Bench) -> None:
-        def degrades(_: AwaitWriteCommand) -> CommandRefused:
-            b.client.report(reported(b.configuration.instances["talker_2"], modes={"work": "degraded"}))
-            return REFUSED
-
-        b.client.reply("talker_2", AwaitWriteCommand, degrades)
-        await fails(b, r"talker_2\.work entered mode degraded unexpectedly: it entered degraded")
-
-    bench(CONFIGURATION, tmp_path, body)
-
-
 @pytest.mark.parametrize("error", [REFUSED, UNREACHABLE])
 def test_a_new_side_in_its_mode_or_gone_leaves_the_first_reason(error: Exception, tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        if error is UNREACHABLE:
-            b.client.states.pop("talker_2")
-        b.client.reply("talker_2", AttachCommand, error)
+        def fails_to_attach(_: AttachCommand) -> Exception:
+            if error is UNREACHABLE:
+                b.client.states.pop("talker_2")
+            return error
+
+        b.client.reply("talker_2", AttachCommand, fails_to_attach)
         await fails(b, f"^{error}$")
 
     bench(CONFIGURATION, tmp_path, body)
+
+
+def test_a_subscriber_that_has_not_found_the_new_publisher_stops_the_hand_over(tmp_path: Path) -> None:
+    """Its middleware discovers nothing any more: the publisher has found it, and it would be blind after the cut."""
+
+    async def body(b: Bench) -> None:
+        b.client.reply("listener", AwaitMatchCommand, Attached(matched=1))
+        await fails(b, r"listener\.in has found only 1 of 2 publishers on /chatter within 5 s")
+        assert b.client.of(CutOutCommand) == []
+        found = AwaitMatchCommand(port="in", topic="/chatter", peers=2, timeout=FIND_TIMEOUT)
+        assert only(b, AwaitMatchCommand, "listener") == found
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+@pytest.mark.parametrize("error", [TIMEOUT, UNREACHABLE])
+def test_a_subscriber_that_does_not_answer_does_not_stop_the_hand_over(error: Exception, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("listener", AwaitMatchCommand, error)
+        assert await swapped(b) == {OUT: None}
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+@pytest.mark.parametrize("simulated", ["talker", "talker_2"])
+def test_sides_that_follow_different_clocks_do_not_agree_on_a_moment(simulated: str, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.report(structs.replace(b.client.states[simulated], simulated_time=True))
+        await differs(b, rf"^{simulated} follows /clock \(use_sim_time\) and talker(_2)? the clock of the system")
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+def test_an_old_side_that_waits_for_a_clock_says_so(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        for name in ("talker", "talker_2"):
+            b.client.report(structs.replace(b.client.states[name], simulated_time=True, waiting="no /clock"))
+        await differs(b, r"^talker cannot hand over: no /clock$")
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+async def differs(b: Bench, words: str) -> None:
+    with pytest.raises(StepFailed, match=words):
+        await swapped(b)
+    assert b.client.changes == []  # before anything was attached
 
 
 # -- the cut -------------------------------------------------------------------------------------------

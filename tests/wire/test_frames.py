@@ -14,6 +14,7 @@ from midstride.wire.commands import (
     AttachCommand,
     Attached,
     AwaitCutCommand,
+    AwaitMatchCommand,
     AwaitWriteCommand,
     CancelCutCommand,
     Command,
@@ -82,6 +83,7 @@ STATE = ComponentState(
     parameters={"speed": 1.5, "names": ["a", "b"], "on": True},
     stopping=3.0,
     waiting="no manager has welcomed it yet",
+    simulated_time=True,
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
 ROW = Receipt(1, 2, 3, "p")
@@ -98,6 +100,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (RecordsCommand(input="in", timeout=1.5), Records(rows=[ROW], publisher_identity=True, now=9)),
     (ExportStateCommand(timeout=1.5), ExportedState(state=b"\x00\xff\n")),
     (AwaitWriteCommand(port="out", topic="/t", timeout=1.5), GatedWrites(gated=3, wrong_type="a String")),
+    (AwaitMatchCommand(port="in", topic="/t", peers=2, timeout=1.5), Attached(matched=1)),
     (AwaitCutCommand(cut="c", timeout=1.5), CutResult(outcome="resumed", last=WRITE, first=WRITE)),
     (WelcomeCommand(manager="m", timeout=1.5), STATE),
     (

@@ -18,43 +18,43 @@ _GC_THRESHOLD = 50_000
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
+    from midstride.cli.output import printable_output
+
+    gc.set_threshold(_GC_THRESHOLD, *gc.get_threshold()[1:])
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    _replace_closed_streams()
+    if (instruction := os.environ.get("_MIDSTRIDE_COMPLETE")) is not None:
+        from midstride.cli.app import cli
+        from midstride.cli.completion import complete
+
+        return complete(cli, instruction)
+    with printable_output():
+        return _run(words)
+
+
+def _run(words: list[str]) -> int:
     import click
 
     from midstride.cli.app import cli
     from midstride.cli.output import INTERRUPTED
     from midstride.errors import MidstrideError
 
-    gc.set_threshold(_GC_THRESHOLD, *gc.get_threshold()[1:])
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    _replace_closed_streams()
-    if (instruction := os.environ.get("_MIDSTRIDE_COMPLETE")) is not None:
-        from midstride.cli.completion import complete
-
-        return complete(cli, instruction)
     try:
         status = cli.main(words, prog_name="midstride", standalone_mode=False)
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
-    except click.UsageError as error:
-        from midstride.cli.errors import report_usage
-
-        return report_usage(error, words)
-    except MidstrideError as error:
-        from midstride.cli.errors import report_refusal
-
-        return report_refusal(error, words)
     except (click.Abort, KeyboardInterrupt):
         print("\nmidstride: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader has closed the pipe, as `head` does
         _discard_output()
         return 1
-    except OSError as error:
-        from midstride.cli.errors import report_os_error
+    except (click.UsageError, MidstrideError, OSError) as error:
+        from midstride.cli.errors import report
 
-        if error.filename is None:
+        if isinstance(error, OSError) and error.filename is None:
             _discard_output()
-        return report_os_error(error, words)
+        return report(error, words)
 
 
 def _replace_closed_streams() -> None:

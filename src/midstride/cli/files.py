@@ -21,11 +21,14 @@ def read(path: Path) -> Specification:
     """The specification in a file. Raises SpecificationError with every error of form and of names."""
     text = _text(path)
     if _is_stride(path):
-        return _stride(path)
+        from midstride.lang import load as load_stride
+        from midstride.lang.message_types import installed
+
+        return load_stride(path, messages=installed()).require()
     try:
         return decode_specification(parse_json(text))
     except SpecificationError as error:
-        raise _in_file(path, error.problems) from None
+        raise in_file(path, error.problems) from None
 
 
 def read_json(path: Path) -> Any:
@@ -37,7 +40,7 @@ def read_json(path: Path) -> Any:
     except UnicodeDecodeError as error:
         raise SpecificationError(f"cannot read standard input: {error}") from None
     except SpecificationError as error:
-        raise _in_file(path, error.problems) from None
+        raise in_file(path, error.problems) from None
 
 
 def load(path: Path) -> Specification:
@@ -48,7 +51,7 @@ def load(path: Path) -> Specification:
     if _is_stride(path):
         return specification  # the language has checked it, with the place of each error
     if found := errors(check(specification)):
-        raise _in_file(path, found)
+        raise in_file(path, found)
     return specification
 
 
@@ -59,13 +62,6 @@ def require_file(path: Path) -> None:
 
 def _is_stride(path: Path) -> bool:
     return path.suffix != ".json"
-
-
-def _stride(path: Path) -> Specification:
-    from midstride.lang import load as load_stride
-    from midstride.lang.message_types import installed
-
-    return load_stride(path, messages=installed()).require()
 
 
 def _text(path: Path) -> str:
@@ -80,11 +76,9 @@ def _text(path: Path) -> str:
     except IsADirectoryError:
         inside = ", ".join(sorted(str(path / entry.name) for entry in _candidates(path)))
         raise SpecificationError(f"{path} is a folder" + (f"; give a file in it: {inside}" if inside else "")) from None
-    except UnicodeDecodeError as error:
-        if _is_stride(path):
+    except (UnicodeDecodeError, OSError) as error:
+        if _is_stride(path) and isinstance(error, UnicodeDecodeError):
             return ""  # the language reports the place
-        raise SpecificationError(f"cannot read {path}: {error}") from None
-    except OSError as error:
         raise SpecificationError(f"cannot read {path}: {error}") from None
 
 
@@ -98,5 +92,5 @@ def _candidates(folder: Path) -> list[Path]:
     return sorted([*folder.glob("*.stride"), *folder.glob("*.json")])
 
 
-def _in_file(path: Path, problems: Iterable[object]) -> SpecificationError:
+def in_file(path: Path, problems: Iterable[object]) -> SpecificationError:
     return SpecificationError([f"{path}: {problem}" for problem in problems])

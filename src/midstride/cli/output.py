@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
 import click
 
@@ -20,13 +21,6 @@ INTERRUPTED: Final = 130
 PIPE_WIDTH: Final = 1000
 
 
-@dataclass(slots=True)
-class Settings:
-    """Options that apply to the whole command line."""
-
-    json: bool = False
-
-
 def json_option(function: Any) -> Any:
     """``--json``, accepted before and after the command's name."""
     summary = "Print one JSON document, and nothing else."
@@ -34,33 +28,67 @@ def json_option(function: Any) -> Any:
 
 
 def _set_json(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-    settings = ctx.ensure_object(Settings)
-    settings.json = settings.json or value
+    ctx.meta[__name__] = value or ctx.meta.get(__name__, False)  # shared by the contexts of all commands
 
 
 def wants_json() -> bool:
     """Whether the command line has ``--json``."""
-    settings = click.get_current_context().find_object(Settings)
-    return settings is not None and settings.json
+    return bool(click.get_current_context().meta.get(__name__))
 
 
 def print_json(document: Any) -> None:
     """Print a document, in which there may be forms (midstride.codec)."""
     import msgspec
 
-    print(json.dumps(document, indent=2, ensure_ascii=False, default=msgspec.to_builtins))
+    from midstride.model.printable import printable
+
+    text = json.dumps(document, indent=2, ensure_ascii=False, default=msgspec.to_builtins)
+    if printable(text) != text:
+        text = "".join(c if printable(c) == c else json.dumps(c)[1:-1] for c in text)
+    print(text)
+
+
+class PrintableStream:
+    """A text stream that escapes control characters: they may come from anybody's file or component.
+
+    ``raw`` is the stream below, for what writes control characters of its own.
+    """
+
+    buffer: Final = None  # click would write to it
+
+    def __init__(self, raw: TextIO) -> None:
+        self.raw = raw
+
+    def write(self, text: str) -> int:
+        if not (text.isascii() and text.replace("\n", "").isprintable()):  # else the import would slow `--help` down
+            from midstride.model.printable import printable
+
+            text = printable(text)
+        return self.raw.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.raw, name)
+
+
+@contextmanager
+def printable_output() -> Iterator[None]:
+    """Within it, standard output and standard error are :class:`PrintableStream`."""
+    out, err = (cast("TextIO", PrintableStream(stream)) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
+        yield
 
 
 def console(stderr: bool = False) -> Console:
     """A console on standard output or standard error. Characters that its encoding lacks become question marks."""
-    from rich.console import Console
+    from midstride.cli.console import PrintableConsole
 
     stream = sys.stderr if stderr else sys.stdout
+    stream = getattr(stream, "raw", stream)
     reconfigure = getattr(stream, "reconfigure", None)
     if reconfigure is not None:
         reconfigure(errors="replace")
     width = None if stream.isatty() else PIPE_WIDTH
-    return Console(file=stream, highlight=False, emoji=False, width=width)
+    return PrintableConsole(file=stream, highlight=False, emoji=False, width=width)
 
 
 def is_interactive() -> bool:

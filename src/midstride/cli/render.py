@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from midstride.cli.console import PrintableTable
 from midstride.model import wording
 
 Document = Mapping[str, Any]
@@ -21,6 +22,7 @@ _STYLES: Final = {
     "step_failed": "red",
     "up_failed": "red",
     "exited": "red",
+    "silence": "red",
     "degraded": "yellow",
     "rollback": "yellow",
 }
@@ -28,7 +30,7 @@ _STYLES: Final = {
 
 def table(left: Iterable[str], right: Iterable[str] = ()) -> Table:
     """An empty table with these columns, the last ones aligned to the right."""
-    made = Table(box=None, pad_edge=False, header_style="dim")
+    made = PrintableTable(box=None, pad_edge=False, header_style="dim")
     for name in left:
         made.add_column(name)
     for name in right:
@@ -50,14 +52,10 @@ def seconds(value: float | None) -> str:
 def step_text(step: Document) -> str:
     """One step of a plan in a few words."""
     match step["action"]:
-        case "create":
-            return wording.creation(step["component"], step["of"])
-        case "remove":
-            return wording.removal(step["component"])
-        case "attach":
-            return wording.attachment(step["port"], step["connector"])
-        case "detach":
-            return wording.detachment(step["port"], step["connector"])
+        case "create" | "remove" as kind:
+            return wording.existence(kind, step["component"], step.get("of", ""))
+        case "attach" | "detach" as kind:
+            return wording.attachment(kind, step["port"], step["connector"])
         case "degrade" | "upgrade" as kind:
             return wording.mode_changes(kind, ((name, m["from"], m["to"]) for name, m in step["modes"].items()))
         case "handover":
@@ -169,6 +167,7 @@ def _fallen_lines(document: Document) -> list[str]:
         lines.append(f"Exited unexpectedly meanwhile: {', '.join(ended)}; see `midstride log`.")
     if degraded := document.get("degraded"):
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
+    lines += map(_silence, document.get("silences") or ())
     return lines or ["Nothing fell below its level."]
 
 
@@ -196,7 +195,7 @@ def status(document: Document) -> RenderableType:
         first = [component["name"], component["component"], _process(component)]
         rows: list[Document] = component["functionalities"] or [{}]
         for row in rows:
-            live.add_row(*first, *_functionality(row, component["reachable"]))
+            live.add_row(*first, *_functionality(row, component))
             first = ["", "", ""]
     return Group(Text.from_markup(_heading(document)), live, *_topics(document), *_problems(document))
 
@@ -210,20 +209,24 @@ def _heading(document: Document) -> str:
 
 def _process(component: Document) -> Text:
     process = str(component["pid"] or "–")
+    if component["ending"]:
+        return Text(f"{process}, ending", style="dim")
     if not component["reachable"]:
         return Text(f"{process}, not responding", style="red")
     return Text(process, style="dim")
 
 
-def _functionality(row: Document, reachable: bool) -> tuple[Text, Text, Text]:
+def _functionality(row: Document, component: Document) -> tuple[Text, Text, Text]:
     """Its name, its mode and why. The mode is unknown while its component does not respond."""
     if not row:
         return Text("none", style="dim"), Text(""), Text("")
     name = Text(row["name"].rpartition(".")[2])
-    if not reachable:
+    if not component["reachable"]:
         return name, Text(UNKNOWN, style="red"), Text(f"last known mode: {row['mode']}")
     mode = Text(row["mode"], style="green" if row["normal"] else "yellow")
     why = [] if row["normal"] or not row.get("because") else [str(row["because"]).strip().splitlines()[0]]
+    if component["waiting"]:
+        why.append(f"waiting: {component['waiting']}")
     if row.get("busy") is not None:
         why.append(f"busy for {seconds(row['busy'])}")
     return name, mode, Text("; ".join(why))
@@ -240,12 +243,17 @@ def _topics(document: Document) -> Iterable[Text]:
 
 
 def _problems(document: Document) -> Iterable[Text]:
-    problems = list(document["violations"])
+    problems = [*document["violations"], *(_silence(fault) for fault in document["silences"])]
     for crash in document.get("crashed") or ():
         problems.append(f"{crash['name']} exited unexpectedly (status {crash['status']})")
     if document.get("unwritten"):
         problems.append(document["unwritten"])
     return [Text(problem, style="red") for problem in problems]
+
+
+def _silence(fault: Document) -> str:
+    since = "" if fault["seconds"] is None else f" (for {seconds(fault['seconds'])})"
+    return f"{fault['words']}{since}"
 
 
 def time_of_day(at: float) -> str:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 from msgspec import inspect
@@ -21,6 +22,20 @@ from midstride.model.diagnostics import Problem, independent
 
 F = TypeVar("F", bound=msgspec.Struct)
 T = TypeVar("T")
+
+# An escape in a JSON text; `lone` is a surrogate without the other half of its pair, which no output can encode.
+_ESCAPE: Final = re.compile(
+    r"\\(?:u[dD][89abAB][0-9a-fA-F]{2}\\u[dD][c-fC-F][0-9a-fA-F]{2}|(?P<lone>u[dD][89a-fA-F][0-9a-fA-F]{2})|.)"
+)
+
+
+def strict_json(text: str, pairs: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
+    """The value of a JSON text without lone surrogates. Raises as ``json.loads`` does."""
+    value = json.loads(text, object_pairs_hook=pairs)
+    for escape in _ESCAPE.finditer(text):
+        if escape["lone"] is not None:
+            raise json.JSONDecodeError(f"\\{escape['lone']} is half of a surrogate pair", text, escape.start())
+    return value
 
 
 def parse_json(text: str) -> Any:
@@ -41,7 +56,7 @@ def parse_json(text: str) -> Any:
         return marked
 
     try:
-        value = json.loads(text, object_pairs_hook=pairs)
+        value = strict_json(text, pairs)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise SpecificationError([Problem("E001", (), f"not JSON: {error.msg} at {where}")]) from None

@@ -8,6 +8,7 @@ before an endpoint is destroyed, its gate is closed and its readers have acknowl
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Callable
 from functools import partial
 from typing import Final
@@ -138,7 +139,18 @@ class Attachments:
             if link.output.owner.failed:
                 break  # it will not write
             await self._host.sleep(TICK)
+        if link.output.wrong_type is not None:
+            with contextlib.suppress(CommandRefused):
+                await self._data.run(lambda: None, command.timeout)  # until the call that wrote it has degraded
         return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
+
+    async def await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
+        link = self.port(command.port).link(command.topic)
+        if link is None:
+            raise CommandRefused(f"{command.port} is not attached to {command.topic}")
+        endpoint = link.subscription if isinstance(link, InputLink) else link.publisher
+        assert endpoint is not None
+        return commands.Attached(matched=max(0, await self._match(endpoint, command.peers, command.timeout)))
 
     async def close_all(self, timeout: float) -> None:
         """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""

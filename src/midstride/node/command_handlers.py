@@ -31,14 +31,20 @@ SHUTDOWN_SECONDS: Final = 1.0
 
 
 class Revision:
-    """Counts the changes of a component. Both threads count up, so it has a lock; reading needs none."""
+    """Counts the changes of a component. Both threads count up, so it has a lock; reading needs none.
+
+    ``failure``: the last change that user code made by raising, as its number and in words.
+    """
 
     def __init__(self) -> None:
         self.value = 0
+        self.failure = (0, "")
         self._lock = threading.Lock()
 
-    def bump(self) -> None:
+    def bump(self, failure: str = "") -> None:
         with self._lock:
+            if failure:
+                self.failure = (self.value + 1, failure)
             self.value += 1
 
 
@@ -69,6 +75,7 @@ class CommandHandlers:
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._attachments.detach,
             commands.GateCommand: self._attachments.gate,
+            commands.AwaitMatchCommand: self._attachments.await_match,
             commands.AwaitWriteCommand: self._attachments.await_write,
             commands.GridCommand: self._handovers.grid,
             commands.MeetCommand: self._handovers.meet,
@@ -180,6 +187,7 @@ class CommandHandlers:
             parameters={parameter.name: parameter.value for parameter in self._parts.parameters.values()},
             stopping=self._parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
+            simulated_time=self._host.simulated_time,
         )
 
     def _busy_words(self) -> str:

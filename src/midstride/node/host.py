@@ -104,6 +104,11 @@ class Host(Protocol):
         """The ROS clock, ns; 0 while nothing has arrived on a ``/clock`` that drives it. Cheap: on the data path."""
         ...
 
+    @property
+    def simulated_time(self) -> bool:
+        """Whether ``/clock`` drives the ROS clock."""
+        ...
+
     def steady(self) -> int:
         """The steady clock, ns: for time-outs, heartbeats and times of receipt. Cheap: on the data path."""
         ...

@@ -32,6 +32,7 @@ from midstride.runtime.recording import Recording
 from midstride.runtime.reports import Outcome, OutcomeKind
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import StepVerifier, Verifier
+from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
 from midstride.verify.verdict import Verdict
 
@@ -45,6 +46,7 @@ class ChangeSession:
 
     system: RunningSystem
     client: ComponentClient
+    monitor: SilenceMonitor
     clock: Clock
     events: EventLog
     store: StateStore
@@ -106,6 +108,7 @@ class ChangeSession:
     ) -> Outcome:
         system = self.system
         preview = PlanPreview.of(plan)
+        silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
         self.events.add("plan", f"{counted(len(plan.steps), 'step')}, disruption {plan.disruption:g}", plan=preview)
         actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
@@ -145,6 +148,7 @@ class ChangeSession:
         finally:
             self.measuring = False
         await self.reconciler.reconcile()  # the report includes unexpected degradations
+        silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
         if swaps:
             self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
         self.events.add("outcome", f"{outcome}: {because}" if because else outcome, outcome=outcome)
@@ -157,6 +161,7 @@ class ChangeSession:
             because=because,
             ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
             degraded=sorted(map(str, self.reconciler.degraded)),
+            silences=[fault for words, fault in silences.items() if words not in silent_before],
         )
 
 
@@ -164,8 +169,8 @@ def _plan(
     request: PlanRequest, specification: Specification, configuration: Configuration
 ) -> tuple[Plan, Specification]:
     target = request.target(specification)
-    if request.to is None and len(request.replace) + len(request.remove) + len(request.add) == 1:
+    if len(request.roles()) == 1:
         change = requested_change(configuration, specification, request, target)
     else:
-        change = change_between(configuration, specification, target)
+        change = change_between(configuration, specification, target, renewed=request.renewed())
     return planner(request.strategy)(change), target

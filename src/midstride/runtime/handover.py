@@ -15,12 +15,13 @@ from typing import Final
 
 from midstride.errors import CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import Swap
-from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.contract import Predicate
 from midstride.runtime.agreed_cut import Cut, agree_cuts
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
+from midstride.runtime.handover_conditions import require_found, require_same_clock
 from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
@@ -82,9 +83,8 @@ class LiveHandover:
                     raise
                 last = await self._take_over()
         except MidstrideError as error:
-            degradation = await self._degradation_of_new()
             await self._undo()
-            raise StepFailed(degradation or str(error)) from error
+            raise StepFailed(str(error)) from error
         except (Exception, asyncio.CancelledError):
             await self._undo()
             raise
@@ -100,11 +100,16 @@ class LiveHandover:
 
     async def _agree(self) -> dict[PortRef, int | None]:
         """Hand over at an agreed moment; the number of each old output's last message."""
+        pairs = sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps})
+        for old, new in pairs:
+            await require_same_clock(self.client, old, new)
         for swap in self.swaps:
             await self._attach_gated(swap)
+        for connector in sorted({swap.connector for swap in self.swaps}):
+            await require_found(self.client, self.configuration, self.swaps, connector, self.is_gone)
         for swap in self.swaps:
             await self._await_probation(swap)
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+        for old, new in pairs:
             await self._meet(new, old)
         for lead in LEADS:
             self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead)
@@ -160,19 +165,6 @@ class LiveHandover:
     def _topic(self, swap: Swap) -> str:
         return self.configuration.context.connectors[swap.connector].topic
 
-    async def _degradation_of_new(self) -> str | None:
-        """If the new side degraded unexpectedly, that is the root cause of any refusal: a message saying so."""
-        for swap in self.swaps:
-            owner = self.configuration.component(swap.new.instance).owner(swap.new.port)
-            try:
-                view = (await self.client.peek(swap.new.instance)).functionalities.get(owner.name)
-            except MidstrideError:
-                continue
-            ref = FunctionalityRef(swap.new.instance, owner.name)
-            if view is not None and owner.mode_index(view.mode) > self.configuration.modes[ref]:
-                return f"{ref} entered mode {view.mode} unexpectedly: {view.because.strip()}"
-        return None
-
     async def _attach_gated(self, swap: Swap) -> None:
         """Attach the new publisher with a closed gate, and wait until it is matched with the subscribers of the model.
 
@@ -221,7 +213,9 @@ class LiveHandover:
         if seen.wrong_type:
             raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
         if not seen.gated:
-            raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over")
+            waiting = (await self.client.peek(swap.new.instance)).waiting
+            because = "" if waiting is None else f": {waiting}"
+            raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")
 
     async def _meet(self, new: str, old: str) -> None:
         """Have the new side connect to the old one.

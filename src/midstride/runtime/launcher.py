@@ -56,6 +56,7 @@ class Launcher:
         self._graces: dict[str, float] = {}
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self.handles: dict[str, Handle] = {}
+        self.ending: set[str] = set()
 
     def exited(self, event: Exited) -> None:
         """A process has exited: if its registration is awaited, the start fails."""
@@ -189,7 +190,11 @@ class Launcher:
         It is killed if it has not ended after ``grace`` (s), by default as long as it asks for.
         """
         self._client.forget(name)
-        await self._backend.end(name, self._graces.get(name, STOP_GRACE) if grace is None else grace)
+        self.ending.add(name)
+        try:
+            await self._backend.end(name, self._graces.get(name, STOP_GRACE) if grace is None else grace)
+        finally:
+            self.ending.discard(name)
         self._client.disconnect(name)
         self._graces.pop(name, None)
         self.handles.pop(name, None)

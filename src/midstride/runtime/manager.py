@@ -39,6 +39,7 @@ from midstride.runtime.recovery import recover
 from midstride.runtime.reports import Event, LiveConfiguration, Outcome, RunningCommand, Status, UpReport, Why
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import Verifier
+from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.wire.state import ComponentState
@@ -65,9 +66,11 @@ class Manager:
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
         self._launcher = Launcher(backend, self._client, directory)
+        self._monitor = SilenceMonitor(self._client, backend.clock, self.events, self._launcher.ending)
         self._reconciler = Reconciler(
             self.system,
             self._client,
+            self._monitor,
             self._launcher,
             self.events,
             self._store,
@@ -79,6 +82,7 @@ class Manager:
         self._session = ChangeSession(
             self.system,
             self._client,
+            self._monitor,
             backend.clock,
             self.events,
             self._store,
@@ -201,6 +205,8 @@ class Manager:
         return status.status(
             self.system,
             self._client,
+            self._monitor,
+            ending=self._launcher.ending,
             pids={name: handle.pid for name, handle in self._launcher.handles.items()},
             backend=self._backend.name,
             running=running,

@@ -26,6 +26,7 @@ from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations, own_degradations_in
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
 
 log = logging.getLogger(__name__)
@@ -42,6 +43,7 @@ class Reconciler:
 
     system: RunningSystem
     client: ComponentClient
+    monitor: SilenceMonitor
     launcher: Launcher
     events: EventLog
     store: StateStore
@@ -80,6 +82,7 @@ class Reconciler:
                     self.launcher.disconnected(instance)
                     self._record_exit(Exited(instance, None))
             case state:
+                self.monitor.on_report(state, self.system.configuration)
                 answers_again = state.instance in self._unanswered
                 self._unanswered.discard(state.instance)
                 if answers_again or own_degradations_in(self.system.configuration, state):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
@@ -15,6 +16,8 @@ from midstride.model.contract import Predicate
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, report, unknown_report
+from midstride.runtime.reports import SilenceFault
+from midstride.runtime.silence import UNRECEIVED, not_receiving
 from midstride.wire.commands import GridCommand, RecordCommand, Records, RecordsCommand
 
 # Recording continues for 20 periods after the last step, but at most for this long (s).
@@ -73,6 +76,8 @@ class Recording:
     clock: Clock
     recorded: list[RecordedInput] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)
+    # Subscribers that received nothing while the new publisher published.
+    silences: list[SilenceFault] = field(default_factory=list)
     _driving_inputs: dict[PortRef, PortRef] = field(default_factory=dict)
     # The recording inputs, and since when (ns); None if the reply was lost.
     _begun: dict[PortRef, int | None] = field(default_factory=dict)
@@ -133,14 +138,18 @@ class Recording:
             return self.unknown
         periods = [each.observation.guaranteed_period for each in self.recorded]
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
+        begun, before, after = self.clock.steady(), dict[PortRef, int](), dict[PortRef, int]()
         records: dict[PortRef, Records | None] = {}
         try:
+            before = await self._published(resumed)
             await self.clock.sleep(min(max(tails), LONGEST_TAIL))
+            after = await self._published(resumed)
             # The subscribers first: then the driving inputs have received every message that was answered.
             for port in dict.fromkeys([*(each.input for each in self.recorded), *self._driving_inputs.values()]):
                 records[port] = await self._records(port)
         except asyncio.CancelledError:
             records.clear()
+        watched = self.clock.steady() - begun
         inputs = {old: records.get(port) for old, port in self._driving_inputs.items()}
         reports = []
         for each in self.recorded:
@@ -153,7 +162,21 @@ class Recording:
             last = last_numbers.get(old)
             seen = replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources, resumed=resumed)
             reports.append(report(seen))
+            published = after.get(old, 0) - before.get(old, after.get(old, 0))
+            if published >= UNRECEIVED and not any(row.received > found.now - watched * 1e9 for row in found.rows):
+                self.silences.append(not_receiving(each.input, seen.topic, watched))
         return reports + self.unknown
+
+    async def _published(self, resumed: bool) -> dict[PortRef, int]:
+        """How many messages the publishers at the end have published so far, by old publisher, where that is known."""
+        counts = {}
+        for old, new, topic in dict.fromkeys(
+            (each.exchange.old, each.exchange.new, each.observation.topic) for each in self.recorded
+        ):
+            port = old if resumed else new
+            with contextlib.suppress(MidstrideError, KeyError):
+                counts[old] = (await self.client.peek(port.instance)).ports[port.port][topic].count
+        return counts
 
     async def _records(self, port: PortRef) -> Records | None:
         try:

@@ -12,16 +12,29 @@ from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.configuration import ConfigurationForm
 from midstride.codec.form import Form
-from midstride.plan.forms import AnyStep, PlanForm, PlanPreview
+from midstride.plan.forms import PlanForm, PlanPreview
+from midstride.plan.step_forms import AnyStep
 from midstride.runtime.measure import SwapReport
 from midstride.verify.verdict import Verdict
 
 OutcomeKind: TypeAlias = Literal["done", "refused", "rolled_back", "failed"]
 Phase: TypeAlias = Literal["starting", "up", "failed", "down"]
+SilenceKind: TypeAlias = Literal["not_answering", "not_publishing", "not_receiving"]
 
 
 class Report(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
     """Every field is written, null where nothing is known."""
+
+
+class SilenceFault(Report, frozen=True, kw_only=True):
+    """A component that does not answer, or a port that has been silent for so long, in seconds (null: unknown)."""
+
+    kind: SilenceKind
+    instance: str
+    port: str | None = None
+    topic: str | None = None
+    seconds: float | None
+    words: str
 
 
 # -- changes -----------------------------------------------------------------------------------------------------
@@ -51,6 +64,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     because: str | None = None
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
     degraded: Annotated[list[str], Meta(description="functionalities that degraded unexpectedly meanwhile")] = []
+    silences: Annotated[list[SilenceFault], Meta(description="faults that began meanwhile, and last")] = []
     verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where requested")] = UNSET
 
 
@@ -101,6 +115,7 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     component: str
     pid: int | None
     reachable: bool
+    ending: Annotated[bool, Meta(description="it has been asked to end")]
     waiting: Annotated[str | None, Meta(description="what it is waiting for")]
     as_modelled: bool
     functionalities: list[FunctionalityStatus]
@@ -138,6 +153,7 @@ class Status(Report, frozen=True, kw_only=True):
     violations: list[str]
     components: list[ComponentStatus]
     crashed: list[CrashedInstance]
+    silences: list[SilenceFault]
     topics: list[TopicStatus]
     system: str
     backend: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef, PortRef
@@ -20,27 +20,34 @@ from midstride.runtime.reports import (
     Why,
 )
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.silence import SilenceMonitor
 from midstride.wire.state import ComponentState, FunctionalityState, GateState
 
 
 def status(
     system: RunningSystem,
     client: ComponentClient,
+    monitor: SilenceMonitor,
     *,
+    ending: Container[str],
     pids: Mapping[str, int | None],
     backend: str,
     running: RunningCommand | None,
     unwritten: str | None,
 ) -> Status:
-    """The answer to ``midstride status``. ``pids`` has the processes of components that report nothing."""
+    """The answer to ``midstride status``.
+
+    ``ending`` are the instances that have been asked to end; ``pids`` has the processes of those that report nothing.
+    """
     configuration = system.configuration
-    found = violations(configuration)
+    found, silences = violations(configuration), monitor.faults(configuration)
     components = [
-        _component(configuration, instance, client.responsive(name), pids.get(name))
+        _component(configuration, instance, client.responsive(name), pids.get(name), name in ending)
         for name, instance in sorted(configuration.instances.items())
     ]
     return Status(
-        valid=not found and all(each.reachable and each.as_modelled for each in components),
+        # A component that waits for the clock of a simulation does not do what its modes guarantee.
+        valid=not found and not silences and all(each.as_modelled and each.waiting is None for each in components),
         violations=[str(violation) for violation in found],
         components=components,
         crashed=[
@@ -48,6 +55,7 @@ def status(
             for name, exited in sorted({**system.missing, **system.crashed}.items())
             if name not in configuration.instances
         ],
+        silences=silences,
         topics=_topics(configuration),
         system=system.specification.name,
         backend=backend,
@@ -71,7 +79,7 @@ def _topics(configuration: Configuration) -> list[TopicStatus]:
 
 
 def _component(
-    configuration: Configuration, instance: Instance, state: ComponentState | None, pid: int | None
+    configuration: Configuration, instance: Instance, state: ComponentState | None, pid: int | None, ending: bool
 ) -> ComponentStatus:
     reported = {} if state is None else state.functionalities
     functionalities = [
@@ -83,6 +91,7 @@ def _component(
         component=instance.component.name,
         pid=pid if state is None else state.pid,
         reachable=state is not None,
+        ending=ending,
         waiting=None if state is None else state.waiting,
         as_modelled=all(each.mode == each.modelled for each in functionalities),
         functionalities=functionalities,

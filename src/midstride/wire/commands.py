@@ -189,6 +189,16 @@ class AwaitWriteCommand(Command[GatedWrites], frozen=True, kw_only=True, tag="aw
     timeout: Seconds = 5.0
 
 
+class AwaitMatchCommand(Command[Attached], frozen=True, kw_only=True, tag="await_match"):
+    """Wait until the endpoint of an attachment is matched with ``peers`` compatible endpoints, as it sees it."""
+
+    kind = "reading"
+    port: str
+    topic: str
+    peers: int
+    timeout: Seconds = 5.0
+
+
 class AwaitCutCommand(Command[CutResult], frozen=True, kw_only=True, tag="await_cut"):
     """Wait until the cut is over on this side."""
 

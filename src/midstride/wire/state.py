@@ -40,7 +40,8 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
 
-    ``stopping`` is how long it may take to end in order (s). ``ports`` maps port -> topic -> attachment.
+    ``simulated_time``: its ROS clock follows ``/clock``. ``stopping`` is how long it may take to end in order (s).
+    ``ports`` maps port -> topic -> attachment.
     """
 
     instance: str
@@ -52,3 +53,4 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     parameters: dict[str, Any]
     stopping: float
     waiting: str | None = None
+    simulated_time: bool = False

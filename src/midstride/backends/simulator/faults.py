@@ -40,6 +40,13 @@ class Faults:
         """As SIGSTOP, and SIGCONT after ``seconds``: nothing in it runs, and nothing sent to it is lost."""
         self._process(instance).freeze(seconds)
 
+    def stop_discovery(self, instance: str) -> None:
+        """As a deadlock of its middleware: its inputs receive nothing from publishers created from now on.
+
+        These publishers count it as matched all the same, and what it publishes is received.
+        """
+        self._network.undiscovering[self._process(instance)] = self._network.clock.steady()
+
     def drop(self, topic: str, count: int) -> None:
         """The next ``count`` messages on ``topic`` are lost."""
         self._network.topic(topic).dropping = count

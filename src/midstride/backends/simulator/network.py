@@ -7,6 +7,7 @@ where one is asked for. Matching, latching, queue depths and QoS are as ROS 2 ha
 from __future__ import annotations
 
 import copy
+import math
 import random
 from collections import deque
 from collections.abc import Callable
@@ -52,7 +53,8 @@ class SimulatedWriter:
         return True
 
     def destroy(self) -> None:
-        self._network.remove_writer(self)
+        with suppress(ValueError):  # it went with its process
+            self._network.topic(self.topic).writers.remove(self)
 
 
 class SimulatedReader:
@@ -80,7 +82,8 @@ class SimulatedReader:
 
     def destroy(self) -> None:
         self.gone = True
-        self._network.remove_reader(self)
+        with suppress(ValueError):
+            self._network.topic(self.topic).readers.remove(self)
 
 
 def _depth(qos: QoS) -> int | None:
@@ -108,6 +111,8 @@ class Network:
         self._jitter = jitter
         self._random = random.Random(seed)
         self._identities = 0
+        # The processes that find no endpoints any more, and since when (steady s): a fault.
+        self.undiscovering: dict[SimulatedProcess, float] = {}
         # What is in flight between two endpoints, in order: timers of the same moment fire in any order.
         self._in_flight: dict[tuple[SimulatedWriter, SimulatedReader], deque[tuple[float, Any, Any]]] = {}
 
@@ -117,8 +122,6 @@ class Network:
 
     def topic(self, name: str) -> SimulatedTopic:
         return self.topics.setdefault(name if name.startswith("/") else f"/{name}", SimulatedTopic())
-
-    # -- endpoints ---------------------------------------------------------------------------------
 
     def create_writer(self, owner: SimulatedProcess, topic: str, type_: str, qos: QoS) -> SimulatedWriter:
         writer = SimulatedWriter(self, owner, topic, type_, qos)
@@ -130,17 +133,12 @@ class Network:
     ) -> SimulatedReader:
         reader = SimulatedReader(self, owner, topic, type_, qos, wake)
         self.topic(topic).readers.append(reader)
+        # A late joiner gets what transient-local writers have kept, once they are matched.
         for writer in self.topic(topic).writers:
-            self._latch(writer, reader)
+            if writer.qos.is_transient_local and reader.qos.is_transient_local and _compatible(writer, reader):
+                for message, info in writer.history:
+                    self._send(writer, reader, message, info, self.discovery)
         return reader
-
-    def remove_writer(self, writer: SimulatedWriter) -> None:
-        with suppress(ValueError):  # it went with its process
-            self.topic(writer.topic).writers.remove(writer)
-
-    def remove_reader(self, reader: SimulatedReader) -> None:
-        with suppress(ValueError):
-            self.topic(reader.topic).readers.remove(reader)
 
     def remove_process(self, owner: SimulatedProcess) -> None:
         """Remove the endpoints of a process that has ended."""
@@ -155,13 +153,16 @@ class Network:
         return [reader for reader in self.topic(writer.topic).readers if self._matched(writer, reader)]
 
     def writers_of(self, reader: SimulatedReader) -> list[SimulatedWriter]:
-        return [writer for writer in self.topic(reader.topic).writers if self._matched(writer, reader)]
+        writers = self.topic(reader.topic).writers
+        return [writer for writer in writers if self._matched(writer, reader) and self._found(writer, reader)]
 
     def _matched(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
         known = max(writer.created, reader.created) + self.discovery
         return known <= self.clock.steady() and _compatible(writer, reader)
 
-    # -- messages ----------------------------------------------------------------------------------
+    def _found(self, writer: SimulatedWriter, reader: SimulatedReader) -> bool:
+        """Whether the reader's process knows of the writer."""
+        return writer.created < self.undiscovering.get(reader.owner, math.inf)
 
     def publish(self, writer: SimulatedWriter, message: Any) -> None:
         topic = self.topic(writer.topic)
@@ -175,13 +176,8 @@ class Network:
             topic.dropping -= 1
             return
         for reader in self.readers_of(writer):
-            self._send(writer, reader, message, info)
-
-    def _latch(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        """A late joiner gets what a transient-local writer has kept, once they are matched."""
-        if writer.qos.is_transient_local and reader.qos.is_transient_local and _compatible(writer, reader):
-            for message, info in writer.history:
-                self._send(writer, reader, message, info, self.discovery)
+            if self._found(writer, reader):
+                self._send(writer, reader, message, info)
 
     def _send(
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
@@ -197,7 +193,7 @@ class Network:
         self.clock.loop.call_later(at - self.clock.steady(), self._arrive, writer, reader)
 
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        left = reader.owner.frozen_until() - self.clock.steady()
+        left = reader.owner.thawed_at - self.clock.steady()
         if left > 0 and not reader.gone:
             self.clock.loop.call_later(left, self._arrive, writer, reader)  # a frozen process acknowledges nothing
             return
