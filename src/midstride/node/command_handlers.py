@@ -63,7 +63,7 @@ class CommandHandlers:
         self._degraded = degraded
         self._runners: list[FunctionalityRunner] = []
         self._data = DataExecutor(host, self._busy_words)
-        self._attachments = Attachments(parts.inputs, parts.outputs, host, self._data)
+        self._attachments = Attachments(parts, host, self._data)
         self._handovers = HandoverCommands(self._attachments, host, self._data, changed, token)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
@@ -164,13 +164,12 @@ class CommandHandlers:
                 because=runner.because,
                 busy=None if busy is None else (now - busy) / 1e9,
             )
-        ports: dict[str, dict[str, LinkState]] = {}
-        for output in self._parts.outputs.values():
-            ports[output.name] = {
-                link.topic: LinkState(gate=link.gate, count=link.count, gated=link.gated) for link in output.links
+        ports = {
+            port.name: {
+                link.topic: LinkState(gate=link.gate, count=link.count, gated=link.gated) for link in port.links
             }
-        for port in self._parts.inputs.values():
-            ports[port.name] = {link.topic: LinkState(gate=None, count=link.count) for link in port.links}
+            for port in self._parts.ports.values()
+        }
         return ComponentState(
             instance=instance,
             uuid=uuid,

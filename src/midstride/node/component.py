@@ -204,7 +204,7 @@ class Component:
     def _new_port(self, name: object) -> str:
         port = check_name(name, "a port's name")
         self._declaring(f"port {port}")
-        if port in {*self._parts.inputs, *self._parts.outputs}:
+        if port in self._parts.ports:
             raise NodeError(f"port {port} exists already; give this one another name")
         return port
 

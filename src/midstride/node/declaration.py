@@ -40,6 +40,10 @@ class DeclaredParts:
     parameters: dict[str, Parameter] = field(default_factory=dict)
     callbacks: Callbacks = field(default_factory=Callbacks)
 
+    @property
+    def ports(self) -> dict[str, Output | Input]:
+        return {**self.outputs, **self.inputs}
+
 
 def declare(name: str, parts: DeclaredParts) -> model.ComponentSpec:
     """The component. Raises NodeError where it breaks a rule of docs/semantics.md section 2."""

@@ -10,25 +10,19 @@ import inspect
 import traceback
 from collections import deque
 from collections.abc import Callable, Coroutine
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from midstride.node.functionality import Functionality
 from midstride.node.host import Host
 from midstride.node.modes import DeclaredMode, Function
-from midstride.node.ports import Driven
+from midstride.node.ports import Driven, OutputOwner
 from midstride.node.trigger import OnRate, Trigger, trigger_of
 
 # What user code may raise without taking the node down; sys.exit() in a callback is one of its errors.
 CAUGHT: Final = (Exception, SystemExit)
 
 
-class PendingSwitch(Protocol):
-    """A mode switch that waits for an async call to end (midstride.node.mode_switch)."""
-
-    def attempt(self) -> None: ...
-
-
-class FunctionalityRunner:
+class FunctionalityRunner(OutputOwner):
     """Runs one functionality. ``report`` is called when it has degraded by itself."""
 
     def __init__(self, functionality: Functionality, host: Host, report: Callable[[FunctionalityRunner], None]) -> None:
@@ -38,17 +32,8 @@ class FunctionalityRunner:
         self.index = len(self.chain) - 1
         self.because = "started: nothing has been attached yet"
         self.since = host.steady()
-        self.busy: int | None = None
-        # Whether it is in its mode because user code raised.
-        self.failed = False
         # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
         self.ready = True
-        # What places the current call in time: the first and the last slot that it accounts for, or the info of the
-        # messages that it answers.
-        self.slots: tuple[int, int] | None = None
-        self.info: Any = None
-        # During a cut, called with the info of every message that reaches the functionality.
-        self.watch: Callable[[Any], None] | None = None
         self._host = host
         self._steady = host.steady
         self._report = report
@@ -56,7 +41,8 @@ class FunctionalityRunner:
         # Whether an async call is under way; the data thread is free meanwhile.
         self.asynchronous = False
         self._error: BaseException | None = None
-        self._switch: PendingSwitch | None = None
+        # Attempts the mode switch that waits for the async call to end (midstride.node.mode_switch).
+        self._switch: Callable[[], None] | None = None
         depths = [port.assumption.qos.effective().depth or 1 for port in functionality.inputs]
         self._postponed: deque[tuple[Function, tuple[Any, ...], Any]] = deque(maxlen=max(depths, default=1))
 
@@ -106,14 +92,14 @@ class FunctionalityRunner:
         except Exception as error:  # the platform's: those of user code are caught where it is called
             self._fail(error)
 
-    def block(self, switch: PendingSwitch) -> None:
-        """Start no further call until :meth:`unblock`; ``switch`` is attempted when the call under way ends."""
+    def block(self, switch: Callable[[], None]) -> None:
+        """Start no further call until :meth:`unblock`; ``switch`` is called when the call under way ends."""
         self._switch = switch
         self.ready = False
 
-    def unblock(self, switch: PendingSwitch) -> None:
-        """``switch`` has happened, or will not: calls may start again."""
-        if self._switch is switch:
+    def unblock(self, switch: Callable[[], None]) -> None:
+        """The switch has happened, or will not: calls may start again."""
+        if self._switch == switch:
             self._switch = None
             self.ready = not self.asynchronous
             self._catch_up()
@@ -164,7 +150,7 @@ class FunctionalityRunner:
         if error is not None:
             self._fail(error)
         if self._switch is not None:
-            self._switch.attempt()
+            self._switch()
         else:
             self._catch_up()
 

@@ -68,7 +68,7 @@ class HandoverCommands:
             epoch=None if rate is None else rate.slot,
             period=None if rate is None else rate.period,
             now=self._host.now(),
-            readers=None if topic is None else self._attachments.link(command.port, topic).publisher.matched(),
+            readers=None if topic is None else self._attachments.link(command.port, topic).endpoint.matched(),
         )
 
     async def meet(self, command: commands.MeetCommand) -> commands.Done:

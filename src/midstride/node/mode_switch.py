@@ -146,7 +146,7 @@ class ModeSwitch:
             return
         if any(runner.asynchronous for runner in self._runners):
             for runner in self._runners:
-                runner.block(self)
+                runner.block(self.attempt)
             return
         if not self.claim.take():  # the control thread has just withdrawn it
             return
@@ -174,4 +174,4 @@ class ModeSwitch:
     def release(self) -> None:
         """On the data thread, once it has happened or is withdrawn: calls may start again."""
         for runner in self._runners:
-            runner.unblock(self)
+            runner.unblock(self.attempt)
