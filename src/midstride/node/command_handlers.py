@@ -21,7 +21,7 @@ from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
 from midstride.wire import commands
 from midstride.wire.commands import Command
-from midstride.wire.state import ComponentState, FunctionalityState, LinkState, WireValue
+from midstride.wire.state import ComponentState, LinkState, WireValue
 
 T = TypeVar("T")
 Handler = Callable[[Any], Awaitable[WireValue]]
@@ -154,16 +154,6 @@ class CommandHandlers:
 
     def state(self, instance: str, uuid: str, pid: int, waiting: str | None) -> ComponentState:
         """The component's state, read without waiting for the data thread."""
-        now = self._host.steady()
-        functionalities = {}
-        for runner in self._runners:
-            busy = runner.busy
-            functionalities[runner.name] = FunctionalityState(
-                mode=runner.mode.name,
-                since=(now - runner.since) / 1e9,
-                because=runner.because,
-                busy=None if busy is None else (now - busy) / 1e9,
-            )
         ports = {
             port.name: {
                 link.topic: LinkState(gate=link.gate, count=link.count, gated=link.gated) for link in port.links
@@ -175,7 +165,7 @@ class CommandHandlers:
             uuid=uuid,
             pid=pid,
             revision=self._revision.value,
-            functionalities=functionalities,
+            functionalities={runner.name: runner.state() for runner in self._runners},
             ports=ports,
             parameters={parameter.name: parameter.value for parameter in self._parts.parameters.values()},
             stopping=self._parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
@@ -184,10 +174,8 @@ class CommandHandlers:
         )
 
     def _busy_words(self) -> str:
-        now = self._host.steady()
-        since = [(runner.name, busy) for runner in self._runners if (busy := runner.busy) is not None]
-        listed = ", ".join(f"{name} for {(now - busy) / 1e9:.1f} s" for name, busy in since)
-        return f" (busy: {listed})" if listed else ""
+        busy = [(runner.name, seconds) for runner in self._runners if (seconds := runner.state().busy) is not None]
+        return f" (busy: {', '.join(f'{name} for {seconds:.1f} s' for name, seconds in busy)})" if busy else ""
 
     # -- modes -------------------------------------------------------------------------------------
 

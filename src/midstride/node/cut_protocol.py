@@ -24,6 +24,8 @@ REPORT_ATTEMPTS: Final = 20
 LONGEST_WAIT: Final = 0.01
 
 Changed = Callable[[], None]
+# Reports the first write, or a failure, to the old side within so many seconds; returns whether that has resumed.
+ReportToPeer = Callable[[float, bool], Awaitable[bool]]
 
 
 class _CutTask:
@@ -105,18 +107,11 @@ class CutOutTask(_CutTask):
 class CutInTask(_CutTask):
     """The new side: writes from T on, and reports its first write to its peer."""
 
-    def __init__(
-        self,
-        host: Host,
-        changed: Changed,
-        side: IncomingCut,
-        report: Callable[[float, bool], Awaitable[bool]],
-        rate_driven: bool,
-    ) -> None:
+    def __init__(self, host: Host, changed: Changed, side: IncomingCut, report: ReportToPeer) -> None:
         super().__init__(host, changed)
         self.side = side
         self._report = report
-        self._rate_driven = rate_driven
+        self._rate_driven = all(link.output.owner.rate is not None for link in side.links)
 
     async def run(self) -> None:
         await self._until(self.side.at)

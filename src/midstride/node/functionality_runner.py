@@ -17,6 +17,7 @@ from midstride.node.host import Host
 from midstride.node.modes import DeclaredMode, Function
 from midstride.node.ports import Driven, OutputOwner
 from midstride.node.trigger import OnRate, Trigger, trigger_of
+from midstride.wire.state import FunctionalityState
 
 # What user code may raise without taking the node down; sys.exit() in a callback is one of its errors.
 CAUGHT: Final = (Exception, SystemExit)
@@ -54,6 +55,15 @@ class FunctionalityRunner(OutputOwner):
 
     def current_mode(self) -> str:
         return self.mode.name
+
+    def state(self) -> FunctionalityState:
+        now, busy = self._steady(), self.busy
+        return FunctionalityState(
+            mode=self.mode.name,
+            since=(now - self.since) / 1e9,
+            because=self.because,
+            busy=None if busy is None else (now - busy) / 1e9,
+        )
 
     @property
     def driven(self) -> Driven:

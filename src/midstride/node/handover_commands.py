@@ -104,15 +104,13 @@ class HandoverCommands:
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
         side = IncomingCut(links, command.at, self._host, latches)
         await self._arm(command.at, lambda: side.arm(command.epoch))
-        rate_driven = all(link.output.owner.rate is not None for link in links)
 
         async def report(timeout: float, failed: bool) -> bool:
-            """Report the first write, or a failure, to the old side; whether that has resumed by then."""
             taken = commands.CutTakenCommand(cut=command.cut, failed=failed)
             reply = await self._call(command.address, taken, timeout)
             return not reply.ok or result_of(reply, taken).resumed
 
-        self._begin(command.cut, CutInTask(self._host, self._changed, side, report, rate_driven))
+        self._begin(command.cut, CutInTask(self._host, self._changed, side, report))
         return commands.Done()
 
     async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
