@@ -51,8 +51,7 @@ class Agent:
     ) -> None:
         self._declaration = declaration
         self._host = host
-        self._token = token
-        self._start_token = token
+        self._token = self._start_token = token
         self._pid = pid
         self._standalone = standalone
         self._uuid = uuid.uuid4().hex

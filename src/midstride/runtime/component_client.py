@@ -235,7 +235,7 @@ class ComponentClient:
 
     async def observe(self, instance: str) -> ComponentState:
         """The component's state. Later changes expect its revision."""
-        state = await self.read(instance, ObserveCommand(timeout=0.0))
+        state = await self.peek(instance)
         self._revisions[instance] = state.revision
         return state
 

@@ -61,8 +61,7 @@ class Executor:
         """
         done: Done = []
         for index, action in enumerate(actions):
-            step = forms[index] if index < len(forms) else UNSET
-            position: Any = {"index": index, "of": len(actions), "step": step}
+            position: Any = {"index": index, "of": len(actions), "step": forms[index] if forms else UNSET}
             what = action.describe(self.system.configuration)
             self.driver.events.add("step", f"{index + 1}/{len(actions)} {what}", **position)
             try:
@@ -78,9 +77,9 @@ class Executor:
                 problem = await self._roll_back(done)
                 if isinstance(error, asyncio.CancelledError):
                     raise
-                outcome = "rolled_back" if problem is None else "failed"
-                because = f"{what}: {why}" + ("" if problem is None else f"; and the roll-back failed: {problem}")
-                raise StepFailed(because, outcome) from error
+                if problem is None:
+                    raise StepFailed(f"{what}: {why}", "rolled_back") from error
+                raise StepFailed(f"{what}: {why}; and the roll-back failed: {problem}", "failed") from error
             self.driver.events.add("step_done", f"{index + 1}/{len(actions)} done", **position)
 
     async def _step(self, action: Action, done: Done) -> None:

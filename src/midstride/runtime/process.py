@@ -18,15 +18,8 @@ from pathlib import Path
 from typing import Final
 
 from midstride.errors import BackendError, StartFailed
+from midstride.runtime import reaper
 from midstride.runtime.logs import shorten, tail
-from midstride.runtime.reaper import (
-    ProcessInfo,
-    environment_value,
-    group_members,
-    process_info,
-    processes,
-    signal_group,
-)
 from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
@@ -54,7 +47,7 @@ class Process:
         self._ending = False
         self._on_exit: Callable[[int | None], None] | None = None
         self._fd = os.pidfd_open(pid)
-        info = process_info(pid)
+        info = reaper.process_info(pid)
         if info is None or info.started != started:
             os.close(self._fd)
             raise ProcessLookupError(f"process {pid} is not the one that was started")
@@ -94,7 +87,7 @@ class Process:
                 self.status = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
         if not self._ending and self._group == self.pid:
             # A shell that is killed must not leave the component that it ran.
-            signal_group(self._group, signal.SIGKILL)
+            reaper.signal_group(self._group, signal.SIGKILL)
         self._exited.set()
         if self._on_exit is not None:
             self._on_exit(self.status)
@@ -127,12 +120,12 @@ class Process:
 
     def _remaining(self) -> list[int]:
         if self._group == self.pid:
-            return group_members(self._group)
+            return reaper.group_members(self._group)
         return [self.pid] if self.running else []
 
     def _signal(self, number: signal.Signals) -> None:
         if self._group == self.pid:
-            signal_group(self._group, number)
+            reaper.signal_group(self._group, number)
         elif self.running:
             signal.pidfd_send_signal(self._fd, number)
 
@@ -166,12 +159,12 @@ def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, s
             raise StartFailed(f"cannot start `{command}`: the folder {directory} does not exist") from None
         raise StartFailed(f"cannot start `{command}`: {getattr(error, 'strerror', None) or error}") from None
     child.returncode = 0  # the pidfd reaps it: Popen must not
-    info = process_info(child.pid)
+    info = reaper.process_info(child.pid)
     assert info is not None, "a child stays in /proc until it is reaped"
     try:
         return Process(child.pid, info.started, child=True, log=log, log_begins=begins)
     except OSError as error:  # no file descriptor left: a process that cannot be watched must not run
-        signal_group(child.pid, signal.SIGKILL)
+        reaper.signal_group(child.pid, signal.SIGKILL)
         os.waitpid(child.pid, 0)
         raise StartFailed(f"cannot watch `{' '.join(arguments)}`: {error.strerror or error}") from None
 
@@ -181,8 +174,8 @@ def find(pid: int, started: float, variable: str, value: str, log: Path | None =
 
     It is identified by its number, its start time (s since boot) and ``variable`` in its environment.
     """
-    info = process_info(pid)
-    if info is None or not info.alive or info.started != started or environment_value(pid, variable) != value:
+    info = reaper.process_info(pid)
+    if info is None or not info.alive or info.started != started or reaper.environment_value(pid, variable) != value:
         return None
     try:
         return Process(pid, started, child=False, log=log)
@@ -198,23 +191,23 @@ async def end_orphans(token: str, known: Container[str], grace: float) -> list[s
     children of a known component have that component's name in their environment, and are left alone. Raises
     BackendError if the kernel does not remove a killed process.
     """
-    orphans: dict[str, list[ProcessInfo]] = {}
-    for process in processes():
-        if process.alive and environment_value(process.pid, ENV_TOKEN) == token:
-            name = environment_value(process.pid, ENV_INSTANCE)
+    orphans: dict[str, list[reaper.ProcessInfo]] = {}
+    for process in reaper.processes():
+        if process.alive and reaper.environment_value(process.pid, ENV_TOKEN) == token:
+            name = reaper.environment_value(process.pid, ENV_INSTANCE)
             if name is not None and name not in known:
                 orphans.setdefault(name, []).append(process)
     await asyncio.gather(*(_end(process, token, grace) for found in orphans.values() for process in _leaders(found)))
     return sorted(orphans)
 
 
-def _leaders(found: list[ProcessInfo]) -> list[ProcessInfo]:
+def _leaders(found: list[reaper.ProcessInfo]) -> list[reaper.ProcessInfo]:
     """The group leaders, with which their groups end, and the processes whose leader is not among ``found``."""
     leaders = {process.pid for process in found if process.pid == process.group}
     return [process for process in found if process.pid == process.group or process.group not in leaders]
 
 
-async def _end(orphan: ProcessInfo, token: str, grace: float) -> None:
+async def _end(orphan: reaper.ProcessInfo, token: str, grace: float) -> None:
     process = find(orphan.pid, orphan.started, ENV_TOKEN, token)
     if process is not None:
         with closing(process):

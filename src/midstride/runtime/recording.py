@@ -87,7 +87,7 @@ class Recording:
         removed = {action.instance for action in actions if isinstance(action, Remove)}
         for exchange in exchanges(configuration, actions):
             old = exchange.old
-            topic = configuration.context.connectors[exchange.connector].topic
+            topic = configuration.topic(exchange.connector)
             guarantee = configuration.component(old.instance).owner(old.port).modes[0].guarantee(old.port)
             period = 1 / guarantee.rate if isinstance(guarantee, Predicate) and guarantee.rate else None
             try:
