@@ -10,6 +10,7 @@ import asyncio
 import contextlib
 import threading
 from collections.abc import Awaitable, Callable
+from functools import partial
 from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
@@ -179,17 +180,15 @@ class CommandHandlers:
 
     # -- modes -------------------------------------------------------------------------------------
 
-    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.ModesBefore:
+    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.Before:
         targets = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
-        loop, settled = asyncio.get_running_loop(), asyncio.Event()
+        settled = asyncio.Event()
+        on_settled = partial(asyncio.get_running_loop().call_soon_threadsafe, settled.set)
 
         def guard() -> str | None:
             if expected is not None and expected != self._revision.value:
                 return "a functionality has degraded by itself meanwhile: observe the component again, then retry"
             return None
-
-        def on_settled() -> None:
-            loop.call_soon_threadsafe(settled.set)
 
         switch = ModeSwitch(targets, self._runners, command.because, guard, on_settled)
         attempt = asyncio.ensure_future(self._host.on_data(switch.attempt))
@@ -203,7 +202,7 @@ class CommandHandlers:
         await settled.wait()
         if switch.refused is not None:
             raise CommandRefused(switch.refused)
-        return commands.ModesBefore(before=switch.before or {})
+        return commands.Before(before=switch.before)
 
     def _log_failure(self, work: asyncio.Future[Any]) -> None:
         if not work.cancelled() and (error := work.exception()) is not None:
@@ -221,7 +220,7 @@ class CommandHandlers:
 
     # -- parameters and state ----------------------------------------------------------------------
 
-    async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.ParametersBefore:
+    async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.Before:
         declared = self._parts.parameters
         for name in command.parameters:
             if name not in declared:
@@ -230,7 +229,7 @@ class CommandHandlers:
                 )
         before = {name: declared[name].value for name in command.parameters}
         await self._data.run(lambda: self._host.parameters.set(command.parameters), command.timeout)
-        return commands.ParametersBefore(before=before)
+        return commands.Before(before=before)
 
     async def _export_state(self, command: commands.ExportStateCommand) -> commands.ExportedState:
         export = self._parts.callbacks.export_state

@@ -58,6 +58,10 @@ class _Side(GatePolicy):
         self._host = host
         self._runners = list(dict.fromkeys(link.output.owner for link in links))
 
+    @property
+    def driven_by_messages(self) -> bool:
+        return any(runner.driven == "message" for runner in self._runners)
+
     def wrote(self, link: OutputLink) -> None:
         self.written[link] = (link.count, self._host.now())
 
@@ -90,10 +94,6 @@ class OutgoingCut(_Side):
         for runner in self._runners:
             runner.watch = self._on_input
 
-    @property
-    def driven_by_messages(self) -> bool:
-        return any(runner.driven == "message" for runner in self._runners)
-
     def passes(self, link: OutputLink) -> bool:
         return not belongs_after(link.output.owner, self.at, self._host)
 
@@ -111,11 +111,14 @@ class OutgoingCut(_Side):
     def reopen(self) -> None:
         """Write again: the new side has not taken over in time, or the cut is cancelled."""
         self.over = True
-        self._unwatch()
+        self.relieved()
         self._set_attached(True)
 
     def relieved(self) -> None:
-        self._unwatch()
+        """The new side has taken over, or this one has given up the cut: inputs need not be watched any more."""
+        for runner in self._runners:
+            if runner.watch == self._on_input:
+                runner.watch = None
 
     def last(self) -> dict[str, LastWrite | None]:
         """Each output's last number, and when it was written, where that was since the cut was agreed."""
@@ -124,11 +127,6 @@ class OutgoingCut(_Side):
             number, source = self.written.get(link, (link.count, None))
             found[str(link)] = LastWrite(number=number, source=source) if number else None
         return found
-
-    def _unwatch(self) -> None:
-        for runner in self._runners:
-            if runner.watch == self._on_input:
-                runner.watch = None
 
     def _on_input(self, info: Any) -> None:
         self._last_input = self._host.steady()

@@ -83,9 +83,7 @@ class CutOutTask(_CutTask):
 
     def _silent_for(self, passed_at: int) -> float:
         """For how long the new side should have written (s); where messages drive it, since one arrived."""
-        since: int | None = passed_at
-        if self.side.driven_by_messages:
-            since = self.side.newer_at
+        since = self.side.newer_at if self.side.driven_by_messages else passed_at
         return 0.0 if since is None else (self._host.steady() - since) / 1e9
 
     async def taken(self, failed: bool) -> bool:
@@ -119,7 +117,8 @@ class CutInTask(_CutTask):
         latched = self._rate_driven
         while self._going() and not self.side.written and not self._failed():
             # A message in transit at T may still make the new side write; nothing else will.
-            if not latched and (self._host.steady() - waited_from) / 1e9 > self._latch_after():
+            waited = (self._host.steady() - waited_from) / 1e9
+            if not latched and waited > (GRACE if self.side.driven_by_messages else 0.0):
                 latched = True
                 await self._host.on_data(self.side.latch)
             else:
@@ -137,9 +136,6 @@ class CutInTask(_CutTask):
     def _failed(self) -> bool:
         """Whether the author's code has raised before the first write."""
         return not self.side.written and any(link.output.owner.failed for link in self.side.links)
-
-    def _latch_after(self) -> float:
-        return GRACE if any(link.output.owner.driven == "message" for link in self.side.links) else 0.0
 
     async def _resumed(self, failed: bool) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""

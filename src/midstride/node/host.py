@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from midstride.model.contract import QoS
 from midstride.wire.state import ComponentState, Endpoint
@@ -184,7 +184,5 @@ class Host(Protocol):
         ...
 
 
-class HostFactory(Protocol):
-    """Makes the host of a component; called in ``Component.start``."""
-
-    def __call__(self, name: str, namespace: str) -> Host: ...
+# Makes the host of a component of this name and namespace; called in ``Component.start``.
+HostFactory: TypeAlias = Callable[[str, str], Host]

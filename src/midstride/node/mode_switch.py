@@ -31,14 +31,9 @@ async def within(host: Host, awaitable: Awaitable[T], seconds: float) -> asyncio
         timer.cancel()
     if work.done():
         return work
-    work.add_done_callback(_retrieve)
+    # Retrieved, so that asyncio does not log the exception of what is no longer awaited.
+    work.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
     return None
-
-
-def _retrieve(work: asyncio.Future[Any]) -> None:
-    """Retrieve the exception of work that is no longer awaited, so that asyncio does not log it."""
-    if not work.cancelled():
-        work.exception()
 
 
 class FirstClaim:
@@ -89,6 +84,10 @@ class DataExecutor:
             except Exception as error:
                 raised.append(error)
 
+        def on_end() -> None:
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(ended.set)
+
         claim = FirstClaim()
 
         def begin() -> bool:
@@ -97,7 +96,7 @@ class DataExecutor:
             result = function()
             if not asyncio.iscoroutine(result):
                 return True
-            self._host.run_coroutine(guarded(result), lambda: _call(loop, ended.set))
+            self._host.run_coroutine(guarded(result), on_end)
             return False
 
         work = await within(self._host, self._host.on_data(begin), timeout)
@@ -109,11 +108,6 @@ class DataExecutor:
         if raised:
             raise raised[0]
         return True
-
-
-def _call(loop: asyncio.AbstractEventLoop, function: Callable[[], Any]) -> None:
-    if not loop.is_closed():
-        loop.call_soon_threadsafe(function)
 
 
 class ModeSwitch:
@@ -129,9 +123,9 @@ class ModeSwitch:
         runners: Sequence[FunctionalityRunner],
         because: str,
         guard: Callable[[], str | None],
-        settled: Callable[[], None],
+        settled: Callable[[], object],
     ) -> None:
-        self.before: dict[str, str] | None = None
+        self.before: dict[str, str] = {}
         self.refused: str | None = None
         self._targets = dict(targets)
         self._runners = [runner for runner in runners if runner.name in targets]

@@ -146,10 +146,10 @@ class LiveHandover:
                 await self.client.peek(instance)
             except Unreachable:
                 await asyncio.sleep(EXIT_INTERVAL)
+                continue
             except MidstrideError:
-                return False
-            else:
-                return False
+                pass
+            return False
         return self.is_gone(instance)
 
     def _topic(self, swap: Swap) -> str:

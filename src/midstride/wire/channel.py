@@ -61,7 +61,7 @@ class Channel:
         """
         connection = await transport.connect(address)
         try:
-            greeting = await _within(
+            greeting = await in_time(
                 timeout, _greet(connection, address, token), f"{address} did not greet within {timeout:g} s"
             )
         except BaseException:
@@ -82,7 +82,7 @@ class Channel:
         name = self.greeting.instance
         if self.closed.is_set():
             raise Unreachable(f"{name} has closed its control connection")
-        return await _within(timeout, self._exchange(request), f"{name} did not answer within {timeout:g} s")
+        return await in_time(timeout, self._exchange(request), f"{name} did not answer within {timeout:g} s")
 
     async def _exchange(self, request: frames.Request) -> Reply:
         waiting: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
@@ -149,7 +149,7 @@ async def _greet(connection: Connection, address: str, token: str) -> frames.Gre
     return frames.decode_greeting(line)
 
 
-async def _within(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T:
+async def in_time(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T:
     """What ``work`` returns. Raises CallTimeout with ``words`` after ``timeout`` seconds, and ends it."""
     task = asyncio.get_running_loop().create_task(work)
     try:
