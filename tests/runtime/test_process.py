@@ -19,8 +19,7 @@ import pytest
 from midstride.backends import processes
 from midstride.errors import StartFailed
 from midstride.runtime import reaper
-from midstride.runtime.logs import shorten, tail
-from midstride.runtime.process import Process, end_orphans, find, spawn
+from midstride.runtime.process import Process, end_orphans, find, shorten, spawn, tail
 from midstride.runtime.reaper import Reaper, group_members, process_info
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
@@ -355,8 +354,7 @@ MANAGER = """
 import asyncio, os, sys, time
 from pathlib import Path
 from midstride.runtime.reaper import Reaper
-from midstride.runtime.logs import tail
-from midstride.runtime.process import spawn
+from midstride.runtime.process import spawn, tail
 
 async def main(token, family):
     reaping = Reaper("MIDSTRIDE_TOKEN", token)

@@ -70,8 +70,6 @@ class Agent:
             parts, host, self._revision, self._degraded, self.report_state, lambda: self._token
         )
 
-    # -- start and end -----------------------------------------------------------------------------
-
     async def main(self) -> None:
         """Run from set-up to the end. Cancelled by a signal, it ends in order as well."""
         self._loop = asyncio.get_running_loop()
@@ -125,8 +123,6 @@ class Agent:
         await self._handlers.carry_out(commands.ModesCommand(modes=modes, because=because), None)
         listed = ", ".join(f"{name} in mode {mode}" for name, mode in modes.items())
         self._host.logger.warning(f"{self._host.instance} runs without a manager: {listed}")
-
-    # -- commands ----------------------------------------------------------------------------------
 
     async def serve(self, request: Request, token: str) -> Reply:
         """Carry out one request; an invalid one is refused with the reason."""
@@ -222,8 +218,6 @@ class Agent:
         await self._handlers.release(command.timeout)
         self._token = ""
         self._welcomed = False
-
-    # -- state -------------------------------------------------------------------------------------
 
     def state(self) -> ComponentState:
         """Read without waiting for the data thread."""

@@ -32,8 +32,6 @@ class Attachments:
         self._host = host
         self._data = data
 
-    # -- lookup ------------------------------------------------------------------------------------
-
     def port(self, name: str) -> Input | Output:
         found = self._parts.ports.get(name)
         if found is None:
@@ -59,8 +57,6 @@ class Attachments:
         if found is None:
             raise CommandRefused(f"output {port} is not attached to {topic}")
         return found
-
-    # -- commands ----------------------------------------------------------------------------------
 
     async def attach(self, command: commands.AttachCommand) -> commands.Attached:
         topic, timeout = command.topic, command.timeout

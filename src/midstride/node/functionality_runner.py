@@ -47,8 +47,6 @@ class FunctionalityRunner(OutputOwner):
         depths = [port.assumption.qos.effective().depth or 1 for port in functionality.inputs]
         self._postponed: deque[tuple[Function, tuple[Any, ...], Any]] = deque(maxlen=max(depths, default=1))
 
-    # -- reading -----------------------------------------------------------------------------------
-
     @property
     def mode(self) -> DeclaredMode:
         return self.chain[self.index]
@@ -77,8 +75,6 @@ class FunctionalityRunner(OutputOwner):
     def rate(self) -> OnRate | None:
         """The time grid it runs on, where its mode has one."""
         return self._trigger if isinstance(self._trigger, OnRate) else None
-
-    # -- modes -------------------------------------------------------------------------------------
 
     def stop_calls(self) -> None:
         """Start no further call of the current mode."""
@@ -113,8 +109,6 @@ class FunctionalityRunner(OutputOwner):
             self._switch = None
             self.ready = not self.asynchronous
             self._catch_up()
-
-    # -- calls -------------------------------------------------------------------------------------
 
     def call(self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any) -> None:
         """Call user code. The caller has checked ``ready``."""
@@ -168,8 +162,6 @@ class FunctionalityRunner(OutputOwner):
         while self._postponed and self.ready:
             function, arguments, info = self._postponed.popleft()
             self.call(function, arguments, None, info)
-
-    # -- failing -----------------------------------------------------------------------------------
 
     def _fail(self, error: BaseException) -> None:
         """User code has raised: go to the last mode at once, with the traceback as the reason."""

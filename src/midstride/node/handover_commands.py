@@ -58,8 +58,6 @@ class HandoverCommands:
             channel.close()
         self._channels.clear()
 
-    # -- before ------------------------------------------------------------------------------------
-
     async def grid(self, command: commands.GridCommand) -> commands.Grid:
         owner = self._attachments.output(command.port).owner
         rate, topic = owner.rate, command.topic
@@ -87,8 +85,6 @@ class HandoverCommands:
         if not reply.ok:
             raise CommandRefused(f"{command.peer} refused a ping: {reply.refused}")
         return commands.Done()
-
-    # -- the cut -----------------------------------------------------------------------------------
 
     async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
         links = self._links_of(command.cut, command.swaps, CutOutTask, gate="open")
@@ -137,8 +133,6 @@ class HandoverCommands:
         old = [side for side in self._sides.get(command.cut, []) if isinstance(side, CutOutTask)]
         resumed = [await side.taken(command.failed) for side in old]
         return commands.Relieved(resumed=any(resumed) if old else True)
-
-    # -- parts -------------------------------------------------------------------------------------
 
     def _links_of(self, cut: str, swaps: Sequence[commands.CutSwap], kind: type, gate: GateState) -> list[OutputLink]:
         """The attachments that take part in a cut. Raises CommandRefused where one cannot."""

@@ -54,8 +54,6 @@ class ChangeSession:
     executor: Callable[[], Executor]
     measuring: bool = False
 
-    # -- planning ----------------------------------------------------------------------------------
-
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
         specification, configuration = self.system.specification, self.system.configuration
@@ -88,8 +86,6 @@ class ChangeSession:
     def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
         return Outcome(outcome="refused", because=because, verdict=verdict)
-
-    # -- carrying out ------------------------------------------------------------------------------
 
     async def carry_out(self, plan: Plan, target: Specification, verifier: StepVerifier | None = None) -> Outcome:
         """Carry out ``plan``, measure, and report."""

@@ -4,6 +4,10 @@ Since each process leads a session and a process group, a signal also reaches it
 `ros2 run`), and Ctrl-C in the manager's terminal does not reach it. A pidfd reports its exit at once. This also
 works for a process that an earlier manager started, except that its exit status is then unknown. When the leader
 exits unexpectedly, the rest of its group is killed.
+
+A component appends to its log itself for as long as it runs. The logs are in the workspace, often in memory
+(``XDG_RUNTIME_DIR``): without a limit they would fill it after some days, and a component that cannot write to its log
+fails.
 """
 
 from __future__ import annotations
@@ -19,7 +23,6 @@ from typing import Final
 
 from midstride.errors import BackendError, StartFailed
 from midstride.runtime import reaper
-from midstride.runtime.logs import shorten, tail
 from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
@@ -212,3 +215,38 @@ async def _end(orphan: reaper.ProcessInfo, token: str, grace: float) -> None:
     if process is not None:
         with closing(process):
             await process.end(grace)
+
+
+def tail(log: Path | None, length: int = 4000, since: int = 0) -> str:
+    """The last ``length`` bytes of a log, in whole lines, and nothing before the byte ``since``."""
+    if log is None:
+        return ""
+    try:
+        with open(log, "rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(since, size - length))
+            text = file.read().decode(errors="replace")
+    except OSError:
+        return ""
+    return text if size - since <= length else text.partition("\n")[2]
+
+
+def shorten(log: Path, longest: int, kept: int) -> bool:
+    """Truncate a log longer than ``longest`` bytes to its last ``kept`` bytes, in whole lines; returns whether it did.
+
+    The component continues at the new end, since it opened the log for appending. A line that it writes during the
+    truncation may be lost.
+    """
+    try:
+        size = log.stat().st_size
+        if size <= longest:
+            return False
+        with open(log, "r+b") as file:
+            file.seek(max(0, size - kept))
+            end = file.read().partition(b"\n")[2]
+            file.truncate(0)
+        with open(log, "ab") as file:
+            file.write(end)
+    except OSError:
+        return False
+    return True

@@ -61,8 +61,6 @@ class Reconciler:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    # -- events ------------------------------------------------------------------------------------
-
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
         self.launcher.exited(event)
@@ -93,8 +91,6 @@ class Reconciler:
         status = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
         self._reconcile_soon()
-
-    # -- reconciling -------------------------------------------------------------------------------
 
     @contextlib.asynccontextmanager
     async def around(self) -> AsyncIterator[None]:
