@@ -196,9 +196,9 @@ class Executor:
 
         At most ``STARTS_AT_ONCE``: of many more, each would take so long that the first ones time out.
         """
-        creations = itertools.takewhile(lambda action: isinstance(action, Create), actions)
-        for action in itertools.islice(creations, STARTS_AT_ONCE):
-            assert isinstance(action, Create)
+        for action in itertools.islice(actions, STARTS_AT_ONCE):
+            if not isinstance(action, Create):
+                break
             if await self.driver.launcher.start(action.instance):
                 self.system.started(action.instance.name)
                 handle = self.driver.launcher.handles.get(action.instance.name)
