@@ -5,6 +5,8 @@ from __future__ import annotations
 import uuid
 from typing import Any
 
+from _control_plane_event import Happened
+
 
 class Plane:
     """One control plane, for one worker."""
@@ -37,8 +39,6 @@ class Plane:
         return result["outcome"], result["because"]
 
     def events(self, manager: Any, since: int) -> list[Any]:
-        from _control_plane_worker import Happened
-
         return [
             Happened(*(each[name] for name in ("n", "at", "kind", "words"))) for each in manager.events.since(since)
         ]

@@ -17,23 +17,15 @@ import sys
 import tempfile
 import time
 from collections.abc import Awaitable, Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+from _control_plane_event import Happened
+from _control_plane_old import Plane as OldPlane
 
 HERE = Path(__file__).resolve().parent
 NODES = HERE / "_control_plane_nodes.py"
 Samples = dict[str, list[float]]
-
-
-@dataclass(frozen=True)
-class Happened:
-    """An event of the manager; ``at`` in seconds since 1970."""
-
-    n: int
-    at: float
-    kind: str
-    words: str
 
 
 class Plane:
@@ -383,12 +375,7 @@ def main() -> None:
     parser.add_argument("--nodes", type=int, required=True)
     parser.add_argument("--seconds", type=float, required=True)
     options = parser.parse_args()
-    if options.old:
-        from _control_plane_old import Plane as OldPlane
-
-        plane: Any = OldPlane()
-    else:
-        plane = Plane()
+    plane: Any = OldPlane() if options.old else Plane()
     # Short: an earlier version keeps sockets in it.
     with tempfile.TemporaryDirectory(prefix="ms") as name:
         folder = Path(name)

@@ -289,6 +289,19 @@ def test_ctrl_c_before_the_manager_answers_stops_the_system(midstride: Midstride
     assert midstride("status").err.endswith("no system is running; start one with `midstride up FILE`\n")
 
 
+def test_the_log_of_a_running_manager_is_cut(midstride: Midstride) -> None:
+    midstride("up", TALKER, "--backend", "sim", "--detach")
+    log = midstride.runtime / "midstride" / "talker" / "logs" / "manager.log"
+    with log.open("ab") as output:
+        output.write(b"a line\n" * 1_300_000)
+    while not 0 < log.stat().st_size <= 1_048_576:
+        time.sleep(0.05)
+    assert log.read_bytes().startswith(b"a line\n")
+    flags = re.search(r"flags:\s+(\d+)", Path(f"/proc/{midstride.manager('talker')}/fdinfo/2").read_text())
+    assert flags is not None
+    assert int(flags[1], 8) & os.O_APPEND  # else the next line would be written at the old end
+
+
 @pytest.mark.parametrize(
     ("program", "message"),
     [

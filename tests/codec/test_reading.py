@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from msgspec import UNSET, UnsetType, inspect
 
 from midstride.codec.component import NamedComponentForm, decode_component, encode_component
-from midstride.codec.configuration import decode_configuration, encode_configuration
+from midstride.codec.configuration import ConfigurationForm, decode_configuration
 from midstride.codec.fault_finder import FaultFinder
 from midstride.codec.form import Form, encode, field
 from midstride.codec.reading import decode_form, parse_json
@@ -147,7 +147,7 @@ def test_a_registered_component_is_checked_as_well() -> None:
 
 
 def test_a_configuration_names_what_does_not_fit() -> None:
-    document = encode_configuration(initial(Specification("s")))
+    document = encode(ConfigurationForm.of(initial(Specification("s"))))
     assert decode_configuration(document) == initial(Specification("s"))
     with pytest.raises(SpecificationError, match=r"/modes/talker\.talk: .*talker"):
         decode_configuration({**document, "modes": {"talker.talk": "normal"}})

@@ -110,11 +110,14 @@ def test_it_says_what_it_shows() -> None:
     assert specification.connectors["/stop"].max_publishers == 1
     assert specification.environment[1].topic == "/scan"
     assert specification.constraints[2] == Order("detector", "robot1/detector")
-    assert dict(specification.parameters_of("detector")) == {"model": "small.onnx", "threshold": 0.25, "zones": [1, 2]}
-    assert specification.nodes["robot1/detector"].namespace == "robot1"
-    assert specification.seconds("create", detector) == 2.5
-    assert specification.seconds("create") == 0.5
-    assert specification.seconds("remove") > 0
+    assert dict(specification.instance("detector").parameters) == {
+        "model": "small.onnx",
+        "threshold": 0.25,
+        "zones": [1, 2],
+    }
+    assert specification.nodes["robot1/detector"].role == "robot1/detector"
+    assert detector.startup_seconds == 2.5
+    assert dict(specification.timing) == {"attach": 0.05, "create": 0.5}
 
 
 def test_it_comes_back_word_for_word() -> None:

@@ -120,7 +120,7 @@ def test_namespaces_resolve_as_in_ros() -> None:
     assert set(found.connectors) == {"/shared", "/robot1/chatter", "/robot1/arm/left/talker/own"}
     assert found.nodes["robot1/talker"].attachments["out"] == ("/robot1/chatter", "/shared")
     assert found.nodes["robot1/arm/left/talker"].attachments["out"] == ("/robot1/arm/left/talker/own",)
-    assert found.nodes["robot1/talker"].namespace == "robot1"
+    assert found.nodes["robot1/talker"].role == "robot1/talker"
     assert [str(constraint) for constraint in found.constraints] == [
         "keep robot1/listener.listen at normal",
         "limit robot1/arm/left/talker.talk below baseline 2 s",
@@ -280,10 +280,10 @@ def test_parameter_files_are_matched_by_role() -> None:
         """
     )
     found = meant(text, {"nav2.yaml": NAV2})
-    assert found.parameters_of("talker") == Map(
+    assert found.instance("talker").parameters == Map(
         {"volume": 5, "use_sim_time": True, "names": ["a", "b"], "plugin.name": "x", "plugin.gains": [1.0, 2.5]}
     )
-    assert found.parameters_of("robot1/talker")["volume"] == 4
+    assert found.instance("robot1/talker").parameters["volume"] == 4
     # Parameters that only the file sets are added to the component, and to those that are like it.
     assert found.components["Singer"].parameters["plugin.name"] == ParameterSpec("x")
     assert decode_specification(encode_specification(found)) == found
@@ -297,7 +297,7 @@ def test_parameters_can_have_any_name_that_ros_allows() -> None:
         + 'topic /t : std_msgs/msg/String\nparameters "p.yaml"\nnode talker : Talker { out -> /t }\n'
     )
     found = meant(text, {"p.yaml": 'talker: {ros__parameters: {required: {"localization: ekf": 1, "": 2}}}\n'})
-    assert found.parameters_of("talker") == Map({"required.localization: ekf": 1, "required.": 2})
+    assert found.instance("talker").parameters == Map({"required.localization: ekf": 1, "required.": 2})
     assert decode_specification(encode_specification(found)) == found
 
 

@@ -13,7 +13,9 @@ from hypothesis import strategies as st
 from immutables import Map
 
 from midstride.codec.component import decode_component, encode_component
-from midstride.codec.contract import decode_predicate, encode_predicate
+from midstride.codec.contract import PredicateForm
+from midstride.codec.form import encode
+from midstride.codec.reading import decode_form
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import ActionRefused, SpecificationError
 from midstride.model.action import Action
@@ -311,7 +313,8 @@ def documents_come_back(data: st.DataObject) -> None:
     component = data.draw(components())
     assert decode_component(json.loads(json.dumps(encode_component(component)))) == component
     predicate = data.draw(predicates())
-    assert decode_predicate(json.loads(json.dumps(encode_predicate(predicate)))) == predicate
+    again = json.loads(json.dumps(encode(PredicateForm.of(predicate))))
+    assert decode_form(again, PredicateForm).predicate() == predicate
 
 
 def spoilt_documents_are_refused_or_read(data: st.DataObject) -> None:

@@ -21,7 +21,7 @@ from midstride.model.action import (
 from midstride.model.best import best
 from midstride.model.component import ComponentSpec, ParameterSpec
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.rules import is_valid
+from midstride.model.rules import violations
 from tests.model.build import at, component, filter_, mode, named, port, sink, source, system, work
 
 
@@ -121,7 +121,7 @@ def test_degrade_protects_those_outside_the_group() -> None:
         " (talker.out in mode degraded: nothing is guaranteed)"
     )
     both = Degrade(Map({work("talker"): 1, work("listener"): 1}))
-    assert is_valid(both.apply(configuration))
+    assert not violations(both.apply(configuration))
 
 
 def test_degrade_does_not_answer_for_what_was_unsatisfied_before() -> None:
@@ -130,7 +130,7 @@ def test_degrade_does_not_answer_for_what_was_unsatisfied_before() -> None:
     instances = {"talker": component("Talker", {}, ["out"], modes), "listener": sink("Listener")}
     slow = {"talker.work": 1, "listener.work": 0}
     configuration = system(instances, ["talker.out /chatter", "listener.in /chatter"], modes=slow)
-    assert not is_valid(configuration)
+    assert violations(configuration)
     assert Degrade(Map({work("talker"): 2})).check(configuration) == ()
 
 
@@ -144,7 +144,7 @@ def test_degrade_to_a_mode_whose_own_assumptions_do_not_hold() -> None:
     )
     configuration = best(system({"source": source(), "choosy": choosy}, ["source.out /t", "choosy.fast /t"]))
     assert refused(Degrade(Map({work("choosy"): 1})), configuration)[0][0] == "satisfied"
-    assert is_valid(Degrade(Map({work("choosy"): 2})).apply(configuration))
+    assert not violations(Degrade(Map({work("choosy"): 2})).apply(configuration))
 
 
 def test_mode_changes_must_be_strict_and_known() -> None:
@@ -161,7 +161,7 @@ def test_upgrade_asks_only_for_its_own_assumptions() -> None:
     configuration = system(instances, ["talker.out /chatter", "listener.in /chatter"])
     assert refused(Upgrade(Map({work("listener"): 0})), configuration)[0][0] == "satisfied"
     up = Upgrade(Map({work("talker"): 0})).apply(configuration)
-    assert is_valid(Upgrade(Map({work("listener"): 0})).apply(up))
+    assert not violations(Upgrade(Map({work("listener"): 0})).apply(up))
 
 
 # -- hand-over -------------------------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ def test_handover_swaps_in_one_step_under_a_cap() -> None:
     configuration = two_talkers(source("New"), caps={"/chatter": 1})
     after = Handover((SWAP,)).apply(configuration)
     assert list(after.publishers_on("/chatter")) == [port("talker_2.out")]
-    assert is_valid(after)
+    assert not violations(after)
     assert Handover((SWAP,)).undo(configuration) == (
         Handover((Swap("/chatter", port("talker_2.out"), port("talker.out")),)),
     )
@@ -269,4 +269,4 @@ def test_a_filter_in_the_middle_falls_before_what_it_feeds_on() -> None:
     )
     for name in ("listener", "filter", "talker"):
         configuration = Degrade(Map({work(name): 1})).apply(configuration)
-        assert is_valid(configuration)
+        assert not violations(configuration)

@@ -14,7 +14,8 @@ from itertools import product
 from typing import Any
 
 from midstride.codec.component import encode_component
-from midstride.codec.contract import encode_predicate
+from midstride.codec.contract import PredicateForm
+from midstride.codec.form import encode
 from midstride.model.action import (
     Action,
     Attach,
@@ -38,7 +39,7 @@ Functionality = tuple[str, str]
 
 
 def of_contract(contract: Contract) -> Document | None:
-    return encode_predicate(contract) if isinstance(contract, Predicate) else None
+    return encode(PredicateForm.of(contract)) if isinstance(contract, Predicate) else None
 
 
 def satisfies(p: Document | None, q: Document | None) -> bool:
@@ -138,11 +139,12 @@ def of_configuration(s: Configuration) -> State:
         modes={(ref.instance, ref.functionality): index for ref, index in s.modes.items()},
         parameters={name: dict(instance.parameters) for name, instance in s.instances.items()},
         connectors={
-            name: {"guarantee": encode_predicate(c.guarantee), "cap": c.max_publishers, "topic": c.topic}
+            name: {"guarantee": encode(PredicateForm.of(c.guarantee)), "cap": c.max_publishers, "topic": c.topic}
             for name, c in world.connectors.items()
         },
         environment=[
-            {"guarantee": encode_predicate(offer.guarantee), "topic": offer.topic} for offer in world.environment
+            {"guarantee": encode(PredicateForm.of(offer.guarantee)), "topic": offer.topic}
+            for offer in world.environment
         ],
         capacity={name: resource.capacity for name, resource in world.resources.items()},
     )

@@ -9,6 +9,7 @@ import pytest
 from immutables import Map
 
 from midstride.errors import PlanRefused
+from midstride.model.action import Handover
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalitySpec, Mode, ParameterSpec
 from midstride.model.contract import Predicate
 from midstride.model.specification import Node, Specification, initial
@@ -110,6 +111,38 @@ def test_durations_are_declared_else_measured_else_the_default() -> None:
     assert change.seconds("remove") == 0.2
 
 
+# -- the same component again ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [PlanRequest(restart=("talker",)), PlanRequest(replace=(("talker", "Talker"),))],
+    ids=["restart", "replace"],
+)
+@pytest.mark.parametrize("strategy", sorted(STRATEGIES))
+def test_a_node_gets_a_new_instance_of_the_component_that_it_has(request_: PlanRequest, strategy: str) -> None:
+    """Its program may have changed."""
+    start = talker()
+    target = request_.target(start)
+    assert target == start
+    whole = change_between(initial(start), start, target, renewed=request_.renewed())
+    for change in (whole, requested_change(initial(start), start, request_, target)):
+        assert change.leaving == ("talker",)
+        assert [(new.name, new.role, new.component.name) for new in change.coming] == [("talker_2", "talker", "Talker")]
+        assert dict(change.replaced) == {"talker": "talker_2"}
+        assert planner(strategy)(change).steps
+
+
+def test_restarted_nodes_are_handed_over_without_a_loss() -> None:
+    start = talker()
+    request = PlanRequest(restart=("talker", "listener"))
+    change = change_between(initial(start), start, request.target(start), renewed=request.renewed())
+    plan = planner("minimal")(change)
+    assert plan.disruption == 0
+    assert any(isinstance(step.action, Handover) for step in plan.steps)
+    assert request.describe() == "restart talker, restart listener"
+
+
 # -- what is refused -----------------------------------------------------------------------------------
 
 
@@ -142,6 +175,10 @@ LAME = component("Lame", FunctionalitySpec("f", (Mode("only"),)))
             "more.out is attached to /chatter twice",
         ),
         (PlanRequest(remove=("talker", "talker")), "node talker is named twice"),
+        (PlanRequest(restart=("talkr",)), "no node `talkr`; did you mean `talker`?"),
+        (PlanRequest(restart=("talker",), replace=(("talker", "NewTalker"),)), "node talker is named twice"),
+        (PlanRequest(to=talker(), restart=("talker",)), "either a whole specification or single changes"),
+        (PlanRequest(), "the request is empty: name nodes to replace, restart, add or remove"),
         (PlanRequest(remove=("talker",), replace=(("talker", "NewTalker"),)), "node talker is named twice"),
         (
             PlanRequest(remove=("talker",), components=(LAME,)),
@@ -269,4 +306,4 @@ def test_connectors_of_the_target_alone_are_there_throughout() -> None:
     change = change_between(initial(start), start, target)
     assert "/more" in change.start.context.connectors
     assert "/more" not in change.origin.context.connectors
-    assert change.end_context == target.context
+    assert change.settled(change.final).context == target.context

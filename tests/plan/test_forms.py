@@ -11,11 +11,11 @@ from midstride.codec.form import encode
 from midstride.codec.specification import SpecificationForm
 from midstride.errors import SpecificationError
 from midstride.model.specification import Node
-from midstride.plan.decoding import decode_plan
-from midstride.plan.forms import AnyStep, PlanForm, PlanPreview, encode_plan
+from midstride.plan.forms import PlanForm, PlanPreview, decode_plan, encode_plan
 from midstride.plan.registry import STRATEGIES
 from midstride.plan.request import PlanRequest
 from midstride.plan.request_form import ChangeRequest, NewNode, Strategy, decode_request
+from midstride.plan.step_forms import AnyStep
 from tests.plan.cases import replaced, talker
 
 
@@ -76,7 +76,7 @@ def test_a_request_comes_back() -> None:
     node = talker().nodes["talker"]
     document = {
         "replace": [["talker", "NewTalker"]],
-        "add": [encode(NewNode.of(Node("second", "Talker", node.attachments)))],
+        "add": [encode(NewNode(role="second", component="Talker", attachments={"out": ["/chatter"]}))],
         "remove": ["listener"],
         "to": encode(SpecificationForm.of(talker())),
         "components": [{"name": "Idle"}],

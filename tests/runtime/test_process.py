@@ -236,6 +236,16 @@ def test_a_long_log_is_cut_to_its_last_lines_and_its_writer_goes_on(tmp_path: Pa
     assert not shorten(tmp_path / "nowhere", longest=0, kept=0)
 
 
+class Platform(processes.ProcessBackend):
+    """Processes without any middleware."""
+
+    def _exited(self, instance: str, status: int | None, process: Process) -> None:
+        raise AssertionError(f"{instance} exited")
+
+    async def _died(self, instance: str) -> None:
+        pass
+
+
 def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, "CHECK_LOGS", 0.01)
     monkeypatch.setattr(processes, "LONGEST_LOG", 100_000)
@@ -249,8 +259,8 @@ def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypat
         return int(tail(log).rstrip("\n").rpartition("\n")[2] or 0)
 
     async def main() -> None:
-        children = processes.Children(None, lambda *_: None)
-        children.take("talkative", spawn([sys.executable, "-u", "-c", talkative], tmp_path, os.environ, log))
+        backend = Platform(tmp_path / "control", None, None)
+        backend._watch("talkative", spawn([sys.executable, "-u", "-c", talkative], tmp_path, os.environ, log))
         deadline = time.monotonic() + 60
         while not log.read_bytes()[:1] or log.read_bytes().startswith(b"0\n"):
             assert time.monotonic() < deadline, "the log was not truncated"
@@ -259,10 +269,10 @@ def test_the_logs_of_running_components_are_kept_short(tmp_path: Path, monkeypat
         while last() <= cut_at:
             assert time.monotonic() < deadline, "its writer does not continue"
             await asyncio.sleep(0.01)
-        assert "talkative" in children
-        await children.end("talkative", 3.0)
-        assert "talkative" not in children
-        children.close()
+        assert "talkative" in backend._processes
+        await backend.end("talkative", 3.0)
+        assert "talkative" not in backend._processes
+        backend._stop_watching()
 
     asyncio.run(main())
 

@@ -13,6 +13,25 @@ from midstride.runtime.reports import Outcome
 from tests.runtime.systems import last_said, managed, stateful_talkers
 
 
+def test_a_restarted_node_runs_what_its_program_is_now_with_the_state_it_had(tmp_path: Path) -> None:
+    start = stateful_talkers(tmp_path)
+    simulator = Simulator()
+
+    async def body(manager: Manager, _: Simulator) -> tuple[Outcome, str, list[str]]:
+        program = tmp_path / "Talker.py"
+        program.write_text(program.read_text().replace('"+"', '" in new code"'))
+        outcome = await manager.change(PlanRequest(restart=("talker",)))
+        return outcome, await last_said(simulator), sorted(manager.configuration.instances)
+
+    folder = tmp_path / "workspace"
+    folder.mkdir()
+    outcome, heard, instances = managed("talker", folder, body, simulator, start)
+    assert (outcome.outcome, outcome.because) == ("done", None)
+    assert [(swap.missed, swap.duplicates) for swap in outcome.swaps] == [(0, 0)]
+    assert heard == "the old one's in new code"
+    assert instances == ["listener", "talker_2"]
+
+
 def test_a_topic_handed_on_to_another_role_takes_no_state_along(tmp_path: Path) -> None:
     """The topic is full, so the one that comes takes over from the one that goes: two roles, two states."""
     start = stateful_talkers(tmp_path)

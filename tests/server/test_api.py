@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Callable, Coroutine, Iterator
+import threading
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +17,18 @@ import pytest
 from midstride import errors
 from midstride.backends.simulator import Simulator
 from midstride.codec.form import encode
+from midstride.codec.reading import parse_json
 from midstride.codec.specification import SpecificationForm
 from midstride.model.specification import initial
 from midstride.plan.forms import encode_plan
 from midstride.plan.registry import STRATEGIES
 from midstride.runtime.manager import Manager
 from midstride.runtime.reports import PlannedChange
+from midstride.server import requests
 from midstride.server.app import create_app
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import FORMS
+from midstride.server.requests import LARGEST_BODY
 from tests.plan.cases import replacing
 from tests.runtime.systems import managed, replace
 from tests.server.scripted import ScriptedManager
@@ -99,7 +103,9 @@ def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() 
                 (media,) = operation["responses"]["200"]["content"]
                 assert path.endswith("/events") or list(references(operation["responses"]["200"])), (method, path)
                 assert media == ("text/event-stream" if path.endswith("/events") else "application/json")
-                assert list(references(operation["responses"]["422"])) == ["#/components/schemas/Failure"]
+                assert {"401", "409", "422", "500", "502", "504"} <= set(operation["responses"])
+                for status, response in operation["responses"].items():
+                    assert status == "200" or list(references(response)) == ["#/components/schemas/Failure"]
         bodies = {
             path: list(references(operations["post"].get("requestBody")))
             for path, operations in document["paths"].items()
@@ -213,6 +219,113 @@ def test_what_is_no_request_is_told_fault_by_fault(body: Any, words: list[str]) 
 
 
 @pytest.mark.parametrize(
+    ("body", "words"),
+    [
+        (b"", "not JSON: Expecting value at line 1, column 1"),
+        (b"replace", "not JSON: Expecting value at line 1, column 1"),
+        (b"\xff", "not JSON: 'utf-8' codec can't decode byte 0xff"),
+        (rb'{"request": {"remove": ["\ud800"]}}', r"\ud800 is half of a surrogate pair at line 1, column 26"),
+        (rb'{"request": {}, "id": "\\\uDFFF"}', r"\uDFFF is half of a surrogate pair at line 1, column 26"),
+        (rb'{"\ud83d\ud83d": 0}', r"\ud83d is half of a surrogate pair at line 1, column 3"),
+        (b'{"request": {}, "verify": 0}', "/verify: true or false is expected"),
+        (b'{"request": {}, "expected": true}', "/expected: a number (a whole number) is expected"),
+    ],
+)
+def test_a_body_that_cannot_be_read_is_a_documented_refusal(body: bytes, words: str) -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.answers["change"] = {}
+        status, kind, message = error_of(await client.post("/change", content=body))
+        assert (status, kind) == (422, "SpecificationError")
+        assert words in message
+        document = (await client.get("/openapi.json")).json()
+        assert "not JSON" in document["paths"]["/api/v1/change"]["post"]["responses"]["422"]["description"]
+
+    served(test)
+
+
+def test_a_whole_pair_of_surrogates_is_a_character() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.answers["change"] = {}
+        body = rb'{"request": {"remove": ["\ud83e\udd16 \\ud800"]}}'
+        assert (await client.post("/change", content=body)).status_code == 200
+        assert manager.asked[-1][1][0].remove == ("\U0001f916 \\ud800",)
+
+    served(test)
+
+
+def test_a_large_body_is_refused_before_all_of_it_is_read() -> None:
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        before, sent = list(manager.asked), 0
+
+        async def endless() -> AsyncIterator[bytes]:
+            nonlocal sent
+            while True:
+                sent += 65536
+                yield b" " * 65536
+
+        status, kind, message = error_of(await client.post("/plan", content=endless()))
+        assert (status, kind) == (413, "TooLarge")
+        assert message == "the body has more than 1048576 bytes"
+        assert sent < 2 * LARGEST_BODY
+        assert manager.asked == before
+        document = (await client.get("/openapi.json")).json()
+        assert "1048576" in document["paths"]["/api/v1/plan"]["post"]["responses"]["413"]["description"]
+
+    served(test)
+
+
+def test_bodies_are_read_while_other_requests_are_answered(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A body whose reading waits for the answer to another request."""
+    answered = threading.Event()
+
+    def parse(text: str) -> Any:
+        assert answered.wait(60)
+        return parse_json(text)
+
+    monkeypatch.setattr(requests, "parse_json", parse)
+
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        asking = asyncio.ensure_future(client.post("/plan", content=b"{"))
+        await asyncio.sleep(0)
+        assert (await client.get("/status")).status_code == 200
+        assert not asking.done()
+        answered.set()
+        assert (await asking).status_code == 422
+
+    served(test)
+
+
+def test_a_plan_is_written_in_a_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    threads: list[int] = []
+    monkeypatch.setattr(PlannedChange, "of", lambda *_, **__: threads.append(threading.get_ident()))
+
+    async def test(client: httpx.AsyncClient, manager: ScriptedManager, _: Lifecycle) -> None:
+        manager.answers["plan"] = None
+        assert (await client.post("/plan", json={"remove": ["talker"]})).status_code == 200
+
+    served(test)
+    assert threads
+    assert threading.get_ident() not in threads
+
+
+def test_a_client_that_leaves_before_its_body_has_arrived_is_no_error() -> None:
+    async def test() -> None:
+        app = create_app(Lifecycle(ScriptedManager().as_manager), backend="scripted")
+        messages = iter([{"type": "http.request", "body": b"{", "more_body": True}, {"type": "http.disconnect"}])
+
+        async def receive() -> Any:
+            return next(messages)
+
+        async def send(_: Any) -> None:
+            pass
+
+        scope = {"type": "http", "method": "POST", "path": "/api/v1/plan", "query_string": b"", "headers": []}
+        await app(scope, receive, send)
+
+    asyncio.run(test())
+
+
+@pytest.mark.parametrize(
     ("error", "status"),
     [
         (errors.PlanRefused("there is no node talkr; did you mean talker?"), 409),
@@ -220,6 +333,7 @@ def test_what_is_no_request_is_told_fault_by_fault(body: Any, words: list[str]) 
         (errors.ManagerError("the disk is full"), 409),
         (errors.StartFailed("talker_2 exited with status 1"), 502),
         (errors.CallTimeout("talker did not answer"), 504),
+        (errors.AlloyMissing("there is no Alloy Analyzer"), 409),
         (errors.StepFailed("it failed", "rolled_back"), 500),
     ],
 )

@@ -8,9 +8,7 @@ import os
 import signal
 import socket
 import stat
-import tempfile
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -22,46 +20,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import Tcp, serve
 from tests.server.scripted import ScriptedManager
-
-
-@pytest.fixture
-def workspace(monkeypatch: pytest.MonkeyPatch) -> Iterator[Workspace]:
-    with tempfile.TemporaryDirectory(prefix="ms") as folder:  # sockets have short paths, pytest's folders long ones
-        monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
-        yield Workspace.of("talker")
-
-
-def over_socket(workspace: Workspace) -> httpx.AsyncClient:
-    transport = httpx.AsyncHTTPTransport(uds=str(workspace.socket))
-    return httpx.AsyncClient(transport=transport, base_url="http://manager/api/v1", timeout=30)
-
-
-@asynccontextmanager
-async def serving(
-    manager: ScriptedManager, workspace: Workspace, tcp: Tcp | None = None
-) -> AsyncIterator[tuple[httpx.AsyncClient, asyncio.Task[int]]]:
-    """A server over ``manager``, with a client over its socket. What is left of it at the end is an error."""
-    server = asyncio.ensure_future(serve(manager.as_manager, workspace, backend="scripted", tcp=tcp))
-    async with over_socket(workspace) as client:
-        try:
-            while True:
-                try:
-                    await client.get("/log")
-                    break
-                except httpx.TransportError:
-                    if server.done():
-                        server.result()
-                    await asyncio.sleep(0.01)
-            yield client, server
-        finally:
-            if not server.done():
-                manager.answers["down"] = None
-                await client.post("/down")
-            await asyncio.wait_for(server, 20)
-
-
-def run(test: Callable[[], Coroutine[Any, Any, None]]) -> None:
-    asyncio.run(test())
+from tests.server.support import free_port, run, serving
 
 
 async def events(response: httpx.Response) -> AsyncIterator[tuple[str, dict[str, Any]]]:
@@ -223,7 +182,7 @@ def test_a_change_that_takes_long_to_take_back_still_has_an_answer(
     workspace: Workspace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The doors do not wait for ever; whoever asked is told why, and not of an internal error."""
-    monkeypatch.setattr("midstride.server.serve.LAST_ANSWERS", 1)
+    monkeypatch.setattr("midstride.server.connections.LAST_ANSWERS", 1)
 
     async def test() -> None:
         manager = Changing(1.5)
@@ -248,11 +207,6 @@ def test_a_system_whose_manager_is_told_to_end_while_it_comes_is_not_said_to_be_
             assert await asyncio.wait_for(server, 20) == 1
 
     run(test)
-
-
-def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as door:
-        return int(door.getsockname()[1])
 
 
 def test_the_tcp_door_is_on_loopback_and_wants_the_token(workspace: Workspace) -> None:

@@ -17,10 +17,10 @@ from typing import Final
 
 from midstride.model.configuration import Configuration
 from midstride.verify.alloy_atoms import AlloyAtoms
-from midstride.verify.formulas import Formula, NotEncoded, formula
+from midstride.verify.formulas import Formula, formula
 from midstride.verify.library import bundled
 from midstride.verify.run import Alloy, SolverOutcome
-from midstride.verify.world_encoder import WorldEncoder
+from midstride.verify.world_encoder import NotEncoded, WorldEncoder
 from tests.verify.walks import Claim, World, key
 
 ATOMS: Final = 1000  # a little less than one run may have

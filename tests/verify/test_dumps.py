@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from immutables import Map
 
-from midstride.codec.configuration import decode_configuration, encode_configuration
+from midstride.codec.configuration import ConfigurationForm, decode_configuration
 from midstride.codec.form import encode
 from midstride.lang import load_text
 from midstride.model.component import ComponentSpec, FunctionalityRef, InputAlternatives, PortRef, Resource
@@ -91,7 +91,7 @@ def test_a_configuration_comes_back_from_its_document(name: str) -> None:
     configuration = configuration.with_modes(
         {ref: configuration.functionality(ref).last_mode for ref in list(configuration.modes)[:1]}
     )
-    assert decode_configuration(encode_configuration(configuration)) == configuration
+    assert decode_configuration(encode(ConfigurationForm.of(configuration))) == configuration
 
 
 # -- configurations ------------------------------------------------------------------------------------------

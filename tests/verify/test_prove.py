@@ -15,7 +15,7 @@ from midstride.verify.prove import actions as act
 from midstride.verify.prove.goals import Case, Goal
 from midstride.verify.prove.run import script, weakenings
 from midstride.verify.prove.terms import FALSE, TRUE, and_, implies, not_, or_
-from midstride.verify.prove.theory import Part, Theory
+from midstride.verify.prove.theory import SATISFIED, Theory
 from midstride.verify.verdict import Answer
 
 
@@ -30,8 +30,8 @@ def broken(kind: str, name: str, without: str) -> Goal:
 
     def build(t: Theory) -> Case:
         case = whole.build(t)
-        assert any(part.name == without for part in case.asked)
-        return replace(case, asked=[part for part in case.asked if part.name != without])
+        assert without in case.asked
+        return replace(case, asked={name: formula for name, formula in case.asked.items() if name != without})
 
     return replace(whole, build=build)
 
@@ -98,8 +98,8 @@ def test_the_papers_rule_for_attach_is_enough_for_attachments_to_fit() -> None:
     def build(t: Theory) -> Case:
         case = fit.build(t)
         current = t.satisfies(t.current(case.states[0], "the_port"), t.topic_guarantee("the_topic"))
-        asked = [Part(part.name, current if part.name == act.CONTRACT else part.formula) for part in case.asked]
-        return replace(case, asked=asked)
+        assert act.CONTRACT in case.asked
+        return replace(case, asked=case.asked | {act.CONTRACT: current})
 
     assert prove_goal(replace(fit, build=build), ("z3",)).answer is Answer.HOLDS
 
@@ -110,7 +110,7 @@ def test_a_vacuous_goal_is_not_ok() -> None:
 
     def build(t: Theory) -> Case:
         case = whole.build(t)
-        return replace(case, given=[*case.given, Part("a contradiction", FALSE)])
+        return replace(case, given=case.given | {"a contradiction": FALSE})
 
     proof = prove_goal(replace(whole, build=build), ("z3",))
     assert proof.answer is Answer.HOLDS
@@ -210,11 +210,11 @@ def test_terms_are_simplified(made: Callable[[], str], text: str) -> None:
 
 
 def test_the_script_is_text_for_any_solver() -> None:
-    text = script(goal("F1", "create"), 0)
+    text = script(goal("F1", "create"), SATISFIED)
     assert text.startswith("(set-logic ALL)\n(declare-sort Component 0)\n")
     assert "; M1\n(assert (forall " in text
     assert "; NOT: every functionality is satisfied\n" in text
-    assert "; M1\n" not in script(goal("F1", "create"), 0, ("M1",))
+    assert "; M1\n" not in script(goal("F1", "create"), SATISFIED, ("M1",))
 
 
 def test_a_proof_is_a_document() -> None:

@@ -234,7 +234,7 @@ def test_the_command_fails_if_a_check_has_another_result(
         return {"ValidSystem": SolverOutcome(True), "FinerModes": SolverOutcome(False)}
 
     monkeypatch.setattr(Alloy, "solve", solve)
-    monkeypatch.setattr("midstride.verify.run.find", lambda: Alloy("java", Path("no.jar"), "no Alloy"))
+    monkeypatch.setattr("midstride.cli.commands.prove.find", lambda: Alloy("java", Path("no.jar"), "no Alloy"))
     assert main(["prove", "--alloy", "--scope", "3"]) == 1
     out = capsys.readouterr().out
     assert "VIOLATED   1/1  system " in out

@@ -13,7 +13,7 @@ from hypothesis.internal.conjecture.providers import AVAILABLE_PROVIDERS, Hypoth
 from midstride.model.action import Action, Create
 from midstride.model.component import EnvironmentGuarantee
 from midstride.model.configuration import Configuration, Instance
-from midstride.model.rules import is_valid
+from midstride.model.rules import violations
 from midstride.testing import strategies
 from midstride.testing.action_strategies import actions
 from tests.model.build import at, component, filter_, mode, named, source, system
@@ -143,7 +143,8 @@ def _refused_result(before: Configuration, action: Action) -> list[Configuration
         return []
     try:
         after = action.effect(before)
-        return [] if is_valid(after) or not all(after.has_port(port) for port, _ in after.attachments()) else [after]
+        spoilt = violations(after) and all(after.has_port(port) for port, _ in after.attachments())
+        return [after] if spoilt else []
     except LookupError:
         return []
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from typing import Final
 
+from midstride.backends import ros1, ros2
 from midstride.errors import BackendError
 from midstride.node.process_context import installed
 from midstride.runtime.backend import Backend
@@ -20,26 +21,21 @@ def make(name: str, workspace: Workspace, *, guardian: Reaper | None = None) -> 
     Control sockets and logs go to ``workspace``; ``guardian`` ends what is started should this process be killed. The
     simulator, whose components live in this process, needs neither.
     """
-    if name == "sim":
-        from midstride.backends.simulator import Simulator
+    match name:
+        case "sim":
+            from midstride.backends.simulator import Simulator
 
-        return Simulator()
-    if name == "ros2":
-        from midstride.backends.ros2 import create_backend
-
-        return create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
-    if name == "ros1":
-        from midstride.backends import ros1
-
-        return ros1.create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
+            return Simulator()
+        case "ros2":
+            return ros2.create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
+        case "ros1":
+            return ros1.create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
     raise BackendError(f"there is no back end {name}; there are {', '.join(NAMES)}")
 
 
 def available(name: str) -> bool:
     """Whether the back end ``name`` can be had here, without importing any ROS."""
     if name == "ros1":
-        from midstride.backends import ros1
-
         return ros1.available()
     return name == "sim" or (name == "ros2" and importlib.util.find_spec("rclpy") is not None)
 

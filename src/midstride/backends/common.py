@@ -7,8 +7,11 @@ import gc
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -23,6 +26,7 @@ T = TypeVar("T")
 SYSTEM_FLAG: Final = "--system"
 # How long the control thread may keep the data thread from running, while both are busy (s).
 SWITCH_INTERVAL: Final = 0.0005
+_POLL: Final = 0.002
 
 
 def control_transport(environment: Mapping[str, str], arguments: Sequence[str]) -> tuple[SocketFolder | None, str]:
@@ -103,26 +107,32 @@ def on_thread(function: Callable[[], T], post: Callable[[Callable[[], None]], ob
     calling = asyncio.get_running_loop()
     done: asyncio.Future[T] = calling.create_future()
 
-    def settle(result: T | None, error: BaseException | None) -> None:
-        if done.cancelled():
-            return
-        if error is None:
-            done.set_result(result)  # type: ignore[arg-type]
-        else:
-            done.set_exception(error)
-
     def work() -> None:
-        result: T | None = None
-        raised: BaseException | None = None
         try:
-            result = function()
+            settle = partial(done.set_result, function())
         except BaseException as error:
             raised = RuntimeError(str(error)) if isinstance(error, StopIteration) else error
+            settle = partial(done.set_exception, raised)
         with suppress(RuntimeError):  # the loop is closed: the process is ending
-            calling.call_soon_threadsafe(settle, result, raised)
+            calling.call_soon_threadsafe(lambda: done.cancelled() or settle())
 
     post(work)
     return done
+
+
+def on_new_thread(function: Callable[[], T]) -> Awaitable[T]:
+    """The result of ``function``, called in a thread that the end of the process does not wait for."""
+    return on_thread(function, lambda work: threading.Thread(target=work, daemon=True).start())
+
+
+async def comes_true(condition: Callable[[], bool], timeout: float) -> bool:
+    """Whether ``condition`` is true within ``timeout`` seconds; it is evaluated again and again."""
+    deadline = time.monotonic() + timeout
+    while not condition():
+        if time.monotonic() > deadline:
+            return False
+        await asyncio.sleep(_POLL)
+    return True
 
 
 def with_short_pauses() -> None:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 
 def split(instance: str, namespace: str = "") -> tuple[str, str]:
-    """The name and the namespace of an instance's node: ``front/camera`` is node ``camera`` in ``/front``.
-
-    ``namespace`` counts where ``instance`` names none of its own.
-    """
+    """The name and the namespace of an instance's node; ``namespace`` counts where ``instance`` states none."""
     own, _, name = instance.strip("/").rpartition("/")
     inside = (own or namespace).strip("/")
     return name, f"/{inside}" if inside else "/"

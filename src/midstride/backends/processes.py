@@ -49,10 +49,7 @@ def command(
 
 
 def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
-    """The environment variables that make a process this component (wire/environment.py).
-
-    ``control`` is the folder of the system's control sockets.
-    """
+    """The environment variables that make a process this component; ``control`` is the folder of the sockets."""
     return {
         variables.ENV_BACKEND: backend,
         variables.ENV_INSTANCE: launch.instance,
@@ -74,73 +71,11 @@ async def listens(transport: Transport, instance: str) -> bool:
     return True
 
 
-class Children:
-    """The processes of components, by instance; to be used on one event loop.
-
-    ``exited`` is called for each that exits without being asked to, once it is no longer among them.
-    """
-
-    def __init__(self, guardian: Reaper | None, exited: Callable[[str, int | None, Process], None]) -> None:
-        self._guardian = guardian
-        self._exited = exited
-        self._processes: dict[str, Process] = {}
-        self._shortening: asyncio.Task[None] | None = None
-
-    def __contains__(self, instance: object) -> bool:
-        return instance in self._processes
-
-    def __len__(self) -> int:
-        return len(self._processes)
-
-    def take(self, instance: str, process: Process) -> None:
-        """Watch a process from now on."""
-        self._processes[instance] = process
-        if self._guardian is not None:
-            self._guardian.watch(process.pid, process.started)
-        process.on_exit(lambda status: self._ended(instance, process, status))
-        if self._shortening is None:
-            self._shortening = asyncio.get_running_loop().create_task(self._shorten_logs())
-
-    async def _shorten_logs(self) -> None:
-        while True:
-            await asyncio.sleep(CHECK_LOGS)
-            for process in list(self._processes.values()):
-                process.shorten_log(LONGEST_LOG, KEPT_OF_LOG)
-
-    def _ended(self, instance: str, process: Process, status: int | None) -> None:
-        self._forget(instance, process)
-        self._exited(instance, status, process)
-
-    async def end(self, instance: str, grace: float) -> None:
-        """End a process if there is one, without a call of ``exited``; returns when it is gone."""
-        process = self._processes.get(instance)
-        if process is not None:
-            process.on_exit(None)
-            await process.end(grace)
-            self._forget(instance, process)
-
-    def _forget(self, instance: str, process: Process) -> None:
-        if self._processes.get(instance) is process:
-            del self._processes[instance]
-        if self._guardian is not None:
-            self._guardian.release(process.pid)
-        process.close()
-
-    def close(self) -> None:
-        """Stop watching them; they go on."""
-        if self._shortening is not None:
-            self._shortening.cancel()
-            self._shortening = None
-        for process in self._processes.values():
-            process.close()
-        self._processes.clear()
-
-
 class ProcessBackend(abc.ABC):
     """What the back ends of real platforms share: components as processes, their control sockets and their logs.
 
     ``control`` is the folder of the sockets, ``logs`` that of the logs (default: beside ROS's own). ``guardian`` ends
-    what is started should this process be killed.
+    what is started should this process be killed. To be opened, used and closed on one event loop.
     """
 
     def __init__(self, control: Path, logs: Path | None, guardian: Reaper | None) -> None:
@@ -149,11 +84,13 @@ class ProcessBackend(abc.ABC):
         self._control = control
         self._logs = logs
         self._guardian = guardian
-        self._children = Children(guardian, self._exited)
+        # The processes that it watches, by instance.
+        self._processes: dict[str, Process] = {}
+        self._shortening: asyncio.Task[None] | None = None
 
     @abc.abstractmethod
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
-        """A process has exited without being asked to."""
+        """A process has exited without being asked to. It is not watched any longer."""
 
     @abc.abstractmethod
     async def _died(self, instance: str) -> None:
@@ -163,7 +100,7 @@ class ProcessBackend(abc.ABC):
         """Start the process of the node that has the full name ``node``. Raises StartFailed."""
         log = self._log_folder(launch.token) / f"{node.strip('/').replace('/', '.')}.log"
         process = spawn(command, launch.directory, environment, log)
-        self._children.take(launch.instance, process)
+        self._watch(launch.instance, process)
         return Handle(launch.instance, process.pid, process.started, str(log))
 
     def _log_folder(self, token: str = "") -> Path:
@@ -177,7 +114,7 @@ class ProcessBackend(abc.ABC):
 
     async def adopt(self, handle: Handle) -> bool:
         instance = handle.instance
-        if instance in self._children:
+        if instance in self._processes:
             return True
         if handle.pid is None or handle.started is None:
             return await listens(self.transport, instance)
@@ -185,9 +122,47 @@ class ProcessBackend(abc.ABC):
         process = find(handle.pid, handle.started, variables.ENV_INSTANCE, instance, log)
         if process is None:
             return False
-        self._children.take(instance, process)
+        self._watch(instance, process)
         return process.running
 
     async def end(self, instance: str, grace: float) -> None:
-        await self._children.end(instance, grace)
+        if (process := self._processes.get(instance)) is not None:
+            process.on_exit(None)
+            await process.end(grace)
+            self._forget(instance, process)
         await self._died(instance)
+
+    def _watch(self, instance: str, process: Process) -> None:
+        self._processes[instance] = process
+        if self._guardian is not None:
+            self._guardian.watch(process.pid, process.started)
+
+        def exited(status: int | None) -> None:
+            self._forget(instance, process)
+            self._exited(instance, status, process)
+
+        process.on_exit(exited)
+        if self._shortening is None:
+            self._shortening = asyncio.get_running_loop().create_task(self._shorten_logs())
+
+    def _forget(self, instance: str, process: Process) -> None:
+        if self._processes.get(instance) is process:
+            del self._processes[instance]
+        if self._guardian is not None:
+            self._guardian.release(process.pid)
+        process.close()
+
+    async def _shorten_logs(self) -> None:
+        while True:
+            await asyncio.sleep(CHECK_LOGS)
+            for process in list(self._processes.values()):
+                process.shorten_log(LONGEST_LOG, KEPT_OF_LOG)
+
+    def _stop_watching(self) -> None:
+        """The processes go on."""
+        if self._shortening is not None:
+            self._shortening.cancel()
+            self._shortening = None
+        for process in self._processes.values():
+            process.close()
+        self._processes.clear()

@@ -35,26 +35,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = cli.main(words, prog_name="midstride", standalone_mode=False)
         sys.stdout.flush()
         return status if isinstance(status, int) else 0
-    except click.UsageError as error:
-        from midstride.cli.errors import report_usage
-
-        return report_usage(error, words)
-    except MidstrideError as error:
-        from midstride.cli.errors import report_refusal
-
-        return report_refusal(error, words)
     except (click.Abort, KeyboardInterrupt):
         print("\nmidstride: interrupted", file=sys.stderr)
         return INTERRUPTED
     except BrokenPipeError:  # the reader has closed the pipe, as `head` does
         _discard_output()
         return 1
-    except OSError as error:
-        from midstride.cli.errors import report_os_error
+    except (click.UsageError, MidstrideError, OSError) as error:
+        from midstride.cli.errors import report
 
-        if error.filename is None:
+        if isinstance(error, OSError) and error.filename is None:
             _discard_output()
-        return report_os_error(error, words)
+        return report(error, words)
 
 
 def _replace_closed_streams() -> None:

@@ -39,6 +39,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
     },
     "Changes to the running system": {
         "replace": ("change", "replace a node's component"),
+        "restart": ("change", "start nodes again, with what their programs are now"),
         "add": ("change", "add a node"),
         "remove": ("change", "remove nodes"),
         "apply": ("change", "change the system to another specification"),

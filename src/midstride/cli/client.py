@@ -44,11 +44,6 @@ class Client:
     def __init__(self, path: Path) -> None:
         self._socket = path
 
-    @property
-    def log_file(self) -> Path:
-        """The log of the manager's process, for errors that it could not report."""
-        return self._socket.parent / "logs" / "manager.log"
-
     def get(self, path: str, timeout: float | None = READ_TIMEOUT, **query: Any) -> Any:
         return self._request("GET", path + (f"?{urlencode(query)}" if query else ""), None, timeout)
 
@@ -85,9 +80,8 @@ class Client:
             raise errors.ManagerError(f"the manager did not answer within {timeout:g} s") from None
         except (OSError, http.client.HTTPException, ValueError) as error:
             reason = str(error) or type(error).__name__
-            raise errors.ManagerError(
-                f"the manager exited before it answered ({reason}); see {self.log_file}"
-            ) from None
+            log = self._socket.parent / "logs" / "manager.log"
+            raise errors.ManagerError(f"the manager exited before it answered ({reason}); see {log}") from None
         finally:
             connection.close()
 

@@ -6,7 +6,7 @@ import asyncio
 import signal
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, contextmanager
-from typing import Any, Final
+from typing import Final
 
 from rich.console import Console
 from rich.markup import escape
@@ -19,10 +19,9 @@ from midstride.cli.demo_environment import DemoEnvironment, demo_environment
 from midstride.cli.example import Demo, DemoStep
 from midstride.cli.log_excerpt import LogFollower, excerpt
 from midstride.cli.progress import Progress
-from midstride.codec.form import encode
+from midstride.codec.form import Document, encode
 from midstride.plan.forms import encode_plan
 
-Document = dict[str, Any]
 # How often the latest log line of the subscriber is shown (s).
 LOG_INTERVAL: Final = 0.1
 # How long the system runs before the first step (s), so that the subscriber has received messages before.

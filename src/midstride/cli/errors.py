@@ -15,19 +15,19 @@ from midstride.errors import MidstrideError, SpecificationError
 _CHANGES = ("plan", "replace", "add", "remove", "apply", "demo")
 
 
-def report_usage(error: click.UsageError, words: Sequence[str]) -> int:
-    """Wrong usage: what is wrong, and where the help is."""
+def report(error: click.UsageError | MidstrideError | OSError, words: Sequence[str]) -> int:
+    """Report why the command ``words`` failed. The exit status: NO or USAGE."""
     if isinstance(error, click.exceptions.NoArgsIsHelpError):
         print(error.format_message(), file=sys.stderr)
         return USAGE
-    path = error.ctx.command_path if error.ctx is not None else "midstride"
-    message = error.format_message().rstrip(".")
-    _report(f"{path}: {_lower_first(message)}\ntry `{path} --help`", "UsageError", message, words)
-    return USAGE
-
-
-def report_refusal(error: MidstrideError, words: Sequence[str]) -> int:
-    """The answer is no, with the reason."""
+    if isinstance(error, click.UsageError):
+        path = error.ctx.command_path if error.ctx is not None else "midstride"
+        message = error.format_message().rstrip(".")
+        _report(f"{path}: {_lower_first(message)}\ntry `{path} --help`", "UsageError", message, words)
+        return USAGE
+    if isinstance(error, OSError):  # refused for a file, which the error names, or else for our output
+        subject = "cannot write the output" if error.filename is None else f"cannot use {error.filename}"
+        error = MidstrideError(f"{subject}: {error.strerror or error}")
     if isinstance(error, SpecificationError):
         lines = [str(problem) for problem in error.problems]
     else:
@@ -36,13 +36,6 @@ def report_refusal(error: MidstrideError, words: Sequence[str]) -> int:
     path = f"midstride {command}" if command else "midstride"
     _report("\n".join(f"{path}: {line}" for line in lines), type(error).__name__, "\n".join(lines), words)
     return NO
-
-
-def report_os_error(error: OSError, words: Sequence[str]) -> int:
-    """The operating system refused a file, which the error names, or else our output."""
-    reason = error.strerror or str(error)
-    subject = "cannot write the output" if error.filename is None else f"cannot use {error.filename}"
-    return report_refusal(MidstrideError(f"{subject}: {reason}"), words)
 
 
 def _report(text: str, kind: str, message: str, words: Sequence[str]) -> None:

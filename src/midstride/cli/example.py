@@ -57,8 +57,7 @@ def find(name: str) -> Demo:
 
 def examples_folder() -> Path:
     """The examples of this Midstride: those of its repository if it runs from one, else those that were installed."""
-    root = repository()
-    return _PACKAGE / "examples" if root is None else root / "examples"
+    return (repository() or _PACKAGE) / "examples"
 
 
 def repository() -> Path | None:

@@ -21,7 +21,10 @@ def read(path: Path) -> Specification:
     """The specification in a file. Raises SpecificationError with every error of form and of names."""
     text = _text(path)
     if _is_stride(path):
-        return _stride(path)
+        from midstride.lang import load as load_stride
+        from midstride.lang.message_types import installed
+
+        return load_stride(path, messages=installed()).require()
     try:
         return decode_specification(parse_json(text))
     except SpecificationError as error:
@@ -61,13 +64,6 @@ def _is_stride(path: Path) -> bool:
     return path.suffix != ".json"
 
 
-def _stride(path: Path) -> Specification:
-    from midstride.lang import load as load_stride
-    from midstride.lang.message_types import installed
-
-    return load_stride(path, messages=installed()).require()
-
-
 def _text(path: Path) -> str:
     try:
         with path.open(encoding="utf-8") as file:
@@ -80,11 +76,9 @@ def _text(path: Path) -> str:
     except IsADirectoryError:
         inside = ", ".join(sorted(str(path / entry.name) for entry in _candidates(path)))
         raise SpecificationError(f"{path} is a folder" + (f"; give a file in it: {inside}" if inside else "")) from None
-    except UnicodeDecodeError as error:
-        if _is_stride(path):
+    except (UnicodeDecodeError, OSError) as error:
+        if _is_stride(path) and isinstance(error, UnicodeDecodeError):
             return ""  # the language reports the place
-        raise SpecificationError(f"cannot read {path}: {error}") from None
-    except OSError as error:
         raise SpecificationError(f"cannot read {path}: {error}") from None
 
 

@@ -59,10 +59,8 @@ def excerpt(lines: list[LogLine]) -> list[LogLine | None]:
         if lines[index].kind != lines[index - 1].kind:
             shown.update(range(max(0, index - CONTEXT), min(len(lines), index + CONTEXT)))
     result: list[LogLine | None] = []
-    last = -1
     for index in sorted(shown):
-        if result and index != last + 1:
+        if result and index - 1 not in shown:
             result.append(None)
         result.append(lines[index])
-        last = index
     return result

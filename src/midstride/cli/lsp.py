@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlparse
@@ -12,7 +13,7 @@ from pygls.lsp.server import LanguageServer
 
 from midstride import __version__
 from midstride.lang.diagnostics import Diagnostic
-from midstride.lang.message_types import MessageTypes, installed
+from midstride.lang.message_types import installed
 from midstride.lang.service import LanguageService
 from midstride.lang.source import Source, Span
 
@@ -33,14 +34,7 @@ _KINDS = {
 def make_server() -> LanguageServer:
     """A server, not yet started; ``start_io`` runs it on standard input and output."""
     server = LanguageServer("midstride", __version__)
-    known: list[MessageTypes] = []
-
-    def messages() -> MessageTypes:
-        if not known:
-            known.append(installed())
-        return known[0]
-
-    service = LanguageService(messages=messages)
+    service = LanguageService(messages=cache(installed))
     shown: dict[Path, set[Path]] = {}  # file -> the files for which its diagnostics were last published
 
     def publish(path: Path) -> None:
@@ -52,30 +46,19 @@ def make_server() -> LanguageServer:
             parameters = types.PublishDiagnosticsParams(_uri(other), [_diagnostic(d) for d in listed])
             server.text_document_publish_diagnostics(parameters)
 
-    def text_of(path: Path) -> Source:
-        source = service.analysis(path).source(path)
-        return source if source is not None else Source(str(path), "", path)
-
     def place(parameters: Any) -> tuple[Path, int, int]:
-        path = _path(parameters.text_document.uri)
-        position = parameters.position
-        line = position.line + 1
-        source = text_of(path)
-        text = source.line(line) if line <= len(source.starts) else ""
-        return path, line, _column(text, position.character) + 1
+        path, line = _path(parameters.text_document.uri), parameters.position.line + 1
+        source = service.analysis(path).source(path)
+        text = source.line(line) if source is not None and line <= len(source.starts) else ""
+        return path, line, _column(text, parameters.position.character) + 1
 
     @server.feature(types.INITIALIZED)
     def initialized(parameters: types.InitializedParams) -> None:
         service.roots = [_path(folder.uri) for folder in server.workspace.folders.values()]
 
     @server.feature(types.TEXT_DOCUMENT_DID_OPEN)
-    def did_open(parameters: types.DidOpenTextDocumentParams) -> None:
-        path = _path(parameters.text_document.uri)
-        service.open(path, parameters.text_document.text)
-        publish(path)
-
     @server.feature(types.TEXT_DOCUMENT_DID_CHANGE)
-    def did_change(parameters: types.DidChangeTextDocumentParams) -> None:
+    def did_change(parameters: types.DidOpenTextDocumentParams | types.DidChangeTextDocumentParams) -> None:
         uri = parameters.text_document.uri
         service.open(_path(uri), server.workspace.get_text_document(uri).source)
         publish(_path(uri))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import click
@@ -20,13 +19,6 @@ INTERRUPTED: Final = 130
 PIPE_WIDTH: Final = 1000
 
 
-@dataclass(slots=True)
-class Settings:
-    """Options that apply to the whole command line."""
-
-    json: bool = False
-
-
 def json_option(function: Any) -> Any:
     """``--json``, accepted before and after the command's name."""
     summary = "Print one JSON document, and nothing else."
@@ -34,14 +26,12 @@ def json_option(function: Any) -> Any:
 
 
 def _set_json(ctx: click.Context, _: click.Parameter, value: bool) -> None:
-    settings = ctx.ensure_object(Settings)
-    settings.json = settings.json or value
+    ctx.meta[__name__] = value or ctx.meta.get(__name__, False)  # shared by the contexts of all commands
 
 
 def wants_json() -> bool:
     """Whether the command line has ``--json``."""
-    settings = click.get_current_context().find_object(Settings)
-    return settings is not None and settings.json
+    return bool(click.get_current_context().meta.get(__name__))
 
 
 def print_json(document: Any) -> None:

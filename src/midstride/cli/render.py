@@ -51,14 +51,10 @@ def seconds(value: float | None) -> str:
 def step_text(step: Document) -> str:
     """One step of a plan in a few words."""
     match step["action"]:
-        case "create":
-            return wording.creation(step["component"], step["of"])
-        case "remove":
-            return wording.removal(step["component"])
-        case "attach":
-            return wording.attachment(step["port"], step["connector"])
-        case "detach":
-            return wording.detachment(step["port"], step["connector"])
+        case "create" | "remove" as kind:
+            return wording.existence(kind, step["component"], step.get("of", ""))
+        case "attach" | "detach" as kind:
+            return wording.attachment(kind, step["port"], step["connector"])
         case "degrade" | "upgrade" as kind:
             return wording.mode_changes(kind, ((name, m["from"], m["to"]) for name, m in step["modes"].items()))
         case "handover":

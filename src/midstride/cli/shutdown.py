@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import time
-from typing import Any
 
 import click
 
@@ -65,9 +64,7 @@ def _stop_left_components(workspace: Workspace) -> None:
 
 
 async def _stop(backend: Backend, handles: list[Handle], token: str) -> list[str]:
-    def ignore(_: Any) -> None: ...
-
-    await backend.open(ignore)
+    await backend.open(lambda _: None)
     failures = []
     try:
         for handle in handles:

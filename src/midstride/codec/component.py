@@ -30,6 +30,7 @@ from midstride.codec.form import (
     SecondsOrZero,
     Shape,
     ShapedForm,
+    by_name,
     encode,
     field,
     given,
@@ -130,10 +131,7 @@ class FunctionalityForm(Form, frozen=True, kw_only=True):
     weight: Annotated[float, field("a weight", "how much its loss matters", ge=0, le=LARGEST)] | UnsetType = UNSET
     uses: InputNames = []
     produces: OutputNames = []
-    modes: Annotated[
-        dict[str, ModeForm],
-        field("an object of modes", "its modes, best first", extra_json_schema={"propertyNames": named()}),
-    ]
+    modes: Annotated[dict[str, ModeForm], by_name("an object of modes", "its modes, best first")]
 
     @classmethod
     def of(cls, functionality: FunctionalitySpec) -> FunctionalityForm:
@@ -167,17 +165,13 @@ class ComponentForm(Form, frozen=True):
     ] = {}
     parameters: Annotated[dict[str, ParameterForm], field("an object of parameters", "its parameters")] = {}
     allows: Annotated[list[EndpointForm], field("a list of endpoints", "endpoints that are not ports")] = []
-    inputs: Annotated[
-        dict[str, PredicateForm],
-        field("an object of inputs", "its assumption on each input", extra_json_schema={"propertyNames": named()}),
-    ] = {}
+    inputs: Annotated[dict[str, PredicateForm], by_name("an object of inputs", "its assumption on each input")] = {}
     outputs: Annotated[
         list[Annotated[str, Meta(min_length=1, extra_json_schema=named())]],
         field("a list of names of outputs", "the names of its outputs"),
     ] = []
     functionalities: Annotated[
-        dict[str, FunctionalityForm],
-        field("an object of functionalities", "what it does", extra_json_schema={"propertyNames": named()}),
+        dict[str, FunctionalityForm], by_name("an object of functionalities", "what it does")
     ] = {}
 
     @classmethod

@@ -10,11 +10,9 @@ from __future__ import annotations
 
 from typing import Annotated, ClassVar, TypeAlias
 
-from immutables import Map
-
 from midstride.codec.component import NamedComponentForm
-from midstride.codec.form import Document, Form, Name, encode, field
-from midstride.codec.parameter import Value, value_of, values_form
+from midstride.codec.form import Form, Name, field
+from midstride.codec.parameter import Value, values_form, values_of
 from midstride.codec.reading import decode_form
 from midstride.codec.specification import SpecificationForm
 from midstride.errors import SpecificationError
@@ -47,8 +45,7 @@ class InstanceForm(Form, frozen=True):
 
     def instance(self) -> Instance:
         """Raises SpecificationError where its component is faulty, ValueError where a parameter is."""
-        values = {name: value_of(value) for name, value in self.parameters.items()}
-        return Instance(self.name, self.role, self.component.checked(), Map(values))
+        return Instance(self.name, self.role, self.component.checked(), values_of(self.parameters))
 
 
 class ConfigurationForm(Form, frozen=True):
@@ -96,7 +93,3 @@ class ConfigurationForm(Form, frozen=True):
 def decode_configuration(document: object) -> Configuration:
     """The configuration that a document states; nothing is judged. Raises SpecificationError where it is none."""
     return decode_form(document, ConfigurationForm).configuration()
-
-
-def encode_configuration(configuration: Configuration) -> Document:
-    return encode(ConfigurationForm.of(configuration))

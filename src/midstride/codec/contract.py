@@ -19,18 +19,15 @@ from midstride.codec.form import (
     END,
     LARGEST,
     TOKEN,
-    Document,
     FiniteNumber,
     Form,
     Scalar,
     Seconds,
-    encode,
     field,
     finite,
     given,
     stated,
 )
-from midstride.codec.reading import decode
 from midstride.model.contract import (
     DEFAULT_QOS,
     Durability,
@@ -105,10 +102,7 @@ class QoSForm(Form, frozen=True):
 
     @classmethod
     def of(cls, qos: QoS) -> QoSForm:
-        values: dict[str, Any] = {name: getattr(qos, name) for name in cls.__struct_fields__}
-        for name, value in values.items():
-            values[name] = value if isinstance(value, str) else stated(value)
-        return cls(**values)
+        return cls(**{name: stated(getattr(qos, name)) for name in cls.__struct_fields__})
 
     def qos(self) -> QoS:
         return QoS(**{name: given(finite(getattr(self, name))) for name in self.__struct_fields__})
@@ -170,12 +164,3 @@ def predicate_of(
         qos=DEFAULT_QOS if qos is UNSET else qos.qos(),
         fields=() if where is UNSET else tuple((path, values.value_set()) for path, values in where.items()),
     )
-
-
-def decode_predicate(document: object) -> Predicate:
-    """The predicate that a document states. Raises SpecificationError with every fault of form."""
-    return decode(document, PredicateForm, PredicateForm.predicate)
-
-
-def encode_predicate(predicate: Predicate) -> Document:
-    return encode(PredicateForm.of(predicate))

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import Annotated, Any, ClassVar, NamedTuple, TypeAlias
 
 import msgspec
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import UNSET, Meta
 
 Document: TypeAlias = dict[str, Any]
 
@@ -73,8 +73,6 @@ def field(
 # Python's ``$`` accepts a line break after it.
 END = r"(?!\n)$"
 
-# -- numbers ---------------------------------------------------------------------------------------------------
-
 # msgspec takes infinity for a number unless it is bounded. The schema leaves this bound out.
 LARGEST = sys.float_info.max
 
@@ -89,9 +87,11 @@ def plain(number: float) -> int | float:
     return int(number) if abs(number) < 2**53 and number == int(number) else number
 
 
-def stated(number: float | None) -> float | UnsetType:
-    """The same for a number that may not be stated."""
-    return UNSET if number is None else plain(number)
+def stated(value: Any) -> Any:
+    """What is written for a value that may not be stated, a whole number without its ``.0``."""
+    if value is None:
+        return UNSET
+    return plain(value) if isinstance(value, float) else value
 
 
 def given(value: Any) -> Any:
@@ -109,8 +109,6 @@ def finite(value: Any) -> Any:
     return value
 
 
-# -- names -----------------------------------------------------------------------------------------------------
-
 TOKEN = "[A-Za-z_][A-Za-z0-9_]*"
 
 
@@ -120,6 +118,11 @@ def named(pattern: str = TOKEN) -> dict[str, Any]:
     The schema alone: what may be a name is judged by :mod:`midstride.model.name_checks`, wherever it is written.
     """
     return {"pattern": f"^{pattern}$", "maxLength": 255}
+
+
+def by_name(what: str, description: str, pattern: str = TOKEN) -> Meta:
+    """The field for an object whose keys are the names that its entries are declared by."""
+    return field(what, description, extra_json_schema={"propertyNames": named(pattern)})
 
 
 Name: TypeAlias = Annotated[str, Meta(min_length=1)]

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Annotated, ClassVar, TypeAlias, cast
 
+from immutables import Map
+
 from midstride.codec.form import FiniteNumber, Form, Scalar, field, finite
 from midstride.model.component import ParameterSpec, ParameterValue
 
@@ -38,6 +40,11 @@ def value_of(value: PlainValue) -> ParameterValue:
     if (wrong := _mixed(value)) is not None:
         raise ValueError(wrong)
     return cast("ParameterValue", value)
+
+
+def values_of(values: Mapping[str, PlainValue]) -> Map[str, ParameterValue]:
+    """The values of parameters. Raises ValueError as :func:`value_of` does."""
+    return Map({name: value_of(value) for name, value in values.items()})
 
 
 def values_form(parameters: Mapping[str, ParameterValue]) -> dict[str, PlainValue]:

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import functools
 import json
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import msgspec
 from msgspec import inspect
@@ -21,6 +22,11 @@ from midstride.model.diagnostics import Problem, independent
 
 F = TypeVar("F", bound=msgspec.Struct)
 T = TypeVar("T")
+
+# An escape in a JSON text; `lone` is a surrogate without the other half of its pair, which no output can encode.
+_ESCAPE: Final = re.compile(
+    r"\\(?:u[dD][89abAB][0-9a-fA-F]{2}\\u[dD][c-fC-F][0-9a-fA-F]{2}|(?P<lone>u[dD][89a-fA-F][0-9a-fA-F]{2})|.)"
+)
 
 
 def parse_json(text: str) -> Any:
@@ -42,6 +48,9 @@ def parse_json(text: str) -> Any:
 
     try:
         value = json.loads(text, object_pairs_hook=pairs)
+        for escape in _ESCAPE.finditer(text):
+            if escape["lone"] is not None:
+                raise json.JSONDecodeError(f"\\{escape['lone']} is half of a surrogate pair", text, escape.start())
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise SpecificationError([Problem("E001", (), f"not JSON: {error.msg} at {where}")]) from None

@@ -33,14 +33,16 @@ from midstride.codec.form import (
     SecondsOrZero,
     Shape,
     ShapedForm,
+    by_name,
     encode,
     field,
     finite,
     given,
     named,
     plain,
+    stated,
 )
-from midstride.codec.parameter import PlainValue, Value, value_of, values_form
+from midstride.codec.parameter import Value, values_form, values_of
 from midstride.codec.reading import decode
 from midstride.model.component import Connector, EnvironmentGuarantee, FunctionalityRef, Resource
 from midstride.model.name_checks import specification_names
@@ -61,7 +63,7 @@ class TopicForm(PredicateForm, frozen=True):
     def of_connector(cls, connector: Connector) -> TopicForm:
         return cls(
             **predicate_keys(connector.guarantee),
-            max_publishers=UNSET if connector.max_publishers is None else connector.max_publishers,
+            max_publishers=stated(connector.max_publishers),
             topic=UNSET if connector.topic == connector.name else connector.topic,
         )
 
@@ -112,13 +114,9 @@ class NodeForm(Form, frozen=True):
         )
 
     def node(self, role: str) -> Node:
-        return node_of(role, self.component, self.attachments, self.parameters)
-
-
-def node_of(role: str, component: str, attachments: dict[str, list[str]], parameters: dict[str, PlainValue]) -> Node:
-    """Raises ValueError as :func:`midstride.codec.parameter.value_of` does."""
-    topics = {port: tuple(names) for port, names in attachments.items()}
-    return Node(role, component, Map(topics), Map({name: value_of(value) for name, value in parameters.items()}))
+        """Raises ValueError as :func:`midstride.codec.parameter.values_of` does."""
+        topics = {port: tuple(names) for port, names in self.attachments.items()}
+        return Node(role, self.component, Map(topics), values_of(self.parameters))
 
 
 class ConstraintForm(ShapedForm, frozen=True):
@@ -184,23 +182,12 @@ class SpecificationForm(Form, frozen=True):
     ] = {}
     environment: Annotated[
         dict[str, OfferForm],
-        field(
-            "an object of guarantees of the environment",
-            "what is there without any node's doing",
-            extra_json_schema={"propertyNames": named()},
-        ),
+        by_name("an object of guarantees of the environment", "what holds without any node"),
     ] = {}
-    components: Annotated[
-        dict[str, ComponentForm],
-        field("an object of components", "types of nodes", extra_json_schema={"propertyNames": named()}),
-    ] = {}
+    components: Annotated[dict[str, ComponentForm], by_name("an object of components", "types of nodes")] = {}
     nodes: Annotated[
         dict[str, NodeForm],
-        field(
-            "an object of nodes",
-            "the nodes, by name, namespaces in front",
-            extra_json_schema={"propertyNames": named(f"/?{TOKEN}(/{TOKEN})*")},
-        ),
+        by_name("an object of nodes", "the nodes, by name, namespaces in front", f"/?{TOKEN}(/{TOKEN})*"),
     ] = {}
     constraints: Annotated[list[ConstraintForm], field("a list of constraints")] = []
     timing_seconds: TimingForm | UnsetType = UNSET

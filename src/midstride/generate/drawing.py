@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from html import escape
+from textwrap import wrap
 from typing import Final
 
 from midstride.generate.layout import GraphLayout, layout
@@ -93,14 +94,8 @@ def _ports(ports: tuple[Port, ...], side: str, beside: bool) -> str:
 
 def _wrapped(text: str, width: int = 46, end: str = "<br/>") -> str:
     """``text`` wrapped at spaces; a rate (`@ 10 Hz`) or a setting (`depth = 5`) is not broken."""
-    lines, line = [], ""
-    for word in _UNBREAKABLE.sub("\u00a0", text).split(" "):
-        if line and len(line) + 1 + len(word) > width:
-            lines.append(line)
-            line = word
-        else:
-            line = f"{line} {word}" if line else word
-    return end.join(escape(part) for part in [*lines, line])
+    unbroken = _UNBREAKABLE.sub("\u00a0", text)
+    return end.join(map(escape, wrap(unbroken, width, break_long_words=False, break_on_hyphens=False)))
 
 
 def _quoted(text: str) -> str:

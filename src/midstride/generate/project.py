@@ -98,8 +98,6 @@ class _ProjectBuilder:
         roles = (role for role in self.specification.roles() if nodes[role].component == component)
         return next(roles, snake(component)).rpartition("/")[2]
 
-    # -- package files ---------------------------------------------------------------------------------------
-
     def package_files(self, ros: Literal[1, 2]) -> None:
         """Add what makes the project a package of ROS, with its launch file."""
         system = self.specification.name

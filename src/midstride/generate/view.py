@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from itertools import takewhile
 from typing import Final, Literal
 
-from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode
+from midstride.model.component import ComponentSpec, Mode
 from midstride.model.contract import Predicate, satisfies
 from midstride.model.specification import Specification
 
@@ -109,12 +109,17 @@ class _Builder:
 
     def _node(self, role: str) -> Box:
         component = self.specification.component_of(role)
+        lines: list[str] = []
+        for functionality in component:
+            lines.append(functionality.name)
+            if self.annotate:
+                lines += [f"  {mode.name}: {_mode(mode)}" for mode in functionality.modes]
         return Box(
             f"node {role}",
             role if component.name.lower() == role.lower() else f"{role} : {component.name}",
             inputs=tuple(Port(name, self._note(component.inputs[name])) for name in component.input_order),
             outputs=tuple(self._output(component, name) for name in component.outputs),
-            lines=tuple(line for functionality in component for line in self._functionality(functionality)),
+            lines=tuple(lines),
         )
 
     def _output(self, component: ComponentSpec, name: str) -> Port:
@@ -123,12 +128,6 @@ class _Builder:
 
     def _note(self, predicate: Predicate | None) -> str:
         return describe(predicate) if self.annotate and predicate is not None else ""
-
-    def _functionality(self, functionality: FunctionalitySpec) -> Iterable[str]:
-        yield functionality.name
-        if self.annotate:
-            for mode in functionality.modes:
-                yield f"  {mode.name}: {_mode(mode)}"
 
     # -- connections ---------------------------------------------------------------------------------------
 

@@ -135,8 +135,6 @@ class _SpecificationBuilder:
             else:
                 yield Limit(ref, statement.seconds.value)
 
-    # -- problems --------------------------------------------------------------------------------------------
-
     def report_problems(self, specification: Specification, files_missing: bool) -> None:
         """Report the problems of the specification, except possible consequences of errors already reported."""
         source_map = SourceMap(self.declarations, self.components.merged, self.nodes.parameter_spans)

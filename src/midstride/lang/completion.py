@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -49,7 +49,8 @@ def complete(source: Source, offset: int, resolved: Resolved) -> list[Completion
     tokens = tokenize(Source("", text), Reporter())
     if _in_comment_or_text(tokens, text):
         return []
-    return list(dict.fromkeys(_CursorContext(tokens, resolved).candidates()))
+    offered = _CursorContext(tokens, resolved).candidates()
+    return list(dict.fromkeys(Completion(word, kind) for kind, words in offered for word in words))
 
 
 def _in_comment_or_text(tokens: Tokens, text: str) -> bool:
@@ -92,7 +93,8 @@ class _CursorContext:
                 break
         return found[::-1]
 
-    def candidates(self) -> Iterable[Completion]:
+    def candidates(self) -> Iterator[tuple[str, Iterable[str]]]:
+        """Words of a kind, with the kind first."""
         last = self.texts[-1] if self.texts else ""
         first = self.statement[0] if self.statement else ""
         declarations = self.resolved.declarations
@@ -100,40 +102,40 @@ class _CursorContext:
         component = self._component()
         inputs = [port.name.text for port in component.inputs] if component else []
         if last in {"<-", "->"} or (last == "on" and first == "guarantee"):
-            yield from _completions("topic", declarations.topics)
+            yield "topic", declarations.topics
         elif last == "like" or (last == ":" and first == "node"):
-            yield from _completions("component", declarations.components)
+            yield "component", declarations.components
         elif last == "@":
             return
         elif "qos" in self.statement and self.statement.count("(") > self.statement.count(")"):
             name = self.statement[-2] if last == "=" else ""
-            yield from _completions("value", POLICY_WORDS.get(name, ())) if name else _completions("keyword", POLICIES)
+            yield ("value", POLICY_WORDS.get(name, ())) if name else ("keyword", POLICIES)
         elif last == ":" or (last == "=" and first == "contract"):
-            yield from _completions("contract", declarations.contracts)
+            yield "contract", declarations.contracts
         elif first == "assume" and last in {"assume", "or"}:
-            yield from _completions("port", inputs)
-            yield from _completions("contract", declarations.contracts if last == "assume" else ())
+            yield "port", inputs
+            yield "contract", declarations.contracts if last == "assume" else ()
         elif first == "uses":
-            yield from _completions("port", inputs)
+            yield "port", inputs
         elif first in {"produces", "guarantee"} and last in {"produces", "guarantee", ","} and component is not None:
-            yield from _completions("port", [output.text for output in component.outputs])
+            yield "port", [output.text for output in component.outputs]
         elif last == "holds":
-            yield from _completions("resource", declarations.resources)
+            yield "resource", declarations.resources
         elif self.statement in (["keep"], ["limit"]) or (first == "order" and last in {"order", "before"}):
-            yield from _completions("node", declarations.nodes)
+            yield "node", declarations.nodes
         elif first in {"keep", "limit"} and last == ".":
             found = self._node_component(self.statement[1])
-            yield from _completions("functionality", [f.name.text for f in found.functionalities] if found else ())
+            yield "functionality", [f.name.text for f in found.functionalities] if found else ()
         elif first == "keep" and last == "at" and len(self.statement) > 3:
             found = self._node_component(self.statement[1])
             functionality = find(found.functionalities, self.statement[3]) if found else None
-            yield from _completions("mode", [mode.name.text for mode in functionality.modes] if functionality else ())
+            yield "mode", [mode.name.text for mode in functionality.modes] if functionality else ()
         else:
-            yield from _completions("keyword", _STATEMENTS.get(block, ()))
+            yield "keyword", _STATEMENTS.get(block, ())
             if block == "node":
                 found = self._declared(self._word_after(self.blocks[-1], 3))
-                yield from _completions("port", [port.name.text for port in found.inputs] if found else ())
-                yield from _completions("port", [output.text for output in found.outputs] if found else ())
+                yield "port", [port.name.text for port in found.inputs] if found else ()
+                yield "port", [output.text for output in found.outputs] if found else ()
 
     def _word_after(self, index: int, places: int) -> str:
         at = index + places
@@ -153,7 +155,3 @@ class _CursorContext:
         entry = self.resolved.declarations.nodes.get(role)
         component = None if entry is None else entry.declaration.component
         return None if component is None else self._declared(component.text)
-
-
-def _completions(kind: str, words: Iterable[str]) -> Iterable[Completion]:
-    return (Completion(word, kind) for word in words)

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import Final, TypeAlias, TypeVar
 
 from immutables import Map
 
 from midstride.lang import syntax
 from midstride.lang.contracts import ContractResolver, cycle_text
-from midstride.lang.declarations import MAX_PARTS, limited
+from midstride.lang.declarations import MAX_PARTS, ancestry, limited
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.token_stream import RESERVED
 from midstride.model.component import (
@@ -82,26 +83,15 @@ class ComponentBuilder:
 
     def _merge(self, name: str) -> None:
         """Set ``merged`` and ``unresolved`` for ``name`` and the components it is like, without recursion."""
-        chain: dict[str, None] = {}
-        while name not in self.merged:
-            own = self.declared[name]
-            chain[name] = None
-            if own.like is None:
-                break
-            base = own.like.text
-            if base in chain:
-                names = list(chain)
-                message = f"components form a cycle: {cycle_text([*names[names.index(base) :], base], 'is like')}"
-                self.reporter.report("E140", own.like.span, message, help="declare one of them without `like`")
-                break
-            if base not in self.declared:
-                if base not in self.skipped:
-                    help = did_you_mean(base, self.declared)
-                    self.reporter.report("E008", own.like.span, f"there is no component `{base}`", help=help)
-                break
-            name = base
-        for name in reversed(chain):
-            own = self.declared[name]
+        chain = list(takewhile(lambda own: own.name.text not in self.merged, ancestry(self.declared, name)))
+        like, names = chain[-1].like if chain else None, [own.name.text for own in chain]
+        if like is not None and like.text in names:
+            message = f"components form a cycle: {cycle_text([*names[names.index(like.text) :], like.text], 'is like')}"
+            self.reporter.report("E140", like.span, message, help="declare one of them without `like`")
+        elif like is not None and like.text not in {*self.merged, *self.skipped}:
+            help = did_you_mean(like.text, self.declared)
+            self.reporter.report("E008", like.span, f"there is no component `{like.text}`", help=help)
+        for name, own in zip(reversed(names), reversed(chain), strict=True):
             unresolved = self.unresolved[name] = UnresolvedParts(skipped=own.skipped)
             unresolved.base = max(len(own.inputs), len(own.outputs), len(own.functionalities)) > MAX_PARTS
             merged = self._without_duplicates(own)

@@ -6,7 +6,7 @@ absolute. Components, contracts and resources are global: they are types, not in
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TypeVar
 
@@ -70,6 +70,16 @@ def resolve_topic(namespace: str, name: str, node: str | None = None) -> str:
     if name.startswith("~"):
         return "/" + resolve_name(namespace, node or "") + name[1:]
     return "/" + resolve_name(namespace, name)
+
+
+def ancestry(components: Mapping[str, syntax.ComponentDeclaration], name: str) -> Iterator[syntax.ComponentDeclaration]:
+    """The component of that name and those that it is like, each once, as far as they are declared."""
+    seen: set[str] = set()
+    while name in components and name not in seen:
+        seen.add(name)
+        yield components[name]
+        like = components[name].like
+        name = "" if like is None else like.text
 
 
 def collect(files_in_order: Iterable[NamespacedFile], reporter: Reporter) -> Declarations:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 from midstride.lang.index import Symbol
@@ -16,24 +16,14 @@ from midstride.model.specification import Specification, initial
 
 def hover(symbol: Symbol, specification: Specification, *, runnable: bool) -> str | None:
     """Describe a symbol. ``runnable``: the specification has no errors, so the initial modes are known."""
-    text = _Hover(specification, initial(specification) if runnable else None)
-    writers: dict[str, Callable[[Symbol], Iterator[str]]] = {
-        "topic": text.topic,
-        "component": text.component,
-        "node": text.node,
-        "port": text.port,
-        "functionality": text.functionality,
-        "mode": text.mode,
-        "resource": text.resource,
-        "guarantee": text.guarantee,
-        "parameter": text.parameter,
-    }
-    lines = list(writers[symbol.kind](symbol)) if symbol.kind in writers else []
-    return "\n\n".join([f"**{symbol.kind}** `{symbol.name}`", *lines])
+    describe = getattr(_Hover(specification, initial(specification) if runnable else None), symbol.kind)
+    return "\n\n".join([f"**{symbol.kind}** `{symbol.name}`", *describe(symbol)])
 
 
 @dataclass(frozen=True, slots=True)
 class _Hover:
+    """The lines about a symbol, by a method for each kind of symbol."""
+
     specification: Specification
     configuration: Configuration | None
 

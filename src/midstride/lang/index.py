@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from midstride.lang import syntax
-from midstride.lang.declarations import Declarations, NodeEntry, resolve_topic
+from midstride.lang.declarations import Declarations, NodeEntry, ancestry, resolve_topic
 from midstride.lang.files import resolve_name
 from midstride.lang.source import Source, Span
 
@@ -38,7 +38,8 @@ class SymbolIndex:
     """The occurrences of all symbols of a system."""
 
     def __init__(self, declarations: Declarations) -> None:
-        self.occurrences = list(_SymbolWalker(declarations).all())
+        self.declarations = declarations
+        self.occurrences = list(self._all())
 
     def at(self, source: Source, offset: int) -> Occurrence | None:
         """The occurrence at an offset of a source; the position after its last character counts."""
@@ -63,12 +64,7 @@ class SymbolIndex:
         found = {(o.span.source.name, o.span.start): o for o in self.occurrences if o.symbol == symbol}
         return [found[key] for key in sorted(found)]
 
-
-class _SymbolWalker:
-    def __init__(self, declarations: Declarations) -> None:
-        self.declarations = declarations
-
-    def all(self) -> Iterator[Occurrence]:
+    def _all(self) -> Iterator[Occurrence]:
         found = self.declarations
         for name, contract in found.contracts.items():
             yield Occurrence(Symbol("contract", name), contract.name.span, True)
@@ -103,23 +99,16 @@ class _SymbolWalker:
     def _topic(self, namespace: str, name: syntax.Name, node: str | None) -> Occurrence:
         return Occurrence(Symbol("topic", resolve_topic(namespace, name.text, node)), name.span, namespace=namespace)
 
-    # -- components --------------------------------------------------------------------------------------
-
     def _owner(self, component: str, kind: str, name: str) -> str:
         """The component that declares a part: ``component``, or one that it is like."""
-        seen: set[str] = set()
-        current: str | None = component
-        while current is not None and current in self.declarations.components and current not in seen:
-            seen.add(current)
-            declared = self.declarations.components[current]
+        for declared in ancestry(self.declarations.components, component):
             parts: dict[str, set[str]] = {
                 "port": {i.name.text for i in declared.inputs} | {o.text for o in declared.outputs},
                 "functionality": {f.name.text for f in declared.functionalities},
                 "parameter": {p.name.text for p in declared.parameters},
             }
             if name in parts[kind]:
-                return current
-            current = None if declared.like is None else declared.like.text
+                return declared.name.text
         return component
 
     def _part(self, component: str, kind: str, name: syntax.Name, declares: bool = False) -> Occurrence:
@@ -164,8 +153,6 @@ class _SymbolWalker:
             yield from self._contract(assumed)
         elif assumed.base is not None and assumed.is_bare_name:
             yield self._part(own, "port", assumed.base)
-
-    # -- nodes -------------------------------------------------------------------------------------------
 
     def _node(self, entry: NodeEntry) -> Iterator[Occurrence]:
         declared = entry.declaration

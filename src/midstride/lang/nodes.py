@@ -8,7 +8,7 @@ from pathlib import Path
 
 from immutables import Map
 
-from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, limited, resolve_topic
+from midstride.lang.declarations import MAX_PARTS, Declarations, NodeEntry, ancestry, limited, resolve_topic
 from midstride.lang.diagnostics import Note, Reporter
 from midstride.lang.files import Bounds, FileReader, Unreadable, read_source, shown_path
 from midstride.lang.parameter_files import ParameterSection, ParameterValueAt, read_sections
@@ -79,8 +79,6 @@ class NodeBuilder:
             topics = tuple(resolve_topic(entry.namespace, topic.text, declaration.name.text) for topic in named)
             found[port] = found.get(port, ()) + topics
         return Map(found)
-
-    # -- parameter files -----------------------------------------------------------------------------------
 
     def _from_files(self, entry: NodeEntry) -> dict[str, ParameterValueAt]:
         """The parameters of a node from files: those for all nodes first, then its component's, then its own."""
@@ -159,17 +157,8 @@ class NodeBuilder:
 
     def _extend(self, name: str, added: Mapping[str, ParameterSpec]) -> None:
         """Add the parameters to the components that are like ``name``, which inherit them like declared ones."""
-        for other, declaration in self.merged.items():
-            if other == name or self._is_like(declaration, name):
+        for other in self.merged:
+            if any(ancestor.name.text == name for ancestor in ancestry(self.merged, other)):
                 component = self.components[other]
                 missing = {key: value for key, value in added.items() if key not in component.parameters}
                 self.components[other] = replace(component, parameters=component.parameters.update(missing))
-
-    def _is_like(self, declaration: ComponentDeclaration, name: str) -> bool:
-        seen: set[str] = set()
-        while declaration.like is not None and (base := declaration.like.text) in self.merged and base not in seen:
-            if base == name:
-                return True
-            seen.add(base)
-            declaration = self.merged[base]
-        return False

@@ -107,8 +107,6 @@ class ComponentParser(ContractParser):
         name = self.topic("an endpoint name")
         return syntax.AllowedEndpoint(kind.text, name)
 
-    # -- functionalities ---------------------------------------------------------------------------------
-
     def _functionality(self, first: int) -> syntax.FunctionalityDeclaration:
         name = self.name("a functionality name", ("{",))
         weight = self.number("a weight") if self.accept_word("weight") else None

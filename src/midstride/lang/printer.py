@@ -224,16 +224,13 @@ def _align_marks(lines: list[_Line]) -> None:
     """Align the marked tokens of adjacent lines of one kind."""
     group: list[_Line] = []
     for line in lines:
-        if not (group and line.marks and line.marks[0][0] == group[0].marks[0][0] and _continues(group[-1], line)):
+        adjacent = bool(group and line.text) and not line.blank_before and group[-1].indent == line.indent
+        if not (adjacent and line.marks and line.marks[0][0] == group[0].marks[0][0]):
             _align_group(group)
             group = []
         if line.marks:
             group.append(line)
     _align_group(group)
-
-
-def _continues(before: _Line, line: _Line) -> bool:
-    return bool(line.text) and not line.blank_before and before.indent == line.indent
 
 
 def _align_group(group: list[_Line]) -> None:

@@ -80,15 +80,12 @@ class LanguageService:
         """The system that a file belongs to."""
         key = os.path.normpath(path)
         if key not in self._analyses:
-            self._analyses[key] = self._analyse(path)
+            found = Analysis(path, self._load(path))
+            if any(diagnostic.code == "E106" for diagnostic in found.loaded.diagnostics):
+                systems = (Analysis(root, self._load(root)) for root in self._candidates(path))
+                found = next((system for system in systems if system.source(path) is not None), found)
+            self._analyses[key] = found
         return self._analyses[key]
-
-    def _analyse(self, path: Path) -> Analysis:
-        own = Analysis(path, self._load(path))
-        if any(diagnostic.code == "E106" for diagnostic in own.loaded.diagnostics):
-            systems = (Analysis(root, self._load(root)) for root in self._candidates(path))
-            return next((system for system in systems if system.source(path) is not None), own)
-        return own
 
     def _load(self, path: Path) -> Loaded:
         return load(path, read=self._read, messages=self._messages())
@@ -111,8 +108,6 @@ class LanguageService:
                 continue
             if "system" in text and "include" in text:
                 yield Path(name)
-
-    # -- requests ----------------------------------------------------------------------------------------
 
     def diagnostics(self, path: Path) -> dict[Path, list[Diagnostic]]:
         """The diagnostics of the system that ``path`` belongs to, by file; a file without any has an empty list."""

@@ -116,7 +116,7 @@ class Create(Action):
         return (Remove(self.instance.name),)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.creation(self.instance.name, self.instance.component.name)
+        return wording.existence(self.kind, self.instance.name, self.instance.component.name)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +150,7 @@ class Remove(Action):
         return (Create(instance), *raised)
 
     def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.removal(self.instance)
+        return wording.existence(self.kind, self.instance)
 
 
 def _port_reasons(configuration: Configuration, port: PortRef, connector: str) -> tuple[Reason, ...]:
@@ -164,15 +164,24 @@ def _port_reasons(configuration: Configuration, port: PortRef, connector: str) -
 
 
 @dataclass(frozen=True, slots=True)
-class Attach(Action):
-    """``attach p k``: the normal mode of an output, or the topic of an input, must satisfy the other side."""
+class _AttachmentAction(Action):
+    """What attaching and detaching have in common."""
 
-    kind: ClassVar[str] = "attach"
     port: PortRef
     connector: str
 
     def instances(self) -> tuple[str, ...]:
         return (self.port.instance,)
+
+    def describe(self, configuration: Configuration | None = None) -> str:
+        return wording.attachment(self.kind, str(self.port), self.connector)
+
+
+@dataclass(frozen=True, slots=True)
+class Attach(_AttachmentAction):
+    """``attach p k``: the normal mode of an output, or the topic of an input, must satisfy the other side."""
+
+    kind: ClassVar[str] = "attach"
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := _port_reasons(configuration, self.port, self.connector):
@@ -192,9 +201,6 @@ class Attach(Action):
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Detach(self.port, self.connector),)
 
-    def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.attachment(str(self.port), self.connector)
-
 
 def contract_reasons(configuration: Configuration, port: PortRef, connector: Connector) -> tuple[Reason, ...]:
     """Why the contracts of a live port and a connector do not fit, clause by clause; empty iff they do."""
@@ -205,15 +211,10 @@ def contract_reasons(configuration: Configuration, port: PortRef, connector: Con
 
 
 @dataclass(frozen=True, slots=True)
-class Detach(Action):
+class Detach(_AttachmentAction):
     """``detach p k``: every functionality must stay satisfied without the attachment."""
 
     kind: ClassVar[str] = "detach"
-    port: PortRef
-    connector: str
-
-    def instances(self) -> tuple[str, ...]:
-        return (self.port.instance,)
 
     def check(self, configuration: Configuration) -> tuple[Reason, ...]:
         if reasons := _port_reasons(configuration, self.port, self.connector):
@@ -232,9 +233,6 @@ class Detach(Action):
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
         return (Attach(self.port, self.connector),)
-
-    def describe(self, configuration: Configuration | None = None) -> str:
-        return wording.detachment(str(self.port), self.connector)
 
 
 def _unsatisfied(after: Configuration, refs: Iterable[FunctionalityRef], *others: str) -> tuple[Reason, ...]:
@@ -307,10 +305,9 @@ class Degrade(_ModeAction):
         now, was = Evaluator(after), Evaluator(configuration)
         affected: dict[FunctionalityRef, None] = dict.fromkeys(self.modes)
         for ref in self.modes:
-            for output in configuration.functionality(ref).outputs:
-                for name in configuration.connectors_of.get(PortRef(ref.instance, output), ()):
-                    if was.connector_satisfied(name) and not now.connector_satisfied(name):
-                        affected.update(dict.fromkeys(configuration.consumers(name)))
+            for _, name in configuration.published(ref):
+                if was.connector_satisfied(name) and not now.connector_satisfied(name):
+                    affected.update(dict.fromkeys(configuration.consumers(name)))
         return _unsatisfied(after, affected)
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
@@ -365,16 +362,14 @@ class Handover(Action):
         return configuration
 
     def undo(self, before: Configuration) -> tuple[Action, ...]:
-        back, separate = [], []
+        back: list[Swap] = []
+        separate: list[Action] = []
         for swap in self.swaps:
             if satisfies(before.guarantee(swap.old), before.context.connectors[swap.connector].guarantee):
                 back.append(Swap(swap.connector, swap.new, swap.old))
             else:
-                separate.append(swap)
-        steps: list[Action] = [Handover(tuple(back))] if back else []
-        for swap in separate:
-            steps += [Detach(swap.new, swap.connector), Attach(swap.old, swap.connector)]
-        return tuple(steps)
+                separate += [Detach(swap.new, swap.connector), Attach(swap.old, swap.connector)]
+        return (*([Handover(tuple(back))] if back else []), *separate)
 
     def describe(self, configuration: Configuration | None = None) -> str:
         return wording.handover((swap.connector, str(swap.old), str(swap.new)) for swap in self.swaps)
@@ -415,19 +410,18 @@ class SetParameters(Action):
         instance = configuration.instances.get(self.instance)
         if instance is None:
             return (Reason("live", (self.instance,), f"{self.instance} is not live"),)
-        return tuple(self._reasons(instance))
-
-    def _reasons(self, instance: Instance) -> Iterator[Reason]:
+        reasons = []
         for name, value in sorted(self.parameters.items()):
             declared, subjects = instance.component.parameters.get(name), (f"{self.instance}.{name}",)
             if declared is None:
-                yield Reason("parameter", subjects, f"{self.instance} has no parameter {name}")
+                reasons.append(Reason("parameter", subjects, f"{self.instance} has no parameter {name}"))
             elif not declared.changeable:
                 because = f"parameter {name} of {self.instance} is not changeable; replace the node instead"
-                yield Reason("changeable", subjects, because)
+                reasons.append(Reason("changeable", subjects, because))
             elif not value_fits(value, declared.value):
-                kind, given = value_kind(declared.value), value_kind(value)
-                yield Reason("type", subjects, f"parameter {name} of {self.instance} takes {kind}, not {given}")
+                takes = f"takes {value_kind(declared.value)}, not {value_kind(value)}"
+                reasons.append(Reason("type", subjects, f"parameter {name} of {self.instance} {takes}"))
+        return tuple(reasons)
 
     def effect(self, configuration: Configuration) -> Configuration:
         return configuration.with_parameters(self.instance, self.parameters)

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
-from midstride.model.contract import satisfies
+from midstride.model.contract import Contract, satisfies
 from midstride.model.rules import Evaluator
 
 
@@ -84,19 +84,10 @@ class MonotoneEvaluator(Evaluator):
         super().__init__(configuration, overlay)
         self._supports: dict[str, tuple[PortRef | None, Iterator[PortRef]]] = {}
 
-    def connector_satisfied(self, name: str) -> bool:
-        connector = self.configuration.context.connectors.get(name)
-        if connector is None:
-            return False
-        needed = connector.guarantee
+    def _published(self, name: str, needed: Contract) -> bool:
         if name in self._supports:
             support, others = self._supports[name]
         else:
-            if any(
-                satisfies(offer.guarantee, needed)
-                for offer in self.configuration.context.publishers_out_of_scope(connector)
-            ):
-                return True
             others = iter(self.configuration.publishers_on(name))
             support = next(others, None)
         while support is not None and not satisfies(self.guarantee(support), needed):
@@ -131,13 +122,10 @@ def _lower(configuration: Configuration, overlay: dict[FunctionalityRef, int], p
 def affected_connectors(configuration: Configuration, ref: FunctionalityRef, before: int, after: int) -> Iterator[str]:
     """The connectors that ``ref`` satisfies in one of the two modes and not in the other."""
     functionality = configuration.functionality(ref)
-    for output in functionality.outputs:
+    for output, name in configuration.published(ref):
         was, will = functionality.modes[before].guarantee(output), functionality.modes[after].guarantee(output)
-        if was is will:
+        connector = configuration.context.connectors.get(name)
+        if was is will or connector is None:
             continue
-        for name in configuration.connectors_of.get(PortRef(ref.instance, output), ()):
-            connector = configuration.context.connectors.get(name)
-            if connector is None:
-                continue
-            if satisfies(was, connector.guarantee) != satisfies(will, connector.guarantee):
-                yield name
+        if satisfies(was, connector.guarantee) != satisfies(will, connector.guarantee):
+            yield name

@@ -11,7 +11,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
-from midstride.model.contract import OneOf, Predicate, QoS, ValueSet, explain, format_number
+from midstride.model.contract import OneOf, Predicate, QoS, explain, format_number
 from midstride.model.diagnostics import Problem
 
 Path = tuple[str, ...]
@@ -27,25 +27,16 @@ def number_problems(value: float | None, what: str, path: Path, *, zero: bool = 
 def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
     """A predicate needs meaningful numbers, and constraints on fields that some value meets."""
     yield from number_problems(predicate.rate, "a rate in Hz", (*path, "rate"))
-    yield from _qos_problems(predicate.qos, (*path, "qos"))
+    for name in ("deadline", "lease", "lifespan"):
+        yield from number_problems(getattr(predicate.qos, name), f"a {name}", (*path, "qos", f"{name}_seconds"))
+    yield from number_problems(predicate.qos.depth, "a depth", (*path, "qos", "depth"))
     for field, values in predicate.fields:
         where = (*path, "where", field)
-        if any(math.isnan(number) for number in _numbers(values)):
+        numbers = values.values if isinstance(values, OneOf) else (values.low, values.high)
+        if any(isinstance(number, float) and math.isnan(number) for number in numbers):
             yield Problem("E004", where, f"field {field}: not a number")
         elif values.is_empty:
             yield Problem("E016", where, f"no value of field {field} meets all its constraints ({values})")
-
-
-def _qos_problems(qos: QoS, path: Path) -> Iterator[Problem]:
-    for name in ("deadline", "lease", "lifespan"):
-        yield from number_problems(getattr(qos, name), f"a {name}", (*path, f"{name}_seconds"))
-    yield from number_problems(qos.depth, "a depth", (*path, "depth"))
-
-
-def _numbers(values: ValueSet) -> list[float]:
-    if isinstance(values, OneOf):
-        return [value for value in values.values if isinstance(value, float)]
-    return [values.low, values.high]
 
 
 def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:

@@ -190,6 +190,17 @@ class Configuration:
         for port in self.subscribers_on(connector):
             yield from self.users(port)
 
+    def published(self, ref: FunctionalityRef) -> Iterator[tuple[str, str]]:
+        """Each output of a live functionality, with each connector that it is attached to."""
+        for output in self.functionality(ref).outputs:
+            for connector in self.connectors_of.get(PortRef(ref.instance, output), ()):
+                yield output, connector
+
+    def downstream(self, ref: FunctionalityRef) -> Iterator[FunctionalityRef]:
+        """The functionalities that use what ``ref`` publishes; one may occur several times."""
+        for _, connector in self.published(ref):
+            yield from self.consumers(connector)
+
     def instances_of(self, role: str) -> list[Instance]:
         """The live instances of a role, sorted by name."""
         return [self.instances[name] for name in sorted(self.instances_by_role.get(role, _NO_NAMES))]

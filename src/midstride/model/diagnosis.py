@@ -60,7 +60,7 @@ class Diagnosis:
                 if not self._evaluator.assumption_satisfied(ref, functionality, assumption):
                     because = self._evaluator.why_assumption_unsatisfied(ref, assumption)
                     reasons.append(f"{ref} cannot be in mode {functionality.modes[index].name}: it {because}")
-                    suppliers += _suppliers(self._evaluator, ref, functionality, assumption)
+                    suppliers += self._suppliers(ref, functionality, assumption)
             self._steps[goal] = tuple(reasons), tuple(suppliers)
         return self._steps[goal]
 
@@ -81,30 +81,29 @@ class Diagnosis:
         self._ends.update(dict.fromkeys(path, end))
         return end
 
+    def _suppliers(
+        self, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption
+    ) -> Iterator[_Goal]:
+        """The functionalities that would satisfy the assumption if they were in a better mode, and that mode."""
+        configuration, inputs = self.configuration, self.configuration.component(ref.instance).inputs
+        if isinstance(assumption, InputAlternatives):
+            names = list(assumption.inputs)
+        else:
+            names = [name for name in functionality.inputs if satisfies(inputs[name], assumption)]
+        for name in names:
+            for topic in configuration.attached_to(PortRef(ref.instance, name)):
+                connector = configuration.context.connectors.get(topic)
+                if connector is None or not satisfies(connector.guarantee, inputs[name]):
+                    continue
+                for output in sorted(configuration.publishers_on(topic)):
+                    owner = configuration.component(output.instance).owner(output.port)
+                    other = FunctionalityRef(output.instance, owner.name)
+                    for index in range(configuration.modes[other] - 1, -1, -1):
+                        if satisfies(owner.modes[index].guarantee(output.port), connector.guarantee):
+                            yield other, index
+                            break
+
 
 def reasons_against(configuration: Configuration, ref: FunctionalityRef, mode: int = 0) -> tuple[str, ...]:
     """Why ``ref`` cannot be in its mode number ``mode``, then why its suppliers cannot help; () if it can."""
     return Diagnosis(configuration).chain(ref, mode, sys.maxsize)
-
-
-def _suppliers(
-    evaluator: Evaluator, ref: FunctionalityRef, functionality: FunctionalitySpec, assumption: Assumption
-) -> Iterator[tuple[FunctionalityRef, int]]:
-    """The functionalities that would satisfy the assumption if they were in a better mode, and that mode."""
-    configuration, inputs = evaluator.configuration, evaluator.configuration.component(ref.instance).inputs
-    if isinstance(assumption, InputAlternatives):
-        names = list(assumption.inputs)
-    else:
-        names = [name for name in functionality.inputs if satisfies(inputs[name], assumption)]
-    for name in names:
-        for topic in configuration.attached_to(PortRef(ref.instance, name)):
-            connector = configuration.context.connectors.get(topic)
-            if connector is None or not satisfies(connector.guarantee, inputs[name]):
-                continue
-            for output in sorted(configuration.publishers_on(topic)):
-                owner = configuration.component(output.instance).owner(output.port)
-                other = FunctionalityRef(output.instance, owner.name)
-                for index in range(evaluator.mode_index(other) - 1, -1, -1):
-                    if satisfies(owner.modes[index].guarantee(output.port), connector.guarantee):
-                        yield other, index
-                        break

@@ -26,19 +26,9 @@ _LONGEST: Final = 255  # what ROS 2 allows for a node name
 Path = tuple[str, ...]
 
 
-def is_name(text: str) -> bool:
-    """Whether ``text`` may name a component, port, functionality or mode."""
-    return _NAME.fullmatch(text) is not None and len(text) <= _LONGEST
-
-
-def is_topic(text: str) -> bool:
-    """Whether ``text`` is the full name of a topic."""
-    return _TOPIC.fullmatch(text) is not None
-
-
 def _invalid_name(kind: str, name: str, path: Path, *, read: bool = False) -> Iterator[Problem]:
     """``read``: an empty name could not be read, which has been reported already."""
-    if not is_name(name) and not (read and not name):
+    if (_NAME.fullmatch(name) is None or len(name) > _LONGEST) and not (read and not name):
         yield Problem("E006", path, f"`{name}` is not a valid {kind} name", _instead(name))
 
 
@@ -167,7 +157,7 @@ def specification_names(specification: Specification) -> list[Problem]:
 def _specification_names(specification: Specification) -> Iterator[Problem]:
     yield from _invalid_name("system", specification.name, ("system",), read=True)
     for name, connector in sorted(specification.connectors.items()):
-        if not is_topic(connector.topic):
+        if not _TOPIC.fullmatch(connector.topic):
             where = ("topics", name) if connector.topic == name else ("topics", name, "topic")
             help = "write the full name, which starts with `/`"
             yield Problem("E006", where, f"`{connector.topic}` is not a valid topic name", help)

@@ -67,13 +67,12 @@ class Evaluator:
         connector = self.configuration.context.connectors.get(name)
         if connector is None:
             return False
-        needed = connector.guarantee
-        if any(satisfies(self.guarantee(output), needed) for output in self.configuration.publishers_on(name)):
-            return True
-        return any(
-            satisfies(offer.guarantee, needed)
-            for offer in self.configuration.context.publishers_out_of_scope(connector)
-        )
+        needed, environment = connector.guarantee, self.configuration.context.publishers_out_of_scope(connector)
+        return any(satisfies(offer.guarantee, needed) for offer in environment) or self._published(name, needed)
+
+    def _published(self, name: str, needed: Contract) -> bool:
+        """Whether an attached output satisfies the connector."""
+        return any(satisfies(self.guarantee(output), needed) for output in self.configuration.publishers_on(name))
 
     def input_satisfied(self, port: PortRef) -> bool:
         assumption = self.configuration.component(port.instance).inputs[port.port]
@@ -226,10 +225,6 @@ def violations(configuration: Configuration) -> list[Violation]:
     limits = [cap_violation(configuration, name) for name in sorted(configuration.context.connectors)]
     limits += [capacity_violation(configuration, name) for name in sorted(configuration.held)]
     return [*found, *(violation for violation in limits if violation is not None)]
-
-
-def is_valid(configuration: Configuration) -> bool:
-    return not violations(configuration)
 
 
 def normal_guarantee(component: ComponentSpec, output: str) -> Contract:

@@ -49,10 +49,6 @@ class Node:
     attachments: Map[str, tuple[str, ...]] = field(default_factory=Map)
     parameters: Map[str, ParameterValue] = field(default_factory=Map)
 
-    @property
-    def namespace(self) -> str:
-        return self.role.rpartition("/")[0]
-
 
 @dataclass(frozen=True, slots=True)
 class Keep:
@@ -118,10 +114,6 @@ class Specification:
         """The instance of ``role`` called ``name`` (the role's own name where None)."""
         return Instance(name or role, role, self.component_of(role), self.nodes[role].parameters)
 
-    def parameters_of(self, role: str) -> Map[str, ParameterValue]:
-        """The parameter values of the role: its own, and its component's for the rest."""
-        return self.instance(role).parameters
-
     def attachments_of(self, role: str, instance: str | None = None) -> list[tuple[PortRef, str]]:
         """The attachments of the role, outputs first, in order of declaration."""
         node, component = self.nodes[role], self.component_of(role)
@@ -133,14 +125,6 @@ class Specification:
 
     def roles(self) -> list[str]:
         return sorted(self.nodes)
-
-    def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
-        """How long a step of that kind takes (s): declared for the component, else in ``timing``, else the default."""
-        if kind == "create" and component is not None and component.startup_seconds is not None:
-            return component.startup_seconds
-        return self.timing.get(kind, DEFAULT_SECONDS[kind])
-
-    # -- changes that share everything else ------------------------------------------------------------
 
     def with_node(self, node: Node) -> Specification:
         return self._with(nodes=self.nodes.set(node.role, node))
@@ -158,10 +142,13 @@ class Specification:
         return changed
 
     def with_replaced(self, role: str, component: str) -> Specification:
-        """``role`` with another component, on the same topics. Raises KeyError for an unknown name."""
-        if component not in self.components:
-            raise KeyError(component)
-        return self.with_node(replace(self.nodes[role], component=component))
+        """``role`` with another component, on the same topics, without the values of parameters that this one lacks.
+
+        Raises KeyError for an unknown name.
+        """
+        node, declared = self.nodes[role], self.components[component].parameters
+        parameters = Map({name: value for name, value in node.parameters.items() if name in declared})
+        return self.with_node(replace(node, component=component, parameters=parameters))
 
 
 def roles_of(constraint: Constraint) -> tuple[str, ...]:

@@ -8,24 +8,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 
-def creation(instance: str, component: str = "") -> str:
-    """``create camera_2 (BetterCamera)``"""
-    return f"create {instance} ({component})" if component else f"create {instance}"
+def existence(kind: str, instance: str, component: str = "") -> str:
+    """``create camera_2 (BetterCamera)``, ``remove camera``"""
+    return f"{kind} {instance} ({component})" if component else f"{kind} {instance}"
 
 
-def removal(instance: str) -> str:
-    """``remove camera``"""
-    return f"remove {instance}"
-
-
-def attachment(port: str, topic: str) -> str:
-    """``attach camera.image to /image``"""
-    return f"attach {port} to {topic}"
-
-
-def detachment(port: str, topic: str) -> str:
-    """``detach camera.image from /image``"""
-    return f"detach {port} from {topic}"
+def attachment(kind: str, port: str, topic: str) -> str:
+    """``attach camera.image to /image``, ``detach camera.image from /image``"""
+    return f"{kind} {port} {'to' if kind == 'attach' else 'from'} {topic}"
 
 
 def mode_changes(kind: str, changes: Iterable[tuple[str, str | None, str]]) -> str:

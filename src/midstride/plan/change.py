@@ -8,13 +8,14 @@ contract differs is a new topic, which during the plan has a separate identity b
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 from immutables import Map
 
 from midstride.model.action import Swap
 from midstride.model.component import ComponentSpec, FunctionalityRef, ParameterValue, PortRef
-from midstride.model.configuration import Configuration, Instance, SystemContext
+from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import DEFAULT_SECONDS, Specification
 
 Attachment = tuple[PortRef, str]
@@ -49,34 +50,22 @@ class Change:
     renamed: tuple[Instance, ...] = ()
     measured: Map[str, float] = field(default_factory=Map)
 
-    @property
-    def end_context(self) -> SystemContext:
-        """The context once the plan is done: the target's own."""
-        return self.target.context
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether nothing differs."""
-        structural = self.leaving or self.coming or self.detached or self.attached
-        return not (structural or self.parameters or self.pending)
-
     def instances(self) -> list[str]:
         """The instances with structural changes."""
         ports = [port.instance for port, _ in (*self.detached, *self.attached)]
         return list(dict.fromkeys([*self.leaving, *(instance.name for instance in self.coming), *ports]))
 
+    def instance(self, name: str) -> Instance:
+        """The instance of that name, which runs at the start or comes. Raises KeyError where none does."""
+        return self.start.instances.get(name) or self.final.instances[name]
+
     def role_of(self, instance: str) -> str:
-        """The role of an instance that runs at the start or comes. Raises KeyError for another."""
-        known = self.start.instances.get(instance)
-        return (known or self.final.instances[instance]).role
+        return self.instance(instance).role
 
     def component_of(self, instance: str) -> ComponentSpec:
-        """The component of an instance that runs at the start or comes. Raises KeyError for another."""
-        known = self.start.instances.get(instance)
-        return (known or self.final.instances[instance]).component
+        return self.instance(instance).component
 
     def is_output(self, port: PortRef) -> bool:
-        """Whether a port of an instance that runs at the start or comes is an output. Raises KeyError for another."""
         return self.component_of(port.instance).has_output(port.port)
 
     def seconds(self, kind: str, component: ComponentSpec | None = None) -> float:
@@ -101,14 +90,8 @@ class Change:
 
         An output is swapped for the port of the same name where there is one, else for any other on the same topic.
         """
-        old_outputs: dict[str, list[Attachment]] = {}
-        for port, connector in self.detached:
-            if port.instance in self.replaced and self.is_output(port):
-                old_outputs.setdefault(port.instance, []).append((port, connector))
-        new_outputs: dict[str, list[Attachment]] = {}
-        for port, connector in self.attached:
-            if self.is_output(port):
-                new_outputs.setdefault(port.instance, []).append((port, connector))
+        replaced = [pair for pair in self.detached if pair[0].instance in self.replaced]
+        old_outputs, new_outputs = self._outputs(replaced), self._outputs(self.attached)
         found: dict[str, list[Swap]] = {}
         for old, olds in old_outputs.items():
             new = self.replaced[old]
@@ -125,6 +108,14 @@ class Change:
                         found.setdefault(new, []).append(Swap(connector, port, successor))
         return {new: tuple(swaps) for new, swaps in found.items()}
 
+    def _outputs(self, attachments: Iterable[Attachment]) -> dict[str, list[Attachment]]:
+        """Those of outputs, by instance."""
+        found: dict[str, list[Attachment]] = {}
+        for port, connector in attachments:
+            if self.is_output(port):
+                found.setdefault(port.instance, []).append((port, connector))
+        return found
+
     def settled(self, configuration: Configuration) -> Configuration:
         """``configuration``, reached by the whole plan, in the target's own context and with its own names."""
         for name, identity in self.identities.items():
@@ -133,4 +124,4 @@ class Change:
         for instance in self.renamed:
             known = replace(configuration.instances[instance.name], component=instance.component)
             configuration = replace(configuration, instances=configuration.instances.set(instance.name, known))
-        return configuration.with_context(self.end_context)
+        return configuration.with_context(self.target.context)

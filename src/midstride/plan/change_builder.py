@@ -6,7 +6,7 @@ roles, so that its cost follows the change.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from itertools import count
 
@@ -29,10 +29,12 @@ def change_between(
     specification: Specification,
     target: Specification,
     measured: Mapping[str, float] | None = None,
+    renewed: Collection[str] = (),
 ) -> Change:
     """The change of the whole system to ``target``. Linear in the system.
 
-    A role that has no live instance comes; an instance of no role leaves. Raises PlanRefused
+    A role that has no live instance comes; an instance of no role leaves. The roles ``renewed`` get a new instance even
+    where nothing differs. Raises PlanRefused
     where either end does not meet the target's caps, capacities, environment or contracts.
     """
     connectors, identities = _connectors(configuration, target)
@@ -43,7 +45,7 @@ def change_between(
         raise PlanRefused(f"the running system is not valid in the target's environment: {violation}")
     raised = best(start)
     baseline = raised if start.context == configuration.context else best(configuration)
-    builder = ChangeBuilder(specification, target, start, identities)
+    builder = ChangeBuilder(specification, target, start, identities, renewed)
     for role in sorted({*target.nodes, *start.instances_by_role}):
         builder.compare(role)
     pending = tuple(sorted(ref for ref, index in raised.modes.items() if start.modes[ref] != index))
@@ -68,8 +70,7 @@ def requested_change(
     """
     if request.to is not None:
         return change_between(configuration, specification, target, measured)
-    roles = [*request.remove, *(role for role, _ in request.replace), *(node.role for node in request.add)]
-    return change_of_roles(configuration, specification, target, roles, measured)
+    return change_of_roles(configuration, specification, target, request.roles(), measured, request.renewed())
 
 
 def change_of_roles(
@@ -78,13 +79,14 @@ def change_of_roles(
     target: Specification,
     roles: Iterable[str],
     measured: Mapping[str, float] | None = None,
+    renewed: Collection[str] = (),
 ) -> Change:
     """The change where ``target`` differs from ``specification`` only in the nodes ``roles``.
 
     The cost follows the roles and their forward cone, not the size of the system. ``configuration`` must be in its
     best modes. Raises PlanRefused as :func:`change_between` does.
     """
-    builder = ChangeBuilder(specification, target, configuration, {})
+    builder = ChangeBuilder(specification, target, configuration, {}, renewed)
     for role in sorted(set(roles)):
         builder.compare(role)
     return builder.change(builder.final(()), measured)
@@ -94,9 +96,15 @@ class ChangeBuilder:
     """A change in the making, role by role."""
 
     def __init__(
-        self, specification: Specification, target: Specification, start: Configuration, identities: dict[str, str]
+        self,
+        specification: Specification,
+        target: Specification,
+        start: Configuration,
+        identities: dict[str, str],
+        renewed: Collection[str],
     ) -> None:
         self.specification, self.target, self.start, self.identities = specification, target, start, identities
+        self.renewed = renewed
         self.leaving: list[str] = []
         self.coming: dict[str, Instance] = {}
         self.replaced: dict[str, str] = {}
@@ -114,13 +122,19 @@ class ChangeBuilder:
             for instance in running:
                 self._leave(instance)
             return
-        _check_references(self.target, role)
+        if found := node_names(self.target, self.target.nodes[role], ("nodes", role)):
+            raise PlanRefused("; ".join(str(problem) for problem in found))
         wanted = self.target.instance(role)
-        kept = next((instance for instance in running if not _differs(instance, wanted)), None)
+        candidates = [] if role in self.renewed else running
+        kept = next((instance for instance in candidates if not _differs(instance, wanted)), None)
         if kept is not None:
             self._keep(kept, wanted)
         else:
-            self._come(role, running)
+            name = self._fresh(role, bare=not running)
+            self.coming[name] = self.target.instance(role, name)
+            self.attached.extend(self._wanted(role, name))
+            if running:
+                self.replaced[running[0].name] = name
         for instance in running:
             if instance is not kept:
                 self._leave(instance)
@@ -128,13 +142,6 @@ class ChangeBuilder:
     def _leave(self, instance: Instance) -> None:
         self.leaving.append(instance.name)
         self.detached.extend(self.start.attached_ports(instance.name))
-
-    def _come(self, role: str, running: list[Instance]) -> None:
-        name = self._fresh(role, bare=not running)
-        self.coming[name] = self.target.instance(role, name)
-        self.attached.extend(self._wanted(role, name))
-        if running:
-            self.replaced[running[0].name] = name
 
     def _keep(self, instance: Instance, wanted: Instance) -> None:
         current = instance.parameters
@@ -235,12 +242,6 @@ def _differs(instance: Instance, wanted: Instance) -> bool:
     )
 
 
-def _check_references(target: Specification, role: str) -> None:
-    """Refuse a node with a reference to something that is not declared."""
-    if found := node_names(target, target.nodes[role], ("nodes", role)):
-        raise PlanRefused("; ".join(str(problem) for problem in found))
-
-
 def _check_limits(end: str, configuration: Configuration, connectors: Iterable[str], resources: Iterable[str]) -> None:
     """Refuse an end of the change that exceeds a cap or a capacity."""
     found: list[Violation | None] = [cap_violation(configuration, name) for name in connectors]
@@ -257,14 +258,10 @@ def _connectors(configuration: Configuration, target: Specification) -> tuple[Ma
     throughout = running.update(target.connectors)
     for name in sorted(target.connectors):
         wanted, current = target.connectors[name], running.get(name)
-        if current is None or current.same_contract(wanted):
+        in_use = configuration.publishers_on(name) or configuration.subscribers_on(name)
+        if current is None or current.same_contract(wanted) or not in_use:
             continue
-        if not configuration.publishers_on(name) and not configuration.subscribers_on(name):
-            continue
-        number = 2
-        while f"{name}@{number}" in throughout:
-            number += 1
-        identity = f"{name}@{number}"
+        identity = next(free for number in count(2) if (free := f"{name}@{number}") not in throughout)
         identities[name] = identity
         throughout = throughout.set(name, current).set(identity, replace(wanted, name=identity))
     return throughout, identities

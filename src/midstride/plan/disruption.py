@@ -44,10 +44,9 @@ class Levels:
 
     def counted(self, role: str) -> tuple[Counted, ...]:
         """The functionalities of ``role`` that are counted, in order of declaration."""
-        known = self._counted.get(role)
-        if known is None:
-            known = self._counted[role] = tuple(self._count(role))
-        return known
+        if role not in self._counted:
+            self._counted[role] = tuple(self._count(role))
+        return self._counted[role]
 
     def _count(self, role: str) -> Iterable[Counted]:
         start, target = self.change.specification, self.change.target
@@ -64,11 +63,9 @@ class Levels:
             )
             worst = max(len(old.modes), len(new.modes))
             ref = FunctionalityRef(role, new.name)
-            levels = (
-                self._level(self.change.baseline, ref, outputs, worst),
-                self._level(self.change.final, ref, outputs, worst),
-            )
-            yield Counted(ref, outputs, worst, max(levels), new.weight)
+            ends = self.change.baseline, self.change.final
+            baseline = max(self._level(end, ref, outputs, worst) for end in ends)
+            yield Counted(ref, outputs, worst, baseline, new.weight)
 
     @staticmethod
     def _level(configuration: Configuration, ref: FunctionalityRef, outputs: tuple[str, ...], worst: int) -> int:
@@ -162,10 +159,6 @@ class DisruptionMeter:
         if isinstance(action, (Create, Remove)):
             during = self.missing + sum(weight(each.ref) * max(0, each.after - each.before) for each in changes)
             disruption = round(disruption + during * seconds, DIGITS)
-        if not changes:
-            return DisruptionMeter(
-                self.levels, self.below, self.fallen, self.missing, self.since, self.spent, disruption, clock
-            )
         missing = self.missing + sum(weight(each.ref) * (each.after - each.before) for each in changes)
         below, fallen, since, spent = self.below, self.fallen, self.since, self.spent
         for each in changes:

@@ -106,18 +106,11 @@ def _because(steps: Sequence[Step], configurations: Sequence[Configuration], ref
         return f"after `{step.describe()}`, no instance of {ref.instance} serves it"
     degraded = (live for live in sorted(step.action.modes) if live.functionality == ref.functionality)
     live = next((live for live in degraded if before.instances[live.instance].role == ref.instance), None)
-    for number, later in enumerate(steps[since:], start=since + 1):
-        if later.is_structural:
-            after = configurations[number]
-            if live is not None and live.instance in after.instances:
-                evaluator = Evaluator(after, {live: before.modes[live]})
-                mode = before.mode(live)
-                functionality = before.functionality(live)
-                for assumption in mode.assumptions:
-                    if not evaluator.assumption_satisfied(live, functionality, assumption):
-                        why = evaluator.why_assumption_unsatisfied(live, assumption)
-                        return f"in mode {mode.name}, {live} {why}, after step {number} (`{later.describe()}`)"
-            return (
-                f"the strategy degrades it before step {number} (`{later.describe()}`), although it loses nothing there"
-            )
-    return "the strategy degrades it"
+    number = next((n for n, later in enumerate(steps[since:], start=since + 1) if later.is_structural), None)
+    if number is None:
+        return "the strategy degrades it"
+    after, next_step = configurations[number], f"step {number} (`{steps[number - 1].describe()}`)"
+    if live is not None and live.instance in after.instances:
+        for violation in Evaluator(after, {live: before.modes[live]}).violations_of([live]):
+            return f"in mode {before.mode(live).name}, {live} {violation.because}, after {next_step}"
+    return f"the strategy degrades it before {next_step}, although it loses nothing there"

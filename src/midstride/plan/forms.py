@@ -1,154 +1,27 @@
-"""The JSON form of a plan (`midstride plan --json`); :mod:`midstride.plan.decoding` leads back.
-
-In it ``component`` is the name of an instance, as users know it, and ``of`` its component.
-"""
+"""The JSON form of a plan (`midstride plan --json`), written from a plan and read back."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, ClassVar, TypeAlias
 
-import msgspec
 from msgspec import UNSET, UnsetType
 
-from midstride.codec.form import Document, FiniteNumber, Form, encode, field
-from midstride.codec.parameter import Value, values_form
+from midstride.codec.form import Document, FiniteNumber, encode, field
+from midstride.codec.parameter import values_of
+from midstride.codec.reading import decode, under
 from midstride.codec.specification import SpecificationForm
-from midstride.model.action import Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.best import best
-from midstride.model.configuration import Configuration
+from midstride.model.component import FunctionalityRef
+from midstride.model.configuration import Configuration, configure
+from midstride.model.diagnostics import Problem
+from midstride.model.name_checks import specification_names
+from midstride.model.specification import Specification
 from midstride.plan.change import Change
+from midstride.plan.change_builder import change_between
 from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.plan import Plan
-from midstride.plan.step import Step
-
-
-class PlanPart(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
-    """Everything in a plan is written out; keys of later versions are passed over."""
-
-
-class ModeChangeForm(PlanPart, frozen=True):
-    """The mode that a functionality leaves, and the one that it enters."""
-
-    what: ClassVar[str] = "a change of mode"
-
-    before: str = msgspec.field(name="from")
-    after: str = msgspec.field(name="to")
-
-
-class SwapForm(PlanPart, frozen=True):
-    """A topic, the output that stops publishing on it and the one that starts."""
-
-    what: ClassVar[str] = "a swap"
-
-    connector: str
-    old: str
-    new: str
-
-
-class StepForm(PlanPart, frozen=True, tag_field="action"):
-    """One step of a plan; the value of ``action`` is its kind."""
-
-    what: ClassVar[str] = "a step"
-
-    @property
-    def action(self) -> str:
-        return str(self.__struct_config__.tag)
-
-
-class CreateStep(StepForm, frozen=True, kw_only=True, tag="create"):
-    """A new instance is started."""
-
-    instance: str = msgspec.field(name="component")
-    role: str
-    component: str = msgspec.field(name="of")
-    parameters: dict[str, Value] = {}
-    seconds: FiniteNumber
-
-
-class RemoveStep(StepForm, frozen=True, tag="remove"):
-    """An instance is ended."""
-
-    instance: str = msgspec.field(name="component")
-    seconds: FiniteNumber
-
-
-class AttachStep(StepForm, frozen=True, tag="attach"):
-    """A port of an instance is attached to a topic."""
-
-    port: str
-    connector: str
-    seconds: FiniteNumber
-
-
-class DetachStep(StepForm, frozen=True, tag="detach"):
-    """A port of an instance is detached from a topic."""
-
-    port: str
-    connector: str
-    seconds: FiniteNumber
-
-
-class DegradeStep(StepForm, frozen=True, tag="degrade"):
-    """Functionalities enter worse modes."""
-
-    modes: dict[str, ModeChangeForm]
-    seconds: FiniteNumber
-
-
-class UpgradeStep(StepForm, frozen=True, tag="upgrade"):
-    """Functionalities enter better modes."""
-
-    modes: dict[str, ModeChangeForm]
-    seconds: FiniteNumber
-
-
-class HandoverStep(StepForm, frozen=True, tag="handover"):
-    """Topics change their publisher at one moment."""
-
-    swaps: list[SwapForm]
-    seconds: FiniteNumber
-
-
-class SetStep(StepForm, frozen=True, tag="set"):
-    """Parameters of a live instance are set in place."""
-
-    instance: str = msgspec.field(name="component")
-    parameters: dict[str, Value]
-    seconds: FiniteNumber
-
-
-AnyStep: TypeAlias = (
-    CreateStep | RemoveStep | AttachStep | DetachStep | DegradeStep | UpgradeStep | HandoverStep | SetStep
-)
-
-
-def step_form(step: Step) -> AnyStep:
-    """The JSON form of one step."""
-    action, seconds = step.action, step.seconds
-    modes = {str(each.functionality): ModeChangeForm(before=each.before, after=each.after) for each in step.modes}
-    match action:
-        case Create(instance=new):
-            values = values_form(new.parameters)
-            return CreateStep(
-                instance=new.name, role=new.role, component=new.component.name, parameters=values, seconds=seconds
-            )
-        case Remove():
-            return RemoveStep(instance=action.instance, seconds=seconds)
-        case Attach():
-            return AttachStep(port=str(action.port), connector=action.connector, seconds=seconds)
-        case Detach():
-            return DetachStep(port=str(action.port), connector=action.connector, seconds=seconds)
-        case Degrade():
-            return DegradeStep(modes=modes, seconds=seconds)
-        case Upgrade():
-            return UpgradeStep(modes=modes, seconds=seconds)
-        case Handover():
-            swaps = [SwapForm(connector=swap.connector, old=str(swap.old), new=str(swap.new)) for swap in action.swaps]
-            return HandoverStep(swaps=swaps, seconds=seconds)
-        case SetParameters():
-            return SetStep(instance=action.instance, parameters=values_form(action.parameters), seconds=seconds)
-    raise TypeError(f"a {action.kind} has no JSON form")
-
+from midstride.plan.step_forms import AnyStep, CreateStep, PlanPart, SetStep, decode_step, mode_index, step_form
 
 Steps: TypeAlias = Annotated[list[AnyStep], field("a list of steps")]
 Running: TypeAlias = Annotated[
@@ -185,7 +58,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
-        return cls(**_costs(plan), **_steps(plan))
+        return cls(**_fields(plan))
 
 
 class PlanForm(PlanCosts, frozen=True, kw_only=True):
@@ -201,10 +74,10 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     def of(cls, plan: Plan, **more: Any) -> PlanForm:
         """Linear in the system, since both specifications are written."""
         start, target = (SpecificationForm.of(found) for found in (plan.change.specification, plan.change.target))
-        return cls(**_costs(plan), start=start, target=target, **_steps(plan), **more)
+        return cls(**_fields(plan), start=start, target=target, **more)
 
 
-def _costs(plan: Plan) -> dict[str, Any]:
+def _fields(plan: Plan) -> dict[str, Any]:
     return {
         "strategy": plan.strategy,
         "proved_minimal": plan.proved_minimal,
@@ -215,11 +88,6 @@ def _costs(plan: Plan) -> dict[str, Any]:
         "fallen": [str(ref) for ref in plan.fallen],
         "falls": list(plan.degradations),
         "afterwards": list(plan.level_shifts),
-    }
-
-
-def _steps(plan: Plan) -> dict[str, Any]:
-    return {
         "steps": [step_form(step) for step in plan.steps],
         "running": _running(plan.change) or UNSET,
         "standing": _standing(plan.change.origin) or UNSET,
@@ -244,3 +112,57 @@ def _standing(configuration: Configuration) -> dict[str, str]:
 def encode_plan(plan: Plan) -> Document:
     """The document of the whole plan, both specifications included."""
     return encode(PlanForm.of(plan))
+
+
+def decode_plan(document: object) -> Plan:
+    """The plan that a document states, its costs taken over as they are written.
+
+    Nothing is judged: :mod:`midstride.plan.validate` does that. Raises SpecificationError with every fault of form,
+    and PlanRefused where start and target do not meet, or a step is about something that does not exist.
+    """
+    form, start, target = decode(document, PlanForm, _parts, _names)
+    standing = {} if form.standing is UNSET else form.standing
+    origin = _started(start, {} if form.running is UNSET else form.running, standing)
+    change = change_between(origin, start, target)
+    known = dict(change.start.instances)
+    return Plan(
+        strategy=form.strategy,
+        change=change,
+        steps=tuple(decode_step(number, change, known, step) for number, step in enumerate(form.steps, start=1)),
+        disruption=form.disruption,
+        lower_bound=form.lower_bound,
+        proved_minimal=form.proved_minimal,
+        makespan=form.makespan,
+        seconds=form.seconds,
+        fallen=tuple(FunctionalityRef.parse(text) for text in form.fallen),
+    )
+
+
+def _parts(form: PlanForm) -> tuple[PlanForm, Specification, Specification]:
+    for step in form.steps:
+        if isinstance(step, (CreateStep, SetStep)):
+            values_of(step.parameters)
+    return form, form.start.specification(), form.target.specification()
+
+
+def _names(parts: tuple[PlanForm, Specification, Specification]) -> Iterable[Problem]:
+    _, start, target = parts
+    yield from under("start", specification_names(start))
+    yield from under("target", specification_names(target))
+
+
+def _started(
+    specification: Specification, running: Mapping[str, str | None], standing: Mapping[str, str]
+) -> Configuration:
+    """The configuration a plan starts from: instances under their names, in ``best`` but where stated otherwise."""
+    names = {role: running.get(role, role) for role in specification.nodes}
+    live = {role: name for role, name in names.items() if name is not None}
+    configuration = best(
+        configure(
+            specification.context,
+            (specification.instance(role, name) for role, name in live.items()),
+            (pair for role, name in live.items() for pair in specification.attachments_of(role, name)),
+        )
+    )
+    refs = ((FunctionalityRef.parse(text), mode) for text, mode in standing.items())
+    return configuration.with_modes({ref: mode_index(configuration.instances, ref, mode) for ref, mode in refs})

@@ -11,7 +11,6 @@ import msgspec
 
 from midstride.codec.form import Form
 from midstride.model.best import lowered
-from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.diagnosis import Diagnosis
 from midstride.model.specification import Specification, initial
@@ -62,13 +61,9 @@ def impacts(specification: Specification, roles: Iterable[str] = ()) -> list[Imp
 
 
 def _impact(specification: Specification, configuration: Configuration, role: str) -> Impact:
-    component = configuration.component(role)
-    users: dict[FunctionalityRef, None] = {}
-    for port, connector in configuration.attached_ports(role):
-        if configuration.is_output(port):
-            users.update(dict.fromkeys(configuration.consumers(connector)))
-    without = configuration.without_instance(role)
-    modes = lowered(without, [ref for ref in users if ref.instance != role])
+    instance, without = configuration.instances[role], configuration.without_instance(role)
+    users = (user for own in instance.functionality_refs() for user in configuration.downstream(own))
+    modes = lowered(without, [user for user in users if user.instance != role])
     diagnosis = Diagnosis(without.with_modes(modes))
     impacted = []
     for ref, index in sorted(modes.items()):
@@ -83,6 +78,6 @@ def _impact(specification: Specification, configuration: Configuration, role: st
             index == configuration.functionality(ref).last_mode for ref, index in modes.items()
         ),
         loss=sum(each.loss for each in impacted),
-        own=component.functionality_order,
+        own=instance.component.functionality_order,
         impacted=tuple(sorted(impacted, key=lambda each: -each.loss)),
     )

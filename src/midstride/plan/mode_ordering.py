@@ -18,7 +18,7 @@ from typing import Final, TypeAlias
 from immutables import Map
 
 from midstride.model.action import Degrade, Upgrade
-from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
 from midstride.model.rules import Evaluator
 from midstride.plan.strongly_connected import strongly_connected
@@ -32,10 +32,7 @@ _ENUMERABLE: Final = 12
 
 def upgrades(configuration: Configuration, modes: Mapping[FunctionalityRef, int]) -> list[Upgrade]:
     """From ``configuration`` to the better ``modes``, which are valid in it."""
-    return [
-        Upgrade(Map(step))
-        for step in _raised(configuration, {r: i for r, i in modes.items() if i != configuration.modes[r]})
-    ]
+    return [Upgrade(Map(step)) for step in _raised(configuration, modes)]
 
 
 def degradations(configuration: Configuration, modes: Mapping[FunctionalityRef, int]) -> list[Degrade]:
@@ -46,16 +43,15 @@ def degradations(configuration: Configuration, modes: Mapping[FunctionalityRef, 
     """
     below = configuration.with_modes(dict(modes))
     steps: list[Degrade] = []
-    for step in _raised(
-        below, {ref: configuration.modes[ref] for ref, index in modes.items() if index != configuration.modes[ref]}
-    ):
+    for step in _raised(below, {ref: configuration.modes[ref] for ref in modes}):
         steps.append(Degrade(Map({ref: below.modes[ref] for ref in step})))
         below = below.with_modes(step)
     return steps[::-1]
 
 
-def _raised(configuration: Configuration, wanted: Modes) -> Iterator[Modes]:
-    """The groups that are upgraded together, in order, until every functionality is in its ``wanted`` mode."""
+def _raised(configuration: Configuration, modes: Mapping[FunctionalityRef, int]) -> Iterator[Modes]:
+    """The groups that are upgraded together, in order, until every functionality is in its mode of ``modes``."""
+    wanted = {ref: index for ref, index in modes.items() if index != configuration.modes[ref]}
     rank = {ref: place for place, ref in enumerate(sorted(wanted, key=lambda ref: _declared(configuration, ref)))}
     by_rank = list(rank)
     overlay: Modes = {}
@@ -68,7 +64,7 @@ def _raised(configuration: Configuration, wanted: Modes) -> Iterator[Modes]:
             if wanted[ref] == index:
                 del wanted[ref]
         for ref in step:
-            for consumer in _consumers(configuration, ref):
+            for consumer in configuration.downstream(ref):
                 if consumer in wanted:
                     heapq.heappush(waiting, rank[consumer])
         return step
@@ -85,12 +81,6 @@ def _raised(configuration: Configuration, wanted: Modes) -> Iterator[Modes]:
 
 def _declared(configuration: Configuration, ref: FunctionalityRef) -> tuple[str, int]:
     return ref.instance, configuration.component(ref.instance).functionality_order.index(ref.functionality)
-
-
-def _consumers(configuration: Configuration, ref: FunctionalityRef) -> Iterator[FunctionalityRef]:
-    for output in configuration.functionality(ref).outputs:
-        for name in configuration.connectors_of.get(PortRef(ref.instance, output), ()):
-            yield from configuration.consumers(name)
 
 
 def _part_way(evaluator: Evaluator, wanted: Modes, ordered: list[FunctionalityRef]) -> Modes:
@@ -116,7 +106,7 @@ def _group(configuration: Configuration, overlay: Modes, wanted: Modes, ordered:
     evaluator = Evaluator(configuration, raised)
     suppliers: dict[FunctionalityRef, list[FunctionalityRef]] = {ref: [] for ref in ordered}
     for ref in ordered:
-        for consumer in dict.fromkeys(_consumers(configuration, ref)):
+        for consumer in dict.fromkeys(configuration.downstream(ref)):
             if consumer in suppliers and consumer != ref:
                 suppliers[consumer].append(ref)
     needed: dict[FunctionalityRef, list[FunctionalityRef]] = {ref: [] for ref in ordered}

@@ -38,8 +38,8 @@ class Move:
     priority: int
     kind: MoveKind
     names: tuple[str, ...] = ()
-    attachment: Attachment | None = None
-    swap: Swap | None = None
+    attachments: tuple[Attachment, ...] = ()
+    swaps: tuple[Swap, ...] = ()
 
 
 def moves(state: SearchState) -> list[Move]:
@@ -61,14 +61,11 @@ def play(state: SearchState, move: Move) -> SearchState:
             for name in move.names:
                 state = _removed_early(state, name)
         case "attach":
-            assert move.attachment is not None
-            state = state.attach(move.attachment)
+            state = state.attach(*move.attachments)
         case "detach":
-            assert move.attachment is not None
-            state = state.detach([move.attachment])
+            state = state.detach(move.attachments)
         case "exchange":
-            assert move.swap is not None
-            state = state.exchange(move.swap)
+            state = state.exchange(*move.swaps)
         case "finish":
             state = state.remove_rest_of(move.names)
         case "split":
@@ -152,15 +149,15 @@ def _attachments(state: SearchState, gate: OrderGate) -> Iterator[Move]:
         if not state.may_attach(port, gate):
             continue
         if state.free_slots(connector) >= 1:
-            yield Move(1, "attach", attachment=(port, connector))
+            yield Move(1, "attach", attachments=((port, connector),))
         for other, on in state.detaches:
             if on not in (connector, change.sibling(connector)) or not configuration.is_output(other):
                 continue
             if change.role_of(other.instance) not in gate:
                 continue
             if on == connector and state.satisfies_topic(port, connector):
-                yield Move(1, "exchange", swap=Swap(connector, other, port))
-            yield Move(2, "detach", attachment=(other, on))
+                yield Move(1, "exchange", swaps=(Swap(connector, other, port),))
+            yield Move(2, "detach", attachments=((other, on),))
 
 
 def _finishes(state: SearchState, gate: OrderGate) -> Iterator[Move]:

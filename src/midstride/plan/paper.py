@@ -58,10 +58,8 @@ def six_steps(strategy: str, change: Change, lowered_first: Iterable[Functionali
     return Plan.of(strategy, plan.steps, levels)
 
 
-# -- steps 1 and 2 -------------------------------------------------------------------------------------
-
-
 def _take_away(plan: PlanBuilder, roles: set[str]) -> PlanBuilder:
+    """Steps 1 and 2, for these roles."""
     change = plan.change
     leaving = {name for name in change.leaving if change.role_of(name) in roles}
     detached: dict[str, list[Attachment]] = {name: [] for name in change.leaving if name in leaving}
@@ -91,11 +89,8 @@ def _affected(after: Configuration, seeds: Iterable[FunctionalityRef]) -> Modes:
         ref = pending.pop()
         if ref in overlay or evaluator.satisfied(ref):
             continue
-        functionality = after.functionality(ref)
-        overlay[ref] = functionality.last_mode
-        for output in functionality.outputs:
-            for name in after.connectors_of.get(PortRef(ref.instance, output), ()):
-                pending.extend(after.consumers(name))
+        overlay[ref] = after.functionality(ref).last_mode
+        pending.extend(after.downstream(ref))
     return overlay
 
 
@@ -107,10 +102,8 @@ def _lower_to_last(plan: PlanBuilder, refs: Iterable[FunctionalityRef]) -> PlanB
     return plan.touching(modes).lower_to(modes)
 
 
-# -- steps 3 to 6 --------------------------------------------------------------------------------------
-
-
 def _bring(plan: PlanBuilder, roles: set[str]) -> PlanBuilder:
+    """Steps 3 to 6, for these roles."""
     change = plan.change
     attached: dict[str, list[Attachment]] = {}
     for port, connector in change.attached:

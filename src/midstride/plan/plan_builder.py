@@ -83,8 +83,6 @@ class PlanBuilder:
         """Have :meth:`raise_touched` look at ``refs`` as well."""
         return replace(self, touched=self.touched.update(dict.fromkeys(refs)))
 
-    # -- modes ---------------------------------------------------------------------------------------
-
     def raise_touched(self) -> PlanBuilder:
         """Upgrade every functionality that has become able to enter a better mode since the last call."""
         if not self.touched:
@@ -100,8 +98,6 @@ class PlanBuilder:
     def lower_to(self, modes: Modes) -> PlanBuilder:
         """Degrade to ``modes``, downstream first."""
         return self.do(*degradations(self.configuration, modes)) if modes else self
-
-    # -- structure -----------------------------------------------------------------------------------
 
     def create(self, *instances: Instance) -> PlanBuilder:
         created = self.do(*(Create(instance) for instance in instances))

@@ -6,8 +6,7 @@ changes, then along output, topic and input every functionality that uses them, 
 
 from __future__ import annotations
 
-from midstride.model.best import consumers_of
-from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.component import FunctionalityRef
 from midstride.plan.change import Change
 from midstride.plan.paper import six_steps
 from midstride.plan.plan import Plan
@@ -34,11 +33,8 @@ def reachable(change: Change) -> list[FunctionalityRef]:
     pending = list(found)
     while pending:
         ref = pending.pop()
-        for output in configuration.functionality(ref).outputs:
-            port = PortRef(ref.instance, output)
-            for connector in configuration.connectors_of.get(port, ()):
-                for consumer in consumers_of(configuration, port, connector):
-                    if consumer not in found:
-                        found[consumer] = None
-                        pending.append(consumer)
+        for consumer in configuration.downstream(ref):
+            if consumer not in found:
+                found[consumer] = None
+                pending.append(consumer)
     return sorted(found)

@@ -19,10 +19,8 @@ Planner: TypeAlias = Callable[[Change], Plan]
 # The tests replay plans of every planner listed here.
 STRATEGIES: Final[Mapping[str, Planner]] = Map({"minimal": minimal, "paper": paper, "quiesce": quiesce})
 
-DEFAULT: Final = "minimal"
 
-
-def planner(name: str = DEFAULT) -> Planner:
+def planner(name: str = "minimal") -> Planner:
     """The planner of that name. Raises PlanRefused for an unknown one."""
     require("strategy", name, STRATEGIES)
     return STRATEGIES[name]

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 
-from immutables import Map
-
 from midstride.errors import PlanRefused
 from midstride.model.component import ComponentSpec
 from midstride.model.diagnostics import Problem, suggestion, unknown_name
@@ -16,9 +14,13 @@ from midstride.model.specification_checks import check, check_component, check_n
 
 @dataclass(frozen=True, slots=True)
 class PlanRequest:
-    """A request for a change. ``components`` are declarations that the specification does not have yet."""
+    """A request for a change. ``components`` are declarations that the specification does not have yet.
+
+    A role in ``replace`` or ``restart`` gets a new instance, also of the same component: its program may have changed.
+    """
 
     replace: tuple[tuple[str, str], ...] = ()
+    restart: tuple[str, ...] = ()
     add: tuple[Node, ...] = ()
     remove: tuple[str, ...] = ()
     to: Specification | None = None
@@ -28,13 +30,15 @@ class PlanRequest:
     def target(self, specification: Specification) -> Specification:
         """The specification to change to. Raises PlanRefused for an unknown name or a malformed declaration."""
         if self.to is not None:
-            if self.replace or self.add or self.remove:
+            if self.roles():
                 raise PlanRefused("give either a whole specification or single changes, not both")
             _well_formed(check(self.to))
             return self.to
-        if not (self.replace or self.add or self.remove):
-            raise PlanRefused("the request is empty: name nodes to replace, add or remove, or give a specification")
-        named = [*self.remove, *(role for role, _ in self.replace)]
+        if not self.roles():
+            raise PlanRefused(
+                "the request is empty: name nodes to replace, restart, add or remove, or give a specification"
+            )
+        named = [*self.remove, *self.restart, *(role for role, _ in self.replace)]
         for index, role in enumerate(named):
             if role in named[:index]:
                 raise PlanRefused(f"node {role} is named twice; name each node once")
@@ -48,6 +52,8 @@ class PlanRequest:
         for role in self.remove:
             require("node", role, target.nodes)
             target = target.without_node(role)
+        for role in self.restart:
+            require("node", role, target.nodes)
         for role, name in self.replace:
             require("node", role, target.nodes)
             require("component", name, target.components)
@@ -61,9 +67,18 @@ class PlanRequest:
             _well_formed(problem for problem in check_node(target, role) if problem.code != "E020")
         return target
 
+    def roles(self) -> list[str]:
+        """The roles that are named."""
+        return [*self.remove, *self.renewed(), *(node.role for node in self.add)]
+
+    def renewed(self) -> list[str]:
+        """The roles that get a new instance in any case."""
+        return [*self.restart, *(role for role, _ in self.replace)]
+
     def describe(self) -> str:
         """The change in the words of the commands that ask for it."""
         words = [f"remove {role}" for role in self.remove]
+        words += [f"restart {role}" for role in self.restart]
         words += [f"replace {role} with {component}" for role, component in self.replace]
         words += [f"add {node.role} ({node.component})" for node in self.add]
         if self.to is not None:
@@ -91,5 +106,4 @@ def _replaced(target: Specification, role: str, name: str) -> Specification:
         raise PlanRefused(
             f"{name} cannot replace {role}: it has no port {ports_on}; use `apply` with a changed specification"
         )
-    parameters = Map({key: value for key, value in node.parameters.items() if key in component.parameters})
-    return target.with_node(replace(node, component=name, parameters=parameters))
+    return target.with_replaced(role, name)

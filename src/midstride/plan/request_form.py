@@ -7,39 +7,22 @@ from typing import Annotated, ClassVar, Literal, TypeAlias
 
 from midstride.codec.component import NamedComponentForm
 from midstride.codec.form import Form, Name, field
-from midstride.codec.parameter import Value, values_form
 from midstride.codec.reading import decode, under
-from midstride.codec.specification import SpecificationForm, node_of
+from midstride.codec.specification import NodeForm, SpecificationForm
 from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import component_names, specification_names
-from midstride.model.specification import Node
 from midstride.plan.request import PlanRequest
 
 Strategy: TypeAlias = Literal["minimal", "paper", "quiesce"]
 Replacement: TypeAlias = Annotated[tuple[Name, Name], field("a replacement", "[node, component]")]
 
 
-class NewNode(Form, frozen=True):
+class NewNode(NodeForm, frozen=True, kw_only=True):
     """A node to add: its role, its component, and the topics its ports are attached to."""
 
     what: ClassVar[str] = "a new node"
 
     role: Name
-    component: Name
-    attachments: Annotated[
-        dict[str, Annotated[list[Name], field("a list of topics")]],
-        field("an object of attachments", "the topics of each port"),
-    ] = {}
-    parameters: Annotated[dict[str, Value], field("an object of values")] = {}
-
-    @classmethod
-    def of(cls, node: Node) -> NewNode:
-        attachments = {port: list(topics) for port, topics in node.attachments.items()}
-        parameters = values_form(node.parameters)
-        return cls(role=node.role, component=node.component, attachments=attachments, parameters=parameters)
-
-    def node(self) -> Node:
-        return node_of(self.role, self.component, self.attachments, self.parameters)
 
 
 class ChangeRequest(Form, frozen=True):
@@ -48,6 +31,7 @@ class ChangeRequest(Form, frozen=True):
     what: ClassVar[str] = "a request"
 
     replace: Annotated[list[Replacement], field("a list of replacements", "[node, component] pairs")] = []
+    restart: Annotated[list[Name], field("a list of nodes", "nodes to restart: each gets a new instance")] = []
     add: Annotated[list[NewNode], field("a list of new nodes", "nodes to add")] = []
     remove: Annotated[list[Name], field("a list of nodes", "nodes to remove")] = []
     to: SpecificationForm | None = None
@@ -60,7 +44,8 @@ class ChangeRequest(Form, frozen=True):
         """The request as the planners know it; names are not checked. Raises ValueError as the parts do."""
         return PlanRequest(
             replace=tuple(self.replace),
-            add=tuple(form.node() for form in self.add),
+            restart=tuple(self.restart),
+            add=tuple(form.node(form.role) for form in self.add),
             remove=tuple(self.remove),
             to=None if self.to is None else self.to.specification(),
             components=tuple(form.declared() for form in self.components),

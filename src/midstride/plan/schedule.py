@@ -48,12 +48,9 @@ class Claim(Enum):
 _WAITS_FOR: Final[dict[Claim, tuple[Claim, ...]]] = {
     Claim.OWN: (Claim.OWN, Claim.USE),
     Claim.USE: (Claim.OWN,),
-    Claim.SUPPORT: (),
     Claim.DEPEND: (Claim.SUPPORT,),
     Claim.WITHDRAW: (Claim.SUPPORT, Claim.DEPEND),
-    Claim.RELEASE: (),
     Claim.ACQUIRE: (Claim.RELEASE,),
-    Claim.BEFORE: (),
     Claim.AFTER: (Claim.BEFORE,),
 }
 
@@ -61,8 +58,6 @@ Mark = tuple[Hashable, Claim]
 
 
 class _Marker:
-    """The marks of the steps of one plan."""
-
     def __init__(self, change: Change) -> None:
         self.change = change
         self.replaced = {change.role_of(old) for old in change.replaced}
@@ -76,7 +71,6 @@ class _Marker:
         self._consumers: dict[str, list[FunctionalityRef]] = {}
 
     def of(self, step: Step) -> Iterator[Mark]:
-        """The marks of one step."""
         action = step.action
         if step.is_structural:
             for order in self.orders:
@@ -154,18 +148,16 @@ class _Marker:
 
     def _consumers_of(self, connector: str) -> Iterable[FunctionalityRef]:
         """The functionalities that use an input attached to ``connector`` at some time during the plan."""
-        known = self._consumers.get(connector)
-        if known is None:
+        if connector not in self._consumers:
             found = dict.fromkeys(self.change.start.consumers(connector))
             for port in self._inputs.get(connector, ()):
                 for functionality in self.change.component_of(port.instance).users(port.port):
                     found[FunctionalityRef(port.instance, functionality.name)] = None
-            known = self._consumers[connector] = list(found)
-        return known
+            self._consumers[connector] = list(found)
+        return self._consumers[connector]
 
 
 def _marks(steps: Sequence[Step], levels: Levels) -> Iterator[Iterable[Mark]]:
-    """The marks of each step."""
     marker = _Marker(levels.change)
     for step, (_, meter) in zip(steps, islice(follow(levels, steps), 1, None), strict=True):
         marks = dict.fromkeys(marker.of(step))
@@ -183,7 +175,7 @@ def dependencies(steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...]
     for index, marks in enumerate(_marks(steps, levels)):
         waits: set[int] = set()
         for thing, claim in marks:
-            for awaited in _WAITS_FOR[claim]:
+            for awaited in _WAITS_FOR.get(claim, ()):
                 waits.update(earlier.get((thing, awaited), ()))
         found.append(tuple(sorted(waits)))
         for mark in marks:
@@ -193,12 +185,7 @@ def dependencies(steps: Sequence[Step], levels: Levels) -> tuple[tuple[int, ...]
 
 def makespan(steps: Sequence[Step], levels: Levels) -> float:
     """The critical path (s): each step begins as soon as all those it waits for are done."""
-    ends: dict[Mark, float] = defaultdict(float)
-    for step, marks in zip(steps, _marks(steps, levels), strict=True):
-        begin = 0.0
-        for thing, claim in marks:
-            for awaited in _WAITS_FOR[claim]:
-                begin = max(begin, ends.get((thing, awaited), 0.0))
-        for mark in marks:
-            ends[mark] = max(ends[mark], begin + step.seconds)
-    return round(max(ends.values(), default=0.0), DIGITS)
+    ends: list[float] = []
+    for step, awaited in zip(steps, dependencies(steps, levels), strict=True):
+        ends.append(max((ends[index] for index in awaited), default=0.0) + step.seconds)
+    return round(max(ends, default=0.0), DIGITS)

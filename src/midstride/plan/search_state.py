@@ -9,6 +9,7 @@ go on, and the planner (:mod:`midstride.plan.minimal`) chooses among them.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -143,11 +144,8 @@ class SearchState:
 
     def _attach_what_fits(self, gate: OrderGate) -> SearchState:
         """Attach what fits beside every other publisher that is, or may have to be, attached to the same topic."""
-        wanted: dict[str, int] = {}
         is_output = self.builder.change.is_output
-        for port, connector in self.attaches:
-            if is_output(port):
-                wanted[connector] = wanted.get(connector, 0) + 1
+        wanted = Counter(connector for port, connector in self.attaches if is_output(port))
         for swap in (swap for swaps in self.swaps.values() for swap in swaps):
             if swap.connector in wanted and not self.can_take_over(swap):
                 wanted[swap.connector] += 1
@@ -199,16 +197,14 @@ class SearchState:
 
     def is_contended(self, swaps: Iterable[Swap]) -> bool:
         """Whether another output could use a slot that these swaps hand on, if the slot were given up instead."""
-        return not self.eager and any(self._is_contended(swap) for swap in swaps)
+        return not self.eager and any(self._is_capped(swap.connector) and self._is_awaited(swap) for swap in swaps)
 
-    def _is_contended(self, swap: Swap) -> bool:
-        if not self._is_capped(swap.connector):
-            return False
-        others = [other for swaps in self.swaps.values() for other in swaps if other.connector == swap.connector]
-        if any(other != swap and not self.can_take_over(other) for other in others):
-            return True
+    def _is_awaited(self, swap: Swap) -> bool:
+        others = (other for group in self.swaps.values() for other in group if other.connector == swap.connector)
         is_output = self.builder.change.is_output
-        return any(connector == swap.connector and is_output(port) for port, connector in self.attaches)
+        return any(other != swap and not self.can_take_over(other) for other in others) or any(
+            connector == swap.connector and is_output(port) for port, connector in self.attaches
+        )
 
     def _is_capped(self, connector: str) -> bool:
         return self.builder.configuration.context.connectors[connector].max_publishers is not None

@@ -11,7 +11,7 @@ from typing import Any, Literal, TypeVar
 
 from midstride.codec.form import Form
 from midstride.model.component import ComponentSpec, Connector, EnvironmentGuarantee, Resource
-from midstride.model.contract import NOTHING, Contract, format_number
+from midstride.model.contract import format_number
 from midstride.model.specification import Node, Specification
 
 Kind = Literal["added", "removed", "changed", "replaced", "rewired", "set"]
@@ -139,11 +139,7 @@ def _functionality(name: str, before: ComponentSpec, after: ComponentSpec) -> It
         for output in sorted({*mode.guarantees, *other.guarantees}):
             given, gives = mode.guarantee(output), other.guarantee(output)
             if given != gives:
-                yield _became(f"{where}, mode {mode.name}: {output}", _contract(given), _contract(gives))
-
-
-def _contract(contract: Contract) -> str:
-    return "nothing" if contract is NOTHING else str(contract)
+                yield _became(f"{where}, mode {mode.name}: {output}", given, gives)
 
 
 # -- nodes -----------------------------------------------------------------------------------------------
@@ -163,32 +159,24 @@ def _nodes(old: Specification, new: Specification) -> Iterator[Difference]:
 
 def _node(subject: str, old: Specification, new: Specification, before: Node, after: Node) -> Iterator[Difference]:
     details: list[str] = []
-    kind: Kind = "rewired"
     was, will = old.component_of(before.role), new.component_of(after.role)
-    if before.component != after.component and not was.same_body(will):
-        kind = "replaced"
+    replaced = not was.same_body(will)
+    if replaced and before.component != after.component:
         details.append(_became("component", before.component, after.component))
-    elif not was.same_body(will):
-        kind = "replaced"
+    elif replaced:
         details.append(f"component {after.component} is declared differently")
-    then, now = old.parameters_of(before.role), new.parameters_of(after.role)
+    then, now = old.instance(before.role).parameters, new.instance(after.role).parameters
     for name in sorted({*then, *now}):
         if name in then and name in now and then[name] == now[name]:
             continue
         declared = [component.parameters.get(name) for component in (was, will)]
-        changeable = all(parameter is not None and parameter.changeable for parameter in declared)
-        in_place = kind != "replaced" and changeable
-        details.append(
-            _became(f"parameter {name}", then.get(name), now.get(name)) + (", set in place" if in_place else "")
-        )
-        if not in_place:
-            kind = "replaced"
-        elif kind == "rewired":
-            kind = "set"
+        in_place = not replaced and all(parameter is not None and parameter.changeable for parameter in declared)
+        became = _became(f"parameter {name}", then.get(name), now.get(name))
+        details.append(became + (", set in place" if in_place else ""))
+        replaced = not in_place
     wiring = list(_wiring(before, after))
-    if wiring and kind == "set":
-        kind = "rewired"
     if details or wiring:
+        kind: Kind = "replaced" if replaced else "rewired" if wiring else "set"
         yield Difference(subject, kind, (*details, *wiring))
 
 

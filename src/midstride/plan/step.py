@@ -48,8 +48,7 @@ def mode_changes(configuration: Configuration, action: Action) -> tuple[ModeChan
     """The mode changes of an action about to be taken in ``configuration``, sorted."""
     if not isinstance(action, (Degrade, Upgrade)):
         return ()
-    changes = []
-    for ref, index in sorted(action.modes.items()):
-        modes = configuration.functionality(ref).modes
-        changes.append(ModeChange(ref, modes[configuration.modes[ref]].name, modes[index].name))
-    return tuple(changes)
+    return tuple(
+        ModeChange(ref, configuration.mode(ref).name, configuration.functionality(ref).modes[index].name)
+        for ref, index in sorted(action.modes.items())
+    )

@@ -17,40 +17,35 @@ def strongly_connected(graph: Mapping[N, Sequence[N]]) -> list[list[N]]:
     number: dict[N, int] = {}
     low: dict[N, int] = {}
     stack: list[N] = []
-    on_stack: set[N] = set()
+    work: list[tuple[N, Iterator[N]]] = []
     found: list[list[N]] = []
+
+    def visit(node: N) -> None:
+        number[node] = low[node] = len(number)
+        stack.append(node)
+        work.append((node, iter(graph[node])))
+
     for root in graph:
-        if root in number:
-            continue
-        number[root] = low[root] = len(number)
-        stack.append(root)
-        on_stack.add(root)
-        work: list[tuple[N, Iterator[N]]] = [(root, iter(graph[root]))]
+        if root not in number:
+            visit(root)
         while work:
             node, rest = work[-1]
             for following in rest:
-                if following not in graph:
-                    continue
-                if following not in number:
-                    number[following] = low[following] = len(number)
-                    stack.append(following)
-                    on_stack.add(following)
-                    work.append((following, iter(graph[following])))
-                    break
-                if following in on_stack:
+                if following in number:
                     low[node] = min(low[node], number[following])
+                elif following in graph:
+                    visit(following)
+                    break
             else:
                 work.pop()
                 if work:
                     parent = work[-1][0]
                     low[parent] = min(low[parent], low[node])
                 if low[node] == number[node]:
-                    component: list[N] = []
-                    while True:
-                        member = stack.pop()
-                        on_stack.discard(member)
-                        component.append(member)
-                        if member == node:
-                            break
-                    found.append(component[::-1])
+                    first = len(stack) - 1
+                    while stack[first] != node:
+                        first -= 1
+                    found.append(stack[first:])
+                    number.update(dict.fromkeys(stack[first:], len(graph)))  # so that they lower no other
+                    del stack[first:]
     return found

@@ -161,8 +161,8 @@ def _plan(
     request: PlanRequest, specification: Specification, configuration: Configuration
 ) -> tuple[Plan, Specification]:
     target = request.target(specification)
-    if request.to is None and len(request.replace) + len(request.remove) + len(request.add) == 1:
+    if len(request.roles()) == 1:
         change = requested_change(configuration, specification, request, target)
     else:
-        change = change_between(configuration, specification, target)
+        change = change_between(configuration, specification, target, renewed=request.renewed())
     return planner(request.strategy)(change), target

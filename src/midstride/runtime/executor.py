@@ -21,7 +21,7 @@ from midstride.errors import BackendError, MidstrideError, StepFailed
 from midstride.model.action import Action, Create, Degrade, Remove, SetParameters
 from midstride.model.component import FunctionalityRef
 from midstride.model.configuration import Configuration
-from midstride.plan.forms import AnyStep
+from midstride.plan.step_forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.backend import Exited
 from midstride.runtime.events import counted

@@ -12,7 +12,8 @@ from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.configuration import ConfigurationForm
 from midstride.codec.form import Form
-from midstride.plan.forms import AnyStep, PlanForm, PlanPreview
+from midstride.plan.forms import PlanForm, PlanPreview
+from midstride.plan.step_forms import AnyStep
 from midstride.runtime.measure import SwapReport
 from midstride.verify.verdict import Verdict
 

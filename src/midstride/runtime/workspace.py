@@ -76,6 +76,10 @@ class Workspace:
         folder.mkdir(mode=0o700, exist_ok=True)
         return folder
 
+    @property
+    def manager_log(self) -> Path:
+        return self.logs / "manager.log"
+
     @contextmanager
     def lock(self) -> Iterator[None]:
         """Held while a manager runs; the kernel frees it however that manager ends. Raises ManagerBusy."""

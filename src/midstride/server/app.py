@@ -6,6 +6,7 @@ manager, even if the client disconnects.
 
 from __future__ import annotations
 
+import asyncio
 import os
 from typing import Annotated
 
@@ -13,10 +14,11 @@ from fastapi import APIRouter, FastAPI, Header, Query, Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import StreamingResponse
 from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect
 
 from midstride import __version__
 from midstride.codec.specification import SpecificationForm
-from midstride.errors import MidstrideError
+from midstride.errors import MidstrideError, SpecificationError
 from midstride.plan.request_form import ChangeRequest
 from midstride.runtime.reports import (
     DownReport,
@@ -49,8 +51,10 @@ def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
     app.include_router(_reading(lifecycle, backend), prefix="/api/v1", tags=["reading"])
     app.include_router(_changing(lifecycle), prefix="/api/v1", tags=["changing"])
     app.add_exception_handler(MidstrideError, _refused)
+    app.add_exception_handler(SpecificationError, _faulty)
     app.add_exception_handler(RequestValidationError, _invalid)
-    app.add_exception_handler(HTTPException, _unknown_operation)
+    app.add_exception_handler(HTTPException, _http_error)
+    app.add_exception_handler(ClientDisconnect, _disconnected)
     app.add_exception_handler(Exception, _internal_error)
     document_forms(app)
     return app
@@ -60,15 +64,26 @@ async def _refused(_: Request, error: Exception) -> Response:
     return answer(Failure.of(error), status_of(error))
 
 
+async def _faulty(_: Request, error: Exception) -> Response:
+    return await asyncio.to_thread(lambda: answer(Failure.of(error), status_of(error)))  # of thousands of faults
+
+
 async def _invalid(_: Request, error: Exception) -> Response:
     assert isinstance(error, RequestValidationError)
     return answer(Failure.named("SpecificationError", in_one_line(list(error.errors()))), 422)
 
 
-async def _unknown_operation(request: Request, error: Exception) -> Response:
+async def _http_error(request: Request, error: Exception) -> Response:
     assert isinstance(error, HTTPException)
-    message = f"{request.method} {request.url.path}: {error.detail}; /api/v1/openapi.json lists every operation"
-    return answer(Failure.named("NoOperation", message), error.status_code, error.headers)
+    kind, message = "TooLarge", error.detail
+    if error.status_code != 413:
+        kind = "NoOperation"
+        message = f"{request.method} {request.url.path}: {message}; /api/v1/openapi.json lists every operation"
+    return answer(Failure.named(kind, message), error.status_code, error.headers)
+
+
+async def _disconnected(_: Request, __: Exception) -> Response:
+    return Response(status_code=400)  # nothing reads it
 
 
 async def _internal_error(_: Request, error: Exception) -> Response:
@@ -139,16 +154,16 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
 def _changing(lifecycle: Lifecycle) -> APIRouter:
     router, manager = APIRouter(), lifecycle.manager
 
-    @router.post("/plan", responses=answers(PlannedChange), openapi_extra=request_body(ChangeRequest))
+    @router.post("/plan", responses=answers(PlannedChange, body=True), openapi_extra=request_body(ChangeRequest))
     async def plan(http: Request) -> Response:
         """The plan for a change; nothing is changed. Pass its `revision` as `expected` to `/change`."""
         request = await read_request(http)
         lifecycle.require_up()
         revision = manager.revision
         found = await manager.plan(request)
-        return answer(PlannedChange.of(found, revision=revision))
+        return await asyncio.to_thread(lambda: answer(PlannedChange.of(found, revision=revision)))
 
-    @router.post("/change", responses=answers(Outcome), openapi_extra=request_body(SubmittedChange))
+    @router.post("/change", responses=answers(Outcome, body=True), openapi_extra=request_body(SubmittedChange))
     async def change(http: Request) -> Response:
         """Carry out a change, once the commands before it are done; responds when it has been measured."""
         change, request = await read_change(http)

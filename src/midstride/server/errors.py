@@ -19,6 +19,7 @@ _STATUS: Final[tuple[tuple[type[Exception], int], ...]] = (
     (errors.ActionRefused, 409),
     (errors.NoManager, 404),
     (errors.ManagerError, 409),
+    (errors.VerificationError, 409),
     (errors.CallTimeout, 504),
     (errors.BackendError, 502),
     (errors.MidstrideError, 500),

@@ -12,7 +12,7 @@ from midstride.codec.specification import SpecificationForm
 from midstride.plan.request_form import ChangeRequest
 from midstride.runtime import reports
 from midstride.server.errors import Failure
-from midstride.server.requests import SubmittedChange
+from midstride.server.requests import LARGEST_BODY, SubmittedChange
 
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
 
@@ -34,16 +34,23 @@ FORMS: Final = (
 _TEMPLATE: Final = "#/components/schemas/{name}"
 
 
-def answers(form: Any) -> Responses:
-    """The responses of an operation: ``form``, or a list of it, and what each failure means."""
-    return {200: _described(form, "the answer"), **failures()}
+def answers(form: Any, *, body: bool = False) -> Responses:
+    """The responses of an operation: ``form``, or a list of it, and what each failure means.
+
+    ``body``: its requests have one.
+    """
+    too_large: Responses = {413: _described(Failure, f"the body has more than {LARGEST_BODY} bytes")} if body else {}
+    return {200: _described(form, "the answer"), **failures(), **too_large}
 
 
 def failures() -> Responses:
     return {
+        401: _described(Failure, "over TCP: the token is missing or wrong"),
         409: _described(Failure, "refused; nothing was changed, and the message says why"),
-        422: _described(Failure, "invalid request or specification; every fault is listed"),
+        422: _described(Failure, "not JSON, or an invalid request or specification; every fault is listed"),
+        500: _described(Failure, "the system could not be brought up, or an internal error"),
         502: _described(Failure, "the platform failed"),
+        504: _described(Failure, "a component did not answer in time"),
     }
 
 
@@ -58,7 +65,11 @@ def document_forms(app: FastAPI) -> None:
 
     def openapi() -> dict[str, Any]:
         document = plain()
-        document.setdefault("components", {})["schemas"] = schemas(FORMS, _TEMPLATE)
+        document["components"] = {
+            "schemas": schemas(FORMS, _TEMPLATE),
+            "securitySchemes": {"token": {"type": "http", "scheme": "bearer", "description": "over TCP alone"}},
+        }
+        document["security"] = [{"token": []}, {}]
         return document
 
     app.openapi = openapi  # type: ignore[method-assign]  # the way that FastAPI documents

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterable
-from typing import Annotated, ClassVar, TypeVar
+from typing import Annotated, ClassVar, Final, TypeVar
 
 import msgspec
+from fastapi import HTTPException
 from fastapi import Request as HttpRequest
 
 from midstride.codec.form import Form, field
@@ -17,6 +19,9 @@ from midstride.plan.request_form import ChangeRequest, request_names
 
 F = TypeVar("F", bound=msgspec.Struct)
 T = TypeVar("T")
+
+# The specification of 1,000 nodes has about 150,000 bytes.
+LARGEST_BODY: Final = 1_048_576
 
 
 class SubmittedChange(Form, frozen=True):
@@ -36,12 +41,12 @@ class SubmittedChange(Form, frozen=True):
 
 
 async def read_request(http: HttpRequest) -> PlanRequest:
-    """The request in the body. Raises SpecificationError with every fault."""
+    """The request in the body. Raises SpecificationError with every fault; HTTPException if the body is too large."""
     return await _read(http, ChangeRequest, ChangeRequest.request, request_names)
 
 
 async def read_change(http: HttpRequest) -> tuple[SubmittedChange, PlanRequest]:
-    """The change in the body, and its request. Raises SpecificationError with every fault."""
+    """The change in the body, and its request. Raises as :func:`read_request` does."""
     return await _read(http, SubmittedChange, _parts, lambda parts: under("request", request_names(parts[1])))
 
 
@@ -52,8 +57,22 @@ def _parts(form: SubmittedChange) -> tuple[SubmittedChange, PlanRequest]:
 async def _read(
     http: HttpRequest, form: type[F], build: Callable[[F], T], names: Callable[[T], Iterable[Problem]]
 ) -> T:
-    try:
-        text = (await http.body()).decode()
-    except UnicodeDecodeError as error:
-        raise SpecificationError([Problem("E001", (), f"not JSON: {error}")]) from None
-    return decode(parse_json(text), form, build, names)
+    body = await _body(http)
+
+    def read() -> T:
+        try:
+            text = body.decode()
+        except UnicodeDecodeError as error:
+            raise SpecificationError([Problem("E001", (), f"not JSON: {error}")]) from None
+        return decode(parse_json(text), form, build, names)
+
+    return await asyncio.to_thread(read)  # it can take seconds
+
+
+async def _body(http: HttpRequest) -> bytes:
+    body = bytearray()
+    async for chunk in http.stream():
+        body += chunk
+        if len(body) > LARGEST_BODY:
+            raise HTTPException(413, f"the body has more than {LARGEST_BODY} bytes")
+    return bytes(body)

@@ -12,8 +12,8 @@ import socket
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
-import uvicorn
 from starlette.datastructures import Headers
 from starlette.types import ASGIApp, Receive, Scope, Send
 
@@ -21,14 +21,19 @@ from midstride.errors import ManagerError
 from midstride.runtime.manager import Manager
 from midstride.runtime.workspace import Workspace
 from midstride.server.app import create_app
+from midstride.server.connections import Server, connection_limit
 from midstride.server.errors import Failure, answer
 from midstride.server.lifecycle import Lifecycle
 
 log = logging.getLogger(__name__)
 
-LOOPBACK = "127.0.0.1"
-# How long requests in progress may take when the manager exits (s).
-LAST_ANSWERS = 2
+LOOPBACK: Final = "127.0.0.1"
+# How many connections each kind may have, and which share of the descriptors. The rest is the control plane's.
+_UNIX_LIMIT: Final = (256, 1 / 4)
+_TCP_LIMIT: Final = (64, 1 / 8)
+_BACKLOG: Final = 128
+# A client without the token may not keep its connection.
+_UNAUTHORIZED: Final = {"WWW-Authenticate": "Bearer", "Connection": "close"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,14 +42,6 @@ class Tcp:
 
     port: int
     host: str = LOOPBACK
-
-
-class _Server(uvicorn.Server):
-    """uvicorn without its signal handlers: only this module decides when the manager exits."""
-
-    @contextlib.contextmanager
-    def capture_signals(self) -> Iterator[None]:
-        yield
 
 
 async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tcp | None = None) -> int:
@@ -58,13 +55,14 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
     app = create_app(lifecycle, backend=backend)
     token_file = workspace.path / "token"
     with contextlib.ExitStack() as stack:
-        servers = [(_server(app), stack.enter_context(_unix(workspace.socket)))]
+        servers = [Server(app, stack.enter_context(_unix(workspace.socket)), connection_limit(*_UNIX_LIMIT))]
         if tcp is not None:
             listening = stack.enter_context(_tcp(tcp))
             stack.callback(token_file.unlink, missing_ok=True)
-            servers.append((_server(_BearerAuth(app, _new_token(token_file))), listening))
+            protected = _BearerAuth(app, _new_token(token_file))
+            servers.append(Server(protected, listening, connection_limit(*_TCP_LIMIT)))
         with _on_signals(lifecycle.ended.set):
-            serving = [asyncio.ensure_future(server.serve([listening])) for server, listening in servers]
+            serving = [asyncio.ensure_future(server.serve()) for server in servers]
             up = asyncio.ensure_future(lifecycle.bring_up())
             over = asyncio.ensure_future(lifecycle.until_over())
             await asyncio.wait({over, *serving}, return_when=asyncio.FIRST_COMPLETED)
@@ -72,7 +70,7 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
             up.cancel()
             over.cancel()
             interrupting = asyncio.ensure_future(lifecycle.interrupt())
-            for server, _ in servers:
+            for server in servers:
                 server.should_exit = True
             ends = await asyncio.gather(*serving, return_exceptions=True)
             await asyncio.gather(up, over, interrupting, return_exceptions=True)
@@ -81,13 +79,6 @@ async def serve(manager: Manager, workspace: Workspace, *, backend: str, tcp: Tc
     for failure in failures:
         log.error("a server of the manager has failed, so it exits", exc_info=failure)
     return 1 if failures or lifecycle.phase == "failed" else 0
-
-
-def _server(app: ASGIApp) -> _Server:
-    config = uvicorn.Config(
-        app, log_config=None, access_log=False, lifespan="off", timeout_graceful_shutdown=LAST_ANSWERS, ws="none"
-    )
-    return _Server(config)
 
 
 @contextlib.contextmanager
@@ -104,7 +95,7 @@ def _unix(path: Path) -> Iterator[socket.socket]:
     finally:
         os.umask(before)
     try:
-        listening.listen(128)
+        listening.listen(_BACKLOG)
         yield listening
     finally:
         listening.close()
@@ -116,7 +107,8 @@ def _tcp(tcp: Tcp) -> Iterator[socket.socket]:
     try:
         found = socket.getaddrinfo(tcp.host, tcp.port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)
         family, _, _, _, address = found[0]
-        listening = socket.create_server(address, family=family)
+        listening = socket.create_server(address, family=family, backlog=_BACKLOG)
+        listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # else a kept connection answers 40 ms late
     except OSError as error:
         raise ManagerError(f"cannot listen on {tcp.host}, port {tcp.port}: {error.strerror or error}") from None
     with listening:
@@ -148,7 +140,7 @@ class _BearerAuth:
             authorization = Headers(scope=scope).get("authorization", "").encode()
             if not secrets.compare_digest(authorization, self._expected):
                 failure = Failure.named("Unauthorized", "send the header `Authorization: Bearer <token>`")
-                app = answer(failure, 401, {"WWW-Authenticate": "Bearer"})
+                app = answer(failure, 401, _UNAUTHORIZED)
         await app(scope, receive, send)
 
 

@@ -53,7 +53,11 @@ class Puppet:
             self._functionality(functionality)
         for name, parameter in self._declared.parameters.items():
             self.component.parameter(name, parameter.value, self._changed(name) if parameter.changeable else None)
-        self._hooks()
+        self.component.on_export_state(self._export)
+        if description.get("keeps_state"):
+            self.component.on_import_state(self._import)
+        if (stop := description.get("on_stop")) is not None:
+            self.component.on_stop(lambda: self._stop(stop), timeout=stop.get("timeout", 2.0))
 
     def start(self) -> None:
         self.component.start()
@@ -128,35 +132,33 @@ class Puppet:
     ) -> Callable[..., Any]:
         """The function of a mode: called with one message of each of ``inputs``."""
 
-        def is_affected() -> bool:
-            self._calls[key] = self._calls.get(key, 0) + 1
-            return "at_call" not in behaviour or behaviour["at_call"] == self._calls[key]
+        def begin(messages: tuple[Any, ...]) -> tuple[str, dict[str, Any]]:
+            """What to write, and what applies to this call."""
+            calls = self._calls[key] = self._calls.get(key, 0) + 1
+            texts = [text_of(message) for message in messages]
+            for port, text in zip(inputs, texts, strict=True):
+                self._received.setdefault(port.name, []).append(text)
+            words = " ".join(texts) if texts else f"{self.component.instance} {key.rpartition('.')[2]} {calls}"
+            return words, behaviour if behaviour.get("at_call", calls) == calls else {}
 
-        def answer(messages: tuple[Any, ...]) -> str:
-            for port, message in zip(inputs, messages, strict=True):
-                self._received.setdefault(port.name, []).append(text_of(message))
-            if messages:
-                return " ".join(text_of(message) for message in messages)
-            return f"{self.component.instance} {key.rpartition('.')[2]} {self._calls[key]}"
-
-        def finish(words: str, affected: bool) -> None:
-            if affected and "raise" in behaviour:
-                raise RuntimeError(behaviour["raise"])
+        def finish(words: str, applies: dict[str, Any]) -> None:
+            if "raise" in applies:
+                raise RuntimeError(applies["raise"])
             if not behaviour.get("silent"):
                 for output in outputs:
                     self._write(output, words)
 
         def blocking(*messages: Any) -> None:
-            affected, words = is_affected(), answer(messages)
-            if affected and "sleep" in behaviour:
-                time.sleep(behaviour["sleep"])
-            finish(words, affected)
+            words, applies = begin(messages)
+            if "sleep" in applies:
+                time.sleep(applies["sleep"])
+            finish(words, applies)
 
         async def awaiting(*messages: Any) -> None:
-            affected, words = is_affected(), answer(messages)
-            if affected:
-                await self.component.clock.sleep(behaviour["pause"])
-            finish(words, affected)
+            words, applies = begin(messages)
+            if "pause" in applies:
+                await self.component.clock.sleep(applies["pause"])
+            finish(words, applies)
 
         return awaiting if "pause" in behaviour else blocking
 
@@ -177,14 +179,6 @@ class Puppet:
         return on_change
 
     # -- callbacks -------------------------------------------------------------------------------------
-
-    def _hooks(self) -> None:
-        self.component.on_export_state(self._export)
-        if self._description.get("keeps_state"):
-            self.component.on_import_state(self._import)
-        stop = self._description.get("on_stop")
-        if stop is not None:
-            self.component.on_stop(lambda: self._stop(stop), timeout=stop.get("timeout", 2.0))
 
     def _export(self) -> bytes:
         latest = {name: text_of(self._inputs[name].latest) for name in self._description.get("latest", [])}

@@ -8,6 +8,7 @@ that the relation is a preorder. Several systems may share one set of atoms.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Final
@@ -161,25 +162,16 @@ class AlloyAtoms:
 
         There is room for one more than the maximum, the publisher that `attach` must refuse: Alloy's integers wrap.
         """
-        publishers: dict[str, set[str]] = {connector: set() for connector in self.capped}
-        slots: dict[str, set[str]] = {connector: set() for connector in self.capped}
-        for _, connector, port in self.tuples["roles"]:
-            if connector in publishers and port in self.sigs["Output"]:
-                publishers[connector].add(port)
-        for publisher, connector in self.tuples["on"]:
-            if connector in publishers:
-                publishers[connector].add(publisher)
-        for connector, slot in self.tuples["slots"]:
-            slots[connector].add(slot)
-        most = max([_MIN_COUNT, *(len(atoms) for counted in (publishers, slots) for atoms in counted.values())])
+        publishers = {(topic, port) for _, topic, port in self.tuples["roles"] if port in self.sigs["Output"]}
+        publishers |= {(topic, publisher) for publisher, topic in self.tuples["on"]}
+        counts = [Counter(topic for topic, _ in pairs) for pairs in (publishers, self.tuples["slots"])]
+        most = max([_MIN_COUNT, *(count[topic] for count in counts for topic in self.capped)])
         return (most + 1).bit_length() + 1
 
     def scope(self) -> str:
         """The scope that contains exactly these atoms, and the one of Findings."""
         exactly = ", ".join(f"exactly {len(atoms)} {sig}" for sig, atoms in self.sigs.items())
         return f"for 1 but {exactly}, {self.bitwidth} Int"
-
-    # -- text -----------------------------------------------------------------------------------------
 
     def text(self) -> str:
         """The signatures and relations. Raises TooLarge if they exceed what Alloy can handle."""

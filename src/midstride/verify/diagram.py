@@ -10,22 +10,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from html import escape
 from textwrap import wrap
-from typing import Final, Literal
+from typing import Final
 
 from midstride.verify.verdict import CauseLink, Verdict
 
 _WIDTH: Final = 44
 _RED, _GREEN = "#fce8e6", "#e6f4ea"
-# Dot's shape, and Mermaid's brackets, of each thing.
-_SHAPES: Final = {
-    "finding": ("note", '["', '"]'),
-    "functionality": ("box", '["', '"]'),
-    "assumption": ("plaintext", '["', '"]'),
-    "input": ("box", '["', '"]'),
-    "topic": ("ellipse", '(["', '"])'),
-    "output": ("box", '["', '"]'),
-    "environment": ("box", '["', '"]'),
-}
+# Dot's shape of each thing that is not a box.
+_SHAPES: Final = {"finding": "note", "assumption": "plaintext", "topic": "ellipse"}
 
 
 def chain_lines(link: CauseLink, depth: int = 0) -> Iterator[str]:
@@ -38,11 +30,11 @@ def chain_lines(link: CauseLink, depth: int = 0) -> Iterator[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Box:
-    """One box of the diagram, and the box above it."""
+    """One box of the diagram, and the box above it. ``thing`` is ``finding``, or that of a link of the chain."""
 
     id: str
     above: str | None
-    thing: Literal["finding", "functionality", "assumption", "input", "topic", "output", "environment"]
+    thing: str
     lines: tuple[str, ...]
     satisfied: bool
 
@@ -58,7 +50,7 @@ def to_dot(verdict: Verdict) -> str:
     for box in _boxes(verdict):
         label = "\\n".join(_dot(line) for line in box.lines)
         colour = _GREEN if box.satisfied else _RED
-        lines.append(f'  {box.id} [shape={_SHAPES[box.thing][0]}, fillcolor="{colour}", label="{label}"];')
+        lines.append(f'  {box.id} [shape={_SHAPES.get(box.thing, "box")}, fillcolor="{colour}", label="{label}"];')
         if box.above is not None:
             lines.append(f"  {box.above} -> {box.id};")
     return "\n".join([*lines, "}", ""])
@@ -68,7 +60,7 @@ def to_mermaid(verdict: Verdict) -> str:
     """The findings of a verdict as a Mermaid flow chart."""
     lines = ["flowchart LR"]
     for box in _boxes(verdict):
-        _, left, right = _SHAPES[box.thing]
+        left, right = ('(["', '"])') if box.thing == "topic" else ('["', '"]')
         text = "<br/>".join(_mermaid(line) for line in box.lines)
         lines.append(f"  {box.id}{left}{text}{right}:::{'good' if box.satisfied else 'bad'}")
         if box.above is not None:
@@ -83,13 +75,11 @@ def _boxes(verdict: Verdict) -> Iterator[_Box]:
         lines = (*wrap(finding.where, _WIDTH), *wrap(f"{finding.subject}: {finding.because}", _WIDTH))
         yield _Box(name, None, "finding", lines, False)
         if finding.chain is not None:
-            yield from _links(finding.chain, name, name)
+            yield from _links(finding.chain, f"{name}_1", name)
 
 
-def _links(link: CauseLink, name: str, above: str) -> Iterator[_Box]:
-    id = f"{name}_1" if above == name else name
-    lines = [link.name, *wrap(link.detail, _WIDTH)]
-    yield _Box(id, above, link.thing, tuple(lines), link.satisfied)
+def _links(link: CauseLink, id: str, above: str) -> Iterator[_Box]:
+    yield _Box(id, above, link.thing, (link.name, *wrap(link.detail, _WIDTH)), link.satisfied)
     for number, under in enumerate(link.under, start=1):
         yield from _links(under, f"{id}_{number}", id)
 

@@ -6,19 +6,18 @@ scope. It includes the specification, so that Alloy can open it without other fi
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from midstride.model.action import Create, SetParameters
 from midstride.model.best import best
-from midstride.model.configuration import Configuration, Instance, configure
+from midstride.model.configuration import Configuration, configure
 from midstride.plan.plan import Plan
 from midstride.plan.step import Step
 from midstride.verify.alloy_atoms import AlloyAtoms
 from midstride.verify.alloy_text import Obligations, StepName, StepObligation, configuration_detail, render, step_detail
-from midstride.verify.formulas import NotEncoded, formula
-from midstride.verify.world_encoder import WorldEncoder
+from midstride.verify.formulas import formula
+from midstride.verify.world_encoder import NotEncoded, WorldEncoder
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +56,7 @@ def dump_configuration(configuration: Configuration, name: str, subject: str = "
     """One configuration, to be checked for validity. Raises TooLarge."""
     atoms = AlloyAtoms()
     encoder = WorldEncoder(atoms, configuration.context)
-    for instance in _sorted(configuration):
-        encoder.instance(instance)
+    encoder.instances(configuration)
     encodable, unencodable = _encodable(configuration)
     encoder.overloads()
     system = encoder.system(encodable, 0, subject)
@@ -87,8 +85,7 @@ def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
     walk = _PlanWalk(encoder, plan)
     target, unencodable = _target(plan, walk.configurations[-1])
     if target is not None:
-        for instance in _sorted(target):
-            encoder.instance(instance)
+        encoder.instances(target)
     encoder.overloads()
     encoded = range(len(plan.steps) + 1) if detail is None else range(max(0, detail - 1), detail + 1)
     systems: dict[int, str] = {}
@@ -123,10 +120,6 @@ def dump_plan(plan: Plan, name: str, detail: int | None = None) -> Dump:
     )
 
 
-def _sorted(configuration: Configuration) -> list[Instance]:
-    return sorted(configuration.instances.values(), key=lambda instance: instance.name)
-
-
 class _PlanWalk:
     """The configurations that a plan passes through, and the steps that refer to something that does not exist."""
 
@@ -134,8 +127,7 @@ class _PlanWalk:
         self.unencodable: list[Unencodable] = []
         self.impossible: set[int] = set()
         configuration = plan.change.start
-        for instance in _sorted(configuration):
-            encoder.instance(instance)
+        encoder.instances(configuration)
         taken = [configuration]
         for number, step in enumerate(plan.steps, start=1):
             action = step.action
@@ -149,21 +141,16 @@ class _PlanWalk:
             else:
                 if isinstance(action, SetParameters):  # the specification has no parameters
                     self.unencodable += [Unencodable(number, str(reason)) for reason in action.check(configuration)]
-                self.unencodable += [Unencodable(number, reason) for reason in _wrong_modes(configuration, step)]
+                for change in step.modes:
+                    ref = change.functionality
+                    if ref in configuration.modes and (now := configuration.mode(ref).name) != change.before:
+                        because = f"it assumes that {ref} is in mode {change.before}, but it is in mode {now}"
+                        self.unencodable.append(Unencodable(number, because))
                 # If it cannot be applied, its precondition fails, and Alloy reports that.
                 with suppress(KeyError):
                     configuration = action.effect(configuration)
             taken.append(configuration)
         self.configurations = tuple(taken)
-
-
-def _wrong_modes(configuration: Configuration, step: Step) -> Iterator[str]:
-    """Functionalities that a step takes to be in another mode than they are."""
-    for change in step.modes:
-        if change.functionality not in configuration.modes:
-            continue
-        if (now := configuration.mode(change.functionality).name) != change.before:
-            yield f"it assumes that {change.functionality} is in mode {change.before}, but it is in mode {now}"
 
 
 def _encodable(configuration: Configuration) -> tuple[Configuration, tuple[Unencodable, ...]]:

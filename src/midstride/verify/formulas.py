@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
-from typing import TypeVar
 
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
-from midstride.model.component import FunctionalityRef, PortRef
-from midstride.verify.world_encoder import WorldEncoder
-
-_Key = TypeVar("_Key", bound=Hashable)
-
-
-class NotEncoded(Exception):
-    """An action refers to something for which the dump has no atom; the message names it."""
+from midstride.model.component import PortRef
+from midstride.verify.world_encoder import NotEncoded, WorldEncoder
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +31,7 @@ def formula(encoder: WorldEncoder, action: Action, before: str, after: str) -> F
     s, t = before, after
     match action:
         case Create():
-            c = _component(encoder, action.instance.name)
+            c = encoder.components[action.instance.name]
             return Formula(
                 f"can_create_within[{s}, {c}]",
                 f"can_create_within[{s}, {c}] and create[{s}, {t}, {c}]",
@@ -49,7 +41,7 @@ def formula(encoder: WorldEncoder, action: Action, before: str, after: str) -> F
                 ),
             )
         case Remove():
-            c = _component(encoder, action.instance)
+            c = encoder.components[action.instance]
             return Formula(
                 f"can_remove[{s}, {c}]",
                 f"remove[{s}, {t}, {c}]",
@@ -57,7 +49,7 @@ def formula(encoder: WorldEncoder, action: Action, before: str, after: str) -> F
                 attached=f"{s}.roles & Connector -> ports[{c}]",
             )
         case Attach():
-            p, k = _port(encoder, action.port), _connector(encoder, action.connector)
+            p, k = encoder.ports[action.port], encoder.connectors[action.connector]
             return Formula(
                 f"can_attach_within[{s}, {k}, {p}]",
                 f"can_attach_within[{s}, {k}, {p}] and attach[{s}, {t}, {k}, {p}]",
@@ -69,7 +61,7 @@ def formula(encoder: WorldEncoder, action: Action, before: str, after: str) -> F
                 ),
             )
         case Detach():
-            p, k = _port(encoder, action.port), _connector(encoder, action.connector)
+            p, k = encoder.ports[action.port], encoder.connectors[action.connector]
             return Formula(
                 f"can_detach[{s}, {k}, {p}]",
                 f"detach[{s}, {t}, {k}, {p}]",
@@ -81,16 +73,18 @@ def formula(encoder: WorldEncoder, action: Action, before: str, after: str) -> F
         case Handover():
             return _handover(encoder, action, s, t)
         case SetParameters():  # the specification has no parameters: the model checks whether they are changeable
-            live = f"{_component(encoder, action.instance)} in {s}.comps"
+            live = f"{encoder.components[action.instance]} in {s}.comps"
             return Formula(live, f"{live} and unchanged[{s}, {t}]", (("it is not live", live),))
     raise TypeError(f"no formula for {action!r}")
 
 
 def _modes(encoder: WorldEncoder, action: Degrade | Upgrade, s: str, t: str) -> Formula:
-    atoms = [
-        (_lookup(encoder.functionalities, ref, "functionality"), _mode(encoder, ref, index))
-        for ref, index in sorted(action.modes.items())
-    ]
+    atoms = []
+    for ref, index in sorted(action.modes.items()):
+        functionality = encoder.functionalities[ref]
+        if (ref, index) not in encoder.modes:
+            raise NotEncoded(f"{ref} has no mode number {index}")
+        atoms.append((functionality, encoder.modes[ref, index]))
     to = " + ".join(f"{functionality} -> {mode}" for functionality, mode in atoms) or "none -> none"
     fs = " + ".join(functionality for functionality, _ in atoms) or "none"
     if isinstance(action, Degrade):
@@ -111,7 +105,7 @@ def _modes(encoder: WorldEncoder, action: Degrade | Upgrade, s: str, t: str) -> 
 
 def _handover(encoder: WorldEncoder, action: Handover, s: str, t: str) -> Formula:
     swaps = [
-        (_connector(encoder, swap.connector), _output(encoder, swap.old), _output(encoder, swap.new))
+        (encoder.connectors[swap.connector], _output(encoder, swap.old), _output(encoder, swap.new))
         for swap in action.swaps
     ]
     # Checked here because the specification cannot express it: a repeated swap is the same tuple, an input is in none.
@@ -140,34 +134,8 @@ def _handover(encoder: WorldEncoder, action: Handover, s: str, t: str) -> Formul
     )
 
 
-def _lookup(table: Mapping[_Key, str], key: _Key, kind: str) -> str:
-    atom = table.get(key)
-    if atom is None:
-        raise NotEncoded(f"there is no {kind} {key}")
-    return atom
-
-
-def _component(encoder: WorldEncoder, name: str) -> str:
-    return _lookup(encoder.components, name, "component")
-
-
-def _port(encoder: WorldEncoder, ref: PortRef) -> str:
-    return _lookup(encoder.ports, ref, "port")
-
-
 def _output(encoder: WorldEncoder, ref: PortRef) -> str:
-    port = _port(encoder, ref)
+    port = encoder.ports[ref]
     if port not in encoder.atoms.sigs["Output"]:
         raise NotEncoded(f"{ref} is an input, not an output")
     return port
-
-
-def _connector(encoder: WorldEncoder, name: str) -> str:
-    return _lookup(encoder.connectors, name, "topic")
-
-
-def _mode(encoder: WorldEncoder, ref: FunctionalityRef, index: int) -> str:
-    atom = encoder.modes.get((ref, index))
-    if atom is None:
-        raise NotEncoded(f"{ref} has no mode number {index}")
-    return atom

@@ -15,14 +15,13 @@ import subprocess
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from threading import Event
 from typing import Any, Final
-
-import psutil
 
 from midstride.errors import AlloyFailed, AlloyMissing
 
@@ -81,10 +80,10 @@ class Alloy:
             options = [*(["-XX:TieredStopAtLevel=1"] if quick else []), *([f"-Xmx{memory}m"] if memory else [])]
             output = Path(folder) / "out"
             line = [*self._java(folder, *options), "exec", "-q", "-f", "-t", "json", "-s", solver, "-o", str(output)]
-            ended = run([*line, "-c", commands, str(source)], limit, stop)
+            status, text = run([*line, "-c", commands, str(source)], limit, stop)
             receipt = output / "receipt.json"
-            if ended.code != 0 or not receipt.is_file():
-                raise AlloyFailed(_reason(ended.text))
+            if status != 0 or not receipt.is_file():
+                raise AlloyFailed(_reason(text))
             try:
                 document = json.loads(receipt.read_text(encoding="utf-8"))
                 return {name: _outcome(entry) for name, entry in document["commands"].items()}
@@ -94,7 +93,7 @@ class Alloy:
     def solvers(self) -> list[str]:
         """The solvers available on this machine. Raises AlloyFailed where there is no answer."""
         with tempfile.TemporaryDirectory(prefix="midstride-alloy-") as folder:
-            return run([*self._java(folder), "solvers", "-l"], 60.0).text.split()
+            return run([*self._java(folder), "solvers", "-l"], 60.0)[1].split()
 
     def _java(self, folder: str, *options: str) -> list[str]:
         """The start of a command line of the Analyzer, with ``folder`` for its temporary files."""
@@ -102,16 +101,11 @@ class Alloy:
         return [self.java, f"-Djava.io.tmpdir={folder}", headless, "-XX:+UseSerialGC", *options, "-jar", str(self.jar)]
 
 
-@dataclass(frozen=True, slots=True)
-class AlloyOutput:
-    """The exit status and the output of a process."""
+def run(line: Sequence[str], limit: float, stop: Event | None = None) -> tuple[int, str]:
+    """The exit status and the output of a process, which runs in its own group.
 
-    code: int
-    text: str
-
-
-def run(line: Sequence[str], limit: float, stop: Event | None = None) -> AlloyOutput:
-    """Run a process in its own group. After ``limit`` (s), or on ``stop``, kill the group and raise AlloyFailed."""
+    After ``limit`` (s), or on ``stop``, kills the group and raises AlloyFailed.
+    """
     try:
         process = subprocess.Popen(
             line, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, start_new_session=True
@@ -123,7 +117,7 @@ def run(line: Sequence[str], limit: float, stop: Event | None = None) -> AlloyOu
     finally:
         if process.poll() is None:
             _kill(process)
-    return AlloyOutput(process.returncode, text.decode("utf-8", "replace"))
+    return process.returncode, text.decode("utf-8", "replace")
 
 
 def _output(process: subprocess.Popen[bytes], limit: float, stop: Event | None) -> bytes:
@@ -140,13 +134,9 @@ def _output(process: subprocess.Popen[bytes], limit: float, stop: Event | None) 
 
 def _kill(process: subprocess.Popen[bytes]) -> None:
     for number in (signal.SIGTERM, signal.SIGKILL):
-        try:
+        with suppress(ProcessLookupError, subprocess.TimeoutExpired):
             os.killpg(process.pid, number)
             process.wait(_STOP_TIMEOUT)
-            break
-        except subprocess.TimeoutExpired:
-            continue
-        except ProcessLookupError:
             break
     if process.stdout is not None:
         process.stdout.close()
@@ -171,9 +161,6 @@ def _reason(text: str) -> str:
         return "Alloy ran out of memory"
     lines = [line for line in text.splitlines() if line.strip() and not _NOISE.match(line)]
     return " ".join(dict.fromkeys(line.strip() for line in lines)) or "Alloy ended without an answer"
-
-
-# -- finding it --------------------------------------------------------------------------------------------
 
 
 def find(named: Path | None = None) -> Alloy:
@@ -235,7 +222,7 @@ def _java() -> str:
 @cache
 def _java_version(java: str) -> int | None:
     try:
-        found = re.search(r'version "(?:1\.)?(\d+)', run([java, "-version"], 60.0).text)
+        found = re.search(r'version "(?:1\.)?(\d+)', run([java, "-version"], 60.0)[1])
     except AlloyFailed:
         return None
     return int(found[1]) if found else None
@@ -248,8 +235,3 @@ def fast_solver(alloy: Alloy) -> str:
         return "glucose" if "glucose" in alloy.solvers() else "sat4j"
     except AlloyFailed:
         return "sat4j"
-
-
-def available_memory() -> int:
-    """Memory that can be used without swapping (MiB)."""
-    return int(psutil.virtual_memory().available) // 2**20

@@ -10,17 +10,19 @@ import os
 import re
 import tempfile
 import time
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
 from typing import Any, Final
 
+import psutil
+
 from midstride.errors import AlloyFailed
 from midstride.verify import library
 from midstride.verify.library import AlloyCommand
-from midstride.verify.run import Alloy, SolverOutcome, available_memory, fast_solver
+from midstride.verify.run import Alloy, SolverOutcome, fast_solver
 from midstride.verify.verdict import Answer
 
 # The heap of one process (MiB), and its default time limit (s).
@@ -96,7 +98,7 @@ def tasks(scope: int, modules: Sequence[str] | None = None) -> list[Task]:
 def parallel_jobs() -> int:
     """How many processes this machine has processors and memory for; at least one."""
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min(processors, available_memory() // MEMORY))
+    return max(1, min(processors, int(psutil.virtual_memory().available) // (MEMORY * 2**20)))
 
 
 def check_specification(
@@ -120,13 +122,12 @@ def check_specification(
             # The expectation is compared here: Alloy would stop without an answer where it is wrong.
             (Path(folder) / f"{module}.als").write_text(_EXPECT.sub("", text), encoding="utf-8")
 
-        def checked(task: Task) -> Checked:
-            begun = time.monotonic()
-            answer, because = _checked(alloy, Path(folder), task, solver, scope <= _SMALL, limit, stop)
-            return Checked(task, answer, time.monotonic() - begun, because)
+        def solve(task: Task) -> dict[str, SolverOutcome]:
+            source, quick = Path(folder) / f"{task.module}.als", scope <= _SMALL
+            return alloy.solve(source, task.pattern, limit=limit, solver=solver, memory=MEMORY, quick=quick, stop=stop)
 
         with ThreadPoolExecutor(jobs or parallel_jobs()) as pool:
-            waiting = [pool.submit(checked, task) for task in tasks(scope, modules)]
+            waiting = [pool.submit(_checked, task, solve) for task in tasks(scope, modules)]
             try:
                 for done in as_completed(waiting):
                     yield done.result()
@@ -135,28 +136,24 @@ def check_specification(
                 pool.shutdown(cancel_futures=True)
 
 
-def _checked(
-    alloy: Alloy, folder: Path, task: Task, solver: str, quick: bool, limit: float, stop: Event
-) -> tuple[Answer, str | None]:
+def _checked(task: Task, solve: Callable[[Task], dict[str, SolverOutcome]]) -> Checked:
+    begun = time.monotonic()
+    answer, because = Answer.HOLDS, None
     try:
-        outcomes = alloy.solve(
-            folder / f"{task.module}.als",
-            task.pattern,
-            limit=limit,
-            solver=solver,
-            memory=MEMORY,
-            quick=quick,
-            stop=stop,
-        )
+        outcomes = solve(task)
     except AlloyFailed as error:
-        return Answer.UNKNOWN, str(error)
-    unanswered = [command.name for command in task.commands if command.name not in outcomes]
-    if unanswered:
-        return Answer.UNKNOWN, f"Alloy did not answer {', '.join(unanswered)}"
-    wrong = [command for command in task.commands if outcomes[command.name].satisfiable is not command.expected]
-    if wrong:
-        return Answer.VIOLATED, "; ".join(_mismatch(command, outcomes[command.name]) for command in wrong)
-    return Answer.HOLDS, None
+        answer, because = Answer.UNKNOWN, str(error)
+    else:
+        unanswered = [command.name for command in task.commands if command.name not in outcomes]
+        wrong = [c for c in task.commands if c.name in outcomes and outcomes[c.name].satisfiable is not c.expected]
+        if unanswered:
+            answer, because = Answer.UNKNOWN, f"Alloy did not answer {', '.join(unanswered)}"
+        elif wrong:
+            answer, because = (
+                Answer.VIOLATED,
+                "; ".join(_mismatch(command, outcomes[command.name]) for command in wrong),
+            )
+    return Checked(task, answer, time.monotonic() - begun, because)
 
 
 def _mismatch(command: AlloyCommand, outcome: SolverOutcome) -> str:
@@ -165,11 +162,9 @@ def _mismatch(command: AlloyCommand, outcome: SolverOutcome) -> str:
         missing = "a counterexample" if command.kind == "check" else "an instance"
         return f"{command} should have {missing} at scope {command.scope}, but has none"
     name = f"${command.name}_"
-    bound = {skolem.removeprefix(name): tuples for skolem, tuples in outcome.skolems.items()}
-    values = ", ".join(f"{variable} = {_tuples(tuples)}" for variable, tuples in bound.items())
+    bound = []
+    for skolem, tuples in outcome.skolems.items():
+        values = " + ".join(" -> ".join(atom.rpartition("/")[2] for atom in entry) for entry in tuples)
+        bound.append(f"{skolem.removeprefix(name)} = {values or 'none'}")
     kind = "counterexample" if command.kind == "check" else "instance"
-    return f"{command} should have no {kind}, but has one" + (f": {values}" if values else "")
-
-
-def _tuples(tuples: Sequence[Sequence[str]]) -> str:
-    return " + ".join(" -> ".join(atom.rpartition("/")[2] for atom in entry) for entry in tuples) or "none"
+    return f"{command} should have no {kind}, but has one" + (f": {', '.join(bound)}" if bound else "")

@@ -30,13 +30,13 @@ class AlloyInstance:
 
     def __init__(self, outcome: SolverOutcome, meanings: Mapping[str, object], fields: Set[str]) -> None:
         self._values = outcome.values.get(_FINDINGS, {})
-        self._bearers = meanings
+        self._meanings = meanings
         if missing := sorted(fields - self._values.keys()):
             raise AlloyFailed(f"Alloy's answer is incomplete: no {', '.join(missing)}")
 
     def meaning(self, atom: str) -> object:
         try:
-            return self._bearers[_name(atom)]
+            return self._meanings[atom.rpartition("$")[0].rpartition("/")[2]]
         except KeyError:
             raise AlloyFailed(f"Alloy's answer contains {atom}, which is not in the dump") from None
 
@@ -44,15 +44,9 @@ class AlloyInstance:
         """The tuples of a field of Findings; none if the dump has no such field."""
         return [tuple(self.meaning(each) for each in entry) for entry in self._values.get(field, [])]
 
-    def steps(self, field: str) -> list[StepName]:
-        return [name for (name,) in self.field(field) if isinstance(name, StepName)]
-
-    def systems(self, field: str) -> list[SystemName]:
-        return [name for (name,) in self.field(field) if isinstance(name, SystemName)]
-
-
-def _name(atom: str) -> str:
-    return atom.rpartition("$")[0].rpartition("/")[2]
+    def numbers(self, field: str) -> set[int]:
+        """The numbers of the steps or systems in a field of Findings."""
+        return {name.number for (name,) in self.field(field) if isinstance(name, (StepName, SystemName))}
 
 
 def instance(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> AlloyInstance:
@@ -73,8 +67,8 @@ def confirm(dump: Dump, outcomes: Mapping[str, SolverOutcome]) -> None:
 def first_failure(dump: Dump, found: AlloyInstance) -> int | None:
     """The first step (0: the start) that fails or whose configuration is invalid; None where there is none."""
     numbers = [each.step for each in dump.unencodable if each.step is not None]
-    numbers += [step.number for field in ("refused", "wrong") for step in found.steps(field)]
-    numbers += [system.number for system in found.systems("invalid") if system.number < len(dump.configurations)]
+    numbers += found.numbers("refused") | found.numbers("wrong")
+    numbers += [number for number in found.numbers("invalid") if number < len(dump.configurations)]
     return min(numbers, default=None)
 
 
@@ -82,7 +76,7 @@ def step_to_explain(dump: Dump, found: AlloyInstance) -> int | None:
     """The first step that fails, if a detailed dump of it is needed to know why."""
     number = first_failure(dump, found)
     unencodable = {each.step for each in dump.unencodable}
-    if number in {None, dump.detail} | unencodable or number in {step.number for step in found.steps("wrong")}:
+    if number in {None, dump.detail} | unencodable | found.numbers("wrong"):
         return None
     return number
 
@@ -102,17 +96,12 @@ class _Tracer:
     def __init__(self, dump: Dump, found: AlloyInstance) -> None:
         self.dump = dump
         self.instance = found
-        self.refused = {step.number for step in found.steps("refused")}
-        self.wrong = {step.number for step in found.steps("wrong")}
-        self.invalid = {system.number for system in found.systems("invalid")}
-
-    def _tuples(self, field: str) -> list[tuple[object, ...]]:
-        return self.instance.field(field)
+        self.field = found.field
 
     # -- the parts, in the order of their priority -----------------------------------------------------
 
     def rules(self) -> Iterator[Finding]:
-        for (clause,) in self._tuples("faults"):
+        for (clause,) in self.field("faults"):
             yield Finding("rule", None, "the declarations", "rule", str(clause))
 
     def start(self) -> Iterator[Finding]:
@@ -120,7 +109,7 @@ class _Tracer:
         if self.dump.steps is None:
             for each in self.dump.unencodable:
                 yield Finding("attachment", None, where, "attachment", each.reason)
-        if 0 in self.invalid:
+        if 0 in self.instance.numbers("invalid"):
             yield from self._configuration(0, where)
 
     def steps(self) -> Iterator[Finding]:
@@ -136,10 +125,10 @@ class _Tracer:
             if each.step is None:
                 yield Finding("end", None, where, "target", each.reason.removeprefix("at the end "))
         for field, verb in (("missing", "should"), ("extra", "should not")):
-            for connector, port in self._tuples(field):
+            for connector, port in self.field(field):
                 yield Finding("end", None, where, str(port), f"it {verb} be attached to {connector}")
         for field, verb in (("absent", "should"), ("left", "should not")):
-            for (component,) in self._tuples(field):
+            for (component,) in self.field(field):
                 yield Finding("end", None, where, str(component), f"it {verb} be live")
         if best is not None and best.satisfiable:
             yield from self._better(best, where)
@@ -152,38 +141,38 @@ class _Tracer:
         if unencodable:
             yield from (Finding("name", number, where, step.action.kind, each.reason) for each in unencodable)
             return
-        if number in self.refused:
+        if number in self.instance.numbers("refused"):
             yield from self._refused(number, step.action, where)
-        elif number in self.wrong:
+        elif number in self.instance.numbers("wrong"):
             yield Finding("effect", number, where, step.action.kind, "its effect is not that of the action")
         else:
             yield from self._configuration(number, f"after step {number}, {step.describe()}")
 
     def _refused(self, number: int, action: Action, where: str) -> Iterator[Finding]:
         before, after = self.dump.configurations[number - 1 : number + 1]
-        for ref, assumption in self._tuples("lacking"):
+        for ref, assumption in self.field("lacking"):
             yield self._lacking(after, ref, assumption, number, where, "precondition")
-        for connector, port in self._tuples("attached"):
+        for connector, port in self.field("attached"):
             yield Finding("precondition", number, where, str(port), f"it is still attached to {connector}")
         because = "; ".join(str(reason) for reason in action.check(before)) or _DISAGREE
-        broken = [str(clause) for (clause,) in self._tuples("broken")]
-        if not (broken or self._tuples("lacking") or self._tuples("attached")):
+        broken = [str(clause) for (clause,) in self.field("broken")]
+        if not (broken or self.field("lacking") or self.field("attached")):
             broken = ["its precondition does not hold"]
         for clause in broken:
             yield Finding("precondition", number, where, action.kind, f"{clause} ({because})")
 
     def _configuration(self, at: int, where: str) -> Iterator[Finding]:
         configuration, number = self.dump.configurations[at], at or None
-        for ref, assumption in self._tuples("unsatisfied"):
+        for ref, assumption in self.field("unsatisfied"):
             yield self._lacking(configuration, ref, assumption, number, where, "assumption")
-        for (connector,) in self._tuples("crowded"):
+        for (connector,) in self.field("crowded"):
             violation = cap_violation(configuration, str(connector))
             because = _DISAGREE if violation is None else violation.because
             yield Finding("cap", number, where, str(connector), because)
-        for (group,) in self._tuples("overloaded"):
+        for (group,) in self.field("overloaded"):
             together = ", ".join(str(name) for name in group) if isinstance(group, tuple) else str(group)
             yield Finding("capacity", number, where, together, "together they exceed a resource")
-        if not any(self._tuples(field) for field in ("unsatisfied", "crowded", "overloaded")):
+        if not any(self.field(field) for field in ("unsatisfied", "crowded", "overloaded")):
             because = "a mode or an attachment belongs to no live component"
             yield Finding("attachment", number, where, "structure", because)
 

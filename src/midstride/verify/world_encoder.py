@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator
 from itertools import combinations
-from typing import Final
+from typing import Final, TypeVar
 
 from midstride.model.component import (
     Assumption,
@@ -24,6 +24,23 @@ from midstride.verify.alloy_atoms import AlloyAtoms, ModeName, SystemName, TooLa
 _MAX_HOLDERS: Final = 16
 
 
+_Key = TypeVar("_Key", bound=Hashable)
+
+
+class NotEncoded(Exception):
+    """An action refers to something for which the dump has no atom; the message names it."""
+
+
+class _AtomsOf(dict[_Key, str]):
+    """The atoms of one kind of thing, by what they stand for. Raises NotEncoded where there is none."""
+
+    def __init__(self, kind: str) -> None:
+        self._kind = kind
+
+    def __missing__(self, key: _Key) -> str:
+        raise NotEncoded(f"there is no {self._kind} {key}")
+
+
 class WorldEncoder:
     """Adds one system to ``atoms``; ``prefix`` keeps its names apart from those of other systems."""
 
@@ -31,12 +48,12 @@ class WorldEncoder:
         self.atoms = atoms
         self.context = context
         self.prefix = prefix
-        self.components: dict[str, str] = {}
+        self.components = _AtomsOf[str]("component")
         self.declared: dict[str, ComponentSpec] = {}
-        self.ports: dict[PortRef, str] = {}
-        self.functionalities: dict[FunctionalityRef, str] = {}
+        self.ports = _AtomsOf[PortRef]("port")
+        self.functionalities = _AtomsOf[FunctionalityRef]("functionality")
         self.modes: dict[tuple[FunctionalityRef, int], str] = {}
-        self.connectors: dict[str, str] = {}
+        self.connectors = _AtomsOf[str]("topic")
         self._environment()
 
     def _environment(self) -> None:
@@ -69,6 +86,11 @@ class WorldEncoder:
                 self.publishers.append(atom)
 
     # -- declarations -----------------------------------------------------------------------------------
+
+    def instances(self, configuration: Configuration) -> None:
+        """Add the declarations of the instances of a configuration."""
+        for _, instance in sorted(configuration.instances.items()):
+            self.instance(instance)
 
     def instance(self, instance: Instance) -> None:
         """Add the declaration of an instance. Raises ValueError if the name stands for another component."""

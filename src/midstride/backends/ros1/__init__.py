@@ -41,11 +41,7 @@ def create_host(name: str, namespace: str) -> Ros1Host:
 
 
 def create_backend(control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> Ros1Backend:
-    """The back end of a manager whose components have their control sockets in ``control``.
-
-    ``logs`` is the folder of the components' logs (default: beside ROS's own); ``guardian`` ends what was started
-    should this process be killed. Raises BackendError where no interpreter with ROS 1 is known.
-    """
+    """See :class:`..processes.ProcessBackend`. Raises BackendError where no interpreter with ROS 1 is known."""
     from midstride.backends.ros1.backend import Ros1Backend
     from midstride.backends.ros1.launching import require_interpreter
 

@@ -28,8 +28,6 @@ _TIDY: Final = 1.0
 
 
 class Ros1Backend(processes.ProcessBackend):
-    """To be opened, used and closed on one event loop."""
-
     name = "ros1"
 
     def __init__(self, control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:
@@ -38,8 +36,6 @@ class Ros1Backend(processes.ProcessBackend):
         self._mark: socket.socket | None = None  # while it is open
         self._tidying: set[asyncio.Task[None]] = set()
         self._dead: set[str] = set()  # nodes whose process has ended, and that the master may still list
-
-    # -- joining and leaving -------------------------------------------------------------------------
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         uri = launching.master_uri(os.environ)
@@ -57,8 +53,8 @@ class Ros1Backend(processes.ProcessBackend):
 
     async def close(self) -> None:
         """Leave; the components go on, and the master with them. Without components, a master started here ends."""
-        any_left = len(self._children) > 0
-        self._children.close()
+        any_left = bool(self._processes)
+        self._stop_watching()
         if self._mark is None:
             return
         await asyncio.gather(*self._tidying, return_exceptions=True)
@@ -67,8 +63,6 @@ class Ros1Backend(processes.ProcessBackend):
         if not any_left:
             with contextlib.suppress(BackendError):  # a master that does not answer is left alone
                 await master_process.release(self._master, self._guardian)
-
-    # -- components ----------------------------------------------------------------------------------
 
     async def start(self, launch: Launch) -> Handle:
         master = self._opened()
@@ -90,11 +84,11 @@ class Ros1Backend(processes.ProcessBackend):
 
     async def adopt(self, handle: Handle) -> bool:
         """Raises Unreachable for a component that runs on another master."""
-        instance, known = handle.instance, handle.instance in self._children
+        instance, known = handle.instance, handle.instance in self._processes
         running = await super().adopt(handle)
         if handle.pid is None or known:
             return running
-        if instance not in self._children:
+        if instance not in self._processes:
             await self._died(instance)
             return False
         master, here = launching.master_of(handle.pid), self._opened()
@@ -130,8 +124,6 @@ class Ros1Backend(processes.ProcessBackend):
             async with within(_TIDY):
                 await self._opened().forget(node)
                 self._dead.discard(node)
-
-    # -- the graph -----------------------------------------------------------------------------------
 
     async def endpoints(self) -> Endpoints:
         state = await self._opened().state()

@@ -23,14 +23,10 @@ class DataThread:
         self.loop = asyncio.SelectorEventLoop(selectors.SelectSelector())
         self.loop.set_exception_handler(lambda loop, context: failed(_traceback_of(context)))
         self._driven: set[asyncio.Task[None]] = set()  # the loop itself refers to its tasks weakly
-        self._thread = threading.Thread(target=self._run, name="midstride-data", daemon=True)
+        self._thread = threading.Thread(target=self.loop.run_forever, name="midstride-data", daemon=True)
 
     def start(self) -> None:
         self._thread.start()
-
-    def _run(self) -> None:
-        asyncio.set_event_loop(self.loop)
-        self.loop.run_forever()
 
     def stop(self, timeout: float) -> bool:
         """Stop and join it; False where a function does not return in time. Blocks."""

@@ -51,6 +51,8 @@ _LATCHED: Final = QoS(durability="transient_local", depth=10)
 class Ros1Host:
     """Made and run in the thread that calls ``Component.start``. Raises NodeError where the name is taken."""
 
+    ros_node: Any = rospy  # there, a process is one node
+
     def __init__(self, name: str, namespace: str) -> None:
         managed = bool(os.environ.get(ENV_TOKEN))
         node_name, inside = names.split(name, namespace or rospy.names.get_namespace())
@@ -59,16 +61,18 @@ class Ros1Host:
         if launching.is_local(uri) and not os.environ.get("ROS_HOSTNAME"):
             os.environ.setdefault("ROS_IP", launching.LOOPBACK)
         self._arguments = given
-        self._node_name = _renamed(given, node_name)
+        # A launch file may give another name to a component that no manager started.
+        renamed = (argument.partition(":=")[2] for argument in given if argument.startswith("__name:="))
+        self._node_name = next(renamed, node_name)
         self._node = names.full(self._node_name, inside)
         self.instance = self._node.lstrip("/")
         transport, self.reachable = common.control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
         self._master = Master(uri, self._node)
         asyncio.run(self._must_be_alone())
-        self._logger = logging.getLogger("rosout")
+        self.logger: Any = logging.getLogger("rosout")
         self._data = DataThread(
-            lambda failure: self._logger.error(f"a callback raised; the component goes on:\n{failure}")
+            lambda failure: self.logger.error(f"a callback raised; the component goes on:\n{failure}")
         )
         self.parameters = node_parameters.Ros1NodeParameters(managed, self._show_parameter)
         self._ended = threading.Event()
@@ -92,15 +96,6 @@ class Ros1Host:
             )
 
     # -- data thread ---------------------------------------------------------------------------------
-
-    @property
-    def logger(self) -> Any:
-        return self._logger
-
-    @property
-    def ros_node(self) -> Any:
-        """rospy itself: there, a process is one node."""
-        return rospy
 
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
         return common.on_thread(function, self._data.post)
@@ -150,16 +145,14 @@ class Ros1Host:
         finally:
             self._leave()
         if self._shut_down_because:
-            self._logger.warning(f"{self.instance} was shut down {self._shut_down_because}")
+            self.logger.warning(f"{self.instance} was shut down {self._shut_down_because}")
 
     async def _run(self, main: Callable[[], Awaitable[None]]) -> None:
         self._loop = asyncio.get_running_loop()
         task = asyncio.ensure_future(main())  # it answers its manager, and waits for the data thread
         opened = False
         with common.ending_on_signals(task) as signals:
-            joining = asyncio.ensure_future(
-                common.on_thread(self._join, lambda join: threading.Thread(target=join, daemon=True).start())
-            )
+            joining = asyncio.ensure_future(common.on_new_thread(self._join))
             try:
                 await asyncio.wait({task, joining}, return_when=asyncio.FIRST_COMPLETED)
                 if joining.done() and not signals:
@@ -197,11 +190,7 @@ class Ros1Host:
     async def _close(self) -> None:
         self._states.destroy()
         await asyncio.gather(self._publishers.end(_PORTS_END), self._subscribers.end(_PORTS_END))
-        await self._take_down_parameters()
-
-    async def _take_down_parameters(self) -> None:
-        """They are this instance's; the next one of its name must not find them."""
-        with contextlib.suppress(BackendError):
+        with contextlib.suppress(BackendError):  # they are this instance's: the next one of its name must not find them
             for name in self.parameters.values:
                 await self._master.call("deleteParam", self._node, f"{self._node}/{name}", timeout=0.5)
 
@@ -217,7 +206,7 @@ class Ros1Host:
         """User code ends first, then rospy, which calls the master; each in bounded time."""
         self._ended.set()
         if not self._data.stop(_DATA_THREAD_END):
-            self._logger.error(f"user code has not returned for {_DATA_THREAD_END:g} s; the process ends all the same")
+            self.logger.error(f"user code has not returned for {_DATA_THREAD_END:g} s; the process ends all the same")
         connecting = managers()
         leaving = threading.Thread(target=rospy.signal_shutdown, args=("the component has ended",), daemon=True)
         leaving.start()
@@ -227,8 +216,3 @@ class Ros1Host:
                 with manager.cond:
                     manager.cond.notify_all()
             leaving.join(0.01)
-
-
-def _renamed(given: list[str], name: str) -> str:
-    """The node's name: a launch file may give another one to a component that no manager started."""
-    return next((argument.partition(":=")[2] for argument in given if argument.startswith("__name:=")), name)

@@ -26,6 +26,7 @@ import rospy.impl.tcpros_base
 from rospy.msg import serialize_message
 from rospy.topics import _PublisherImpl, _TopicImpl
 
+from midstride.backends.common import comes_true
 from midstride.backends.ros1 import connection_headers
 from midstride.backends.ros1.registrar import Registrar
 from midstride.backends.ros1.subscriber_connection import SubscriberConnection
@@ -38,7 +39,6 @@ _LENGTH: Final = struct.Struct("<I")
 # How long the end of a publisher may take: for the last messages to be sent, and for subscribers to have read them (s).
 FLUSH: Final = 0.5
 READ: Final = 0.3
-_POLL: Final = 0.002
 
 # The header of the subscriber whose connection is being added, in the thread that adds it.
 _joining = threading.local()
@@ -164,12 +164,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
 
     async def drained(self, timeout: float) -> bool:
         """Whether every subscriber's machine has everything that was written, within ``timeout`` seconds."""
-        deadline = time.monotonic() + timeout
-        while not all(peer.idle for peer in self.connections):
-            if time.monotonic() > deadline:
-                return False
-            await asyncio.sleep(_POLL)
-        return True
+        return await comes_true(lambda: all(peer.idle for peer in self.connections), timeout)
 
     async def leave(self) -> None:
         """On the control thread, without ports: every subscriber reads to the end, then the connections close."""
@@ -177,9 +172,7 @@ class NumberedTopic(_PublisherImpl):  # type: ignore[misc]  # rospy has no stubs
         await self.drained(FLUSH)
         for peer in peers:
             peer.finish()
-        deadline = time.monotonic() + READ
-        while not all(peer.gone.is_set() for peer in peers) and time.monotonic() < deadline:
-            await asyncio.sleep(_POLL)
+        await comes_true(lambda: all(peer.gone.is_set() for peer in peers), READ)
         for peer in peers:
             peer.leave()
 

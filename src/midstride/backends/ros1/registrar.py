@@ -17,6 +17,7 @@ from typing import Any, Final, Generic, Protocol, TypeVar, cast
 import rospy
 from rospy.impl.registration import RegManager, get_registration_listeners, get_topic_manager
 
+from midstride.backends.common import comes_true
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, NodeError
 
@@ -27,7 +28,6 @@ _RETRY: Final = 0.2
 # How long to wait for the nodes that the master lists on a topic (s), Midstride's or not. A dead node's registration
 # costs as much.
 _PATIENCE: Final = 0.5
-_POLL: Final = 0.002
 
 
 class RegisteredTopic(Protocol):
@@ -120,9 +120,7 @@ class Registrar(Generic[T]):
                     expected = await self._register(topic)
                 except BackendError:
                     await asyncio.sleep(_RETRY)
-            deadline = self.loop.time() + _PATIENCE
-            while topic.joined() < expected and not topic.given_up and self.loop.time() < deadline:
-                await asyncio.sleep(_POLL)
+            await comes_true(lambda: topic.given_up or topic.joined() >= expected, _PATIENCE)
             topic.registered = True
         for pause in _CHECKS:
             if topic.given_up or topic.joined() >= expected:
@@ -136,7 +134,8 @@ class Registrar(Generic[T]):
         node, uri = self._identity
         others = await self._master.call(f"register{self._kind}", node, topic.resolved_name, topic.type, uri)
         if self._kind == "Subscriber":
-            _connect(topic.resolved_name, others)
+            for manager in managers():  # connects to those to which it is not connected yet
+                manager.publisher_update(topic.resolved_name, others)
         return len(set(others))
 
     async def _leave(self, topic: T) -> None:
@@ -150,9 +149,3 @@ class Registrar(Generic[T]):
 def managers() -> list[Any]:
     """rospy's managers of connections to publishers (one, once a node has started)."""
     return [found for found in get_registration_listeners().listeners if isinstance(found, RegManager)]
-
-
-def _connect(topic: str, publishers: list[str]) -> None:
-    """Have rospy connect to the publishers of a topic to which it is not connected yet."""
-    for manager in managers():
-        manager.publisher_update(topic, publishers)

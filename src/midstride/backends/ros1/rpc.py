@@ -50,7 +50,9 @@ async def _call(uri: str, method: str, arguments: tuple[Any, ...]) -> Any:
         if " 200 " not in f"{first} ":
             raise ValueError(f"the answer begins with {first!r}")
         length = headers.get("content-length")
-        answer = await (reader.read() if length is None else reader.readexactly(_plausible(length)))
+        if length is not None and not (length.isdigit() and int(length) <= _LONGEST):
+            raise ValueError(f"{length!r} is not a plausible length")
+        answer = await (reader.read() if length is None else reader.readexactly(int(length)))
     finally:
         writer.close()
     return xmlrpc.client.loads(answer)[0][0]
@@ -73,9 +75,3 @@ async def _head(reader: asyncio.StreamReader) -> tuple[str, dict[str, str]]:
     first, *lines = text.split("\r\n")
     pairs = (line.partition(":") for line in lines if line)
     return first, {name.strip().lower(): value.strip() for name, _, value in pairs}
-
-
-def _plausible(length: str) -> int:
-    if not length.isdigit() or int(length) > _LONGEST:
-        raise ValueError(f"{length!r} is not a plausible length")
-    return int(length)

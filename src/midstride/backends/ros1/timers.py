@@ -20,18 +20,15 @@ class RosClock:
     def __init__(self, data: DataThread) -> None:
         self.data = data
         self.simulated = not rospy.rostime.is_wallclock()
-        self.now: Callable[[], int] = self._simulated_now if self.simulated else time.time_ns
+        self.now: Callable[[], int] = time.time_ns
         self._waiting: dict[object, tuple[int, Callable[[], None]]] = {}
         if self.simulated:
+            self.now = lambda: int(rospy.get_rostime().to_nsec())
             from rosgraph_msgs.msg import Clock
 
             rospy.Subscriber("/clock", Clock, lambda message: data.post(self._tick), queue_size=1)
 
-    @staticmethod
-    def _simulated_now() -> int:
-        return int(rospy.get_rostime().to_nsec())
-
-    def call_at(self, key: object, when: int, function: Callable[[], None]) -> Callable[[], None]:
+    def call_at(self, key: object, when: int, function: Callable[[], None]) -> Callable[[], object]:
         """Call ``function`` on the data thread at ``when`` (ns); returns a function that cancels it."""
         if not self.simulated:
             loop = self.data.loop
@@ -39,10 +36,7 @@ class RosClock:
         self._waiting[key] = (when, function)
         if 0 < self.now() >= when:
             self.data.post(self._tick)
-        return lambda: self._drop(key)
-
-    def _drop(self, key: object) -> None:
-        self._waiting.pop(key, None)
+        return lambda: self._waiting.pop(key, None)
 
     def _tick(self) -> None:
         now = self.now()
@@ -68,7 +62,7 @@ class Ros1GridTimer:
         self._epoch = epoch
         self._callback = callback
         self._cancelled = False
-        self._take_back: Callable[[], None] = lambda: None
+        self._take_back: Callable[[], object] = lambda: None
         self._due = 0
         if epoch is not None:
             self.regrid(epoch)
@@ -104,9 +98,5 @@ class Ros1GridTimer:
             self._aim(self._after(now))
             return
         self._callback(due, max(due, self._after(now) - self._period))
-        if self._due <= max(now, due):  # else the callback has set it anew
-            self._follow(due)
-
-    def _follow(self, due: int) -> None:
-        if not self._cancelled:
+        if self._due <= max(now, due) and not self._cancelled:  # else the callback has set it anew or ended it
             self._aim(self._after(max(self._clock.now(), due)))

@@ -35,11 +35,7 @@ def create_host(name: str, namespace: str) -> Host:
 
 
 def create_backend(control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> Backend:
-    """The back end of a manager. ``control``: the folder of the components' control sockets.
-
-    ``logs``: the folder of the components' logs (default: beside ROS's own). ``guardian`` ends what is started should
-    this process be killed. Raises BackendError without ROS 2.
-    """
+    """See :class:`..processes.ProcessBackend`. Raises BackendError without ROS 2."""
     _require_rclpy()
     from midstride.backends.ros2.backend import Ros2Backend
 

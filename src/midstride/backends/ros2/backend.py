@@ -10,10 +10,8 @@ import asyncio
 import logging
 import os
 import sys
-import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +22,7 @@ from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends import processes
+from midstride.backends.common import on_new_thread
 from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, launching, names
 from midstride.backends.ros2.graph import Graph
@@ -42,8 +41,6 @@ log = logging.getLogger(__name__)
 
 
 class Ros2Backend(ProcessBackend):
-    """To be opened, used and closed on one event loop."""
-
     name = "ros2"
 
     def __init__(self, control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:
@@ -52,8 +49,6 @@ class Ros2Backend(ProcessBackend):
         self.warnings: list[str] = []
         self._opened = 0.0
         self._context: Any = None
-
-    # -- joining and leaving -------------------------------------------------------------------------
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._on_exit = on_exit
@@ -80,30 +75,23 @@ class Ros2Backend(ProcessBackend):
             self._node.get_logger().warning(words)
 
     async def close(self) -> None:
-        self._children.close()
+        self._stop_watching()
         if self._context is not None:
             context, self._context = self._context, None
             await self._leave(context)
 
     async def _leave(self, context: Any) -> None:
         """Leave ROS 2 in a separate thread: a middleware that has deadlocked never returns from it."""
-        loop = asyncio.get_running_loop()
-        left = asyncio.Event()
 
         def leave() -> None:
             self._node.destroy_node()
             context.try_shutdown()
-            with suppress(RuntimeError):  # the loop is closed: it was not waited for any longer
-                loop.call_soon_threadsafe(left.set)
 
-        threading.Thread(target=leave, name="midstride-leave", daemon=True).start()
         try:
             async with within(_LEAVE):
-                await left.wait()
+                await on_new_thread(leave)
         except asyncio.TimeoutError:
             log.error("ROS 2 has not let the manager's node go within %g s; it is left behind", _LEAVE)
-
-    # -- components ----------------------------------------------------------------------------------
 
     async def start(self, launch: Launch) -> Handle:
         full_name = names.full(launch.instance, launch.namespace)
@@ -111,7 +99,7 @@ class Ros2Backend(ProcessBackend):
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
         if (
-            launch.instance in self._children
+            launch.instance in self._processes
             or await processes.listens(self.transport, launch.instance)
             or graph.has(full_name)
         ):
@@ -134,8 +122,6 @@ class Ros2Backend(ProcessBackend):
     def disconnected(self, instance: str) -> None:
         if self._context is not None:
             self._graph.forget(names.full(instance))
-
-    # -- the graph -----------------------------------------------------------------------------------
 
     async def endpoints(self) -> Endpoints:
         return self._joined().endpoints()

@@ -20,7 +20,7 @@ from __future__ import annotations
 import ctypes
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
@@ -56,13 +56,10 @@ def choose(environment: Mapping[str, str], middleware: str, major: int | None) -
     """What to set, given what the user has set. ``major``: the version of Fast DDS, None where it is not known."""
     if middleware not in _FAST_DDS:
         return DdsSettings(
-            middleware,
-            warnings=(f"discovery: {middleware} keeps its defaults, and may find new processes late",),
+            middleware, {}, (f"discovery: {middleware} keeps its defaults, and may find new processes late",)
         )
     if major is None:
-        return DdsSettings(
-            middleware, warnings=("discovery: the version of Fast DDS is unknown, so it keeps its defaults",)
-        )
+        return DdsSettings(middleware, {}, ("discovery: the version of Fast DDS is unknown, so it keeps its defaults",))
     own = [name for name in PROFILE_VARIABLES.values() if environment.get(name)]
     if any(Path(environment[name]).parent == PROFILES for name in own):
         return DdsSettings(middleware)  # set already: this process was started by Midstride
@@ -100,9 +97,12 @@ def tuned_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 def loaded_major() -> int | None:
     """The version of the Fast DDS that this process has loaded."""
-    with open("/proc/self/maps", encoding="utf-8", errors="replace") as file:
-        maps = file.read()
+    maps = _maps()
     return next((major for major, library in _LIBRARIES.items() if f"/{library}" in maps), None)
+
+
+def _maps() -> str:
+    return Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace")
 
 
 def installed_major(prefix: Path) -> int | None:
@@ -151,24 +151,13 @@ def _not_applied(settings: DdsSettings, watch: int | None) -> Iterator[str]:
     profile = settings.profile
     if profile is None:
         return
-    if _was_opened(watch):
-        _read.add(profile)
+    if watch is not None:
+        with suppress(BlockingIOError):  # nothing has opened it
+            os.read(watch, 4096)
+            _read.add(profile)
     if profile not in _read:
         why = "it cannot be watched" if watch is None else "this process has used ROS 2 before, with other settings"
         yield f"discovery: whether {Path(profile).name} was read is unknown ({why})"
-    if (TRANSPORTS in settings.variables or RANGE in settings.variables) and _shared_memory():
+    replaced = TRANSPORTS in settings.variables or RANGE in settings.variables
+    if replaced and any(file in _maps() for file in ("/dev/shm/fastdds", "/dev/shm/fastrtps")):
         yield "transports: shared memory is in use, and may lose the first messages to a new process"
-
-
-def _was_opened(watch: int | None) -> bool:
-    if watch is None:
-        return False
-    try:
-        return bool(os.read(watch, 4096))
-    except BlockingIOError:
-        return False
-
-
-def _shared_memory() -> bool:
-    with open("/proc/self/maps", encoding="utf-8", errors="replace") as file:
-        return any("/dev/shm/fastdds" in line or "/dev/shm/fastrtps" in line for line in file)

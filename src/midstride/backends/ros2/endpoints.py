@@ -1,16 +1,16 @@
-"""The endpoints of ports: a publisher or a subscription of rclpy, and what the middleware reports about it."""
+"""The endpoints of ports: publishers and subscriptions of rclpy, their QoS, and what the middleware reports."""
 
 from __future__ import annotations
 
-import asyncio
-import time
 from collections.abc import Callable
 from typing import Any, Final
 
 from rclpy.duration import Duration
 from rclpy.exceptions import InvalidHandle
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, LivelinessPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription as RclpySubscription
 
+from midstride.backends.common import comes_true
 from midstride.model.contract import QoS
 from midstride.node.host import MessageInfo
 
@@ -18,7 +18,27 @@ from midstride.node.host import MessageInfo
 HAS_INFO: Final = hasattr(RclpySubscription, "CallbackType")
 _UNKNOWN: Final = MessageInfo(None, None, None)
 _UNSUPPORTED: Final = 2**64 - 1  # a middleware's word for "I do not count"
-_POLL: Final = 0.002
+
+
+def profile_of(qos: QoS) -> Any:
+    """The profile of a real endpoint: what is not stated is ROS 2's default (semantics.md section 1)."""
+    stated = qos.effective()
+    result = QoSProfile(
+        history=HistoryPolicy.KEEP_ALL if stated.history == "keep_all" else HistoryPolicy.KEEP_LAST,
+        depth=stated.depth,
+        reliability=ReliabilityPolicy.RELIABLE if stated.is_reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if stated.is_transient_local else DurabilityPolicy.VOLATILE,
+        liveliness=LivelinessPolicy.MANUAL_BY_TOPIC
+        if stated.liveliness == "manual_by_topic"
+        else LivelinessPolicy.AUTOMATIC,
+    )
+    if stated.deadline is not None:
+        result.deadline = Duration(nanoseconds=round(stated.deadline * 1e9))
+    if stated.lease is not None:
+        result.liveliness_lease_duration = Duration(nanoseconds=round(stated.lease * 1e9))
+    if stated.lifespan is not None:
+        result.lifespan = Duration(nanoseconds=round(stated.lifespan * 1e9))
+    return result
 
 
 class RosPublisher:
@@ -46,17 +66,11 @@ class RosPublisher:
         """
         if not self._reliable:
             return None
-        deadline = time.monotonic() + timeout
         at_once = Duration(nanoseconds=0)
-        while True:
-            try:
-                if self._publisher.wait_for_all_acked(at_once):
-                    return True
-            except InvalidHandle:
-                return None
-            if time.monotonic() > deadline:
-                return None
-            await asyncio.sleep(_POLL)
+        try:
+            return await comes_true(lambda: self._publisher.wait_for_all_acked(at_once), timeout) or None
+        except InvalidHandle:
+            return None
 
     def destroy(self) -> None:
         self._destroy(self._publisher)
@@ -98,14 +112,10 @@ def read_info(info: Any) -> MessageInfo:
     """What rclpy's dictionary says; what it does not say is None, never 0."""
     if not info:
         return _UNKNOWN
-    number = info.get("publication_sequence_number")
+    number, gid = info.get("publication_sequence_number"), info.get("publisher_gid")
+    data = gid.get("data") if isinstance(gid, dict) else gid
     return MessageInfo(
         source=info.get("source_timestamp") or None,
         number=None if number is None or number == _UNSUPPORTED else int(number),
-        publisher=_identity(info.get("publisher_gid")),
+        publisher=bytes(data).hex() if data else None,
     )
-
-
-def _identity(gid: Any) -> str | None:
-    data = gid.get("data") if isinstance(gid, dict) else gid
-    return bytes(data).hex() if data else None

@@ -27,8 +27,6 @@ class Graph:
         self._died: dict[str, float] = {}
         self._dead_endpoints: dict[bytes, float] = {}
 
-    # -- what is known to be dead --------------------------------------------------------------------
-
     def died(self, full_name: str) -> None:
         """The process of a node has ended."""
         self._died[full_name] = time.monotonic()
@@ -47,8 +45,6 @@ class Graph:
     def _lives(self, info: Any) -> bool:
         died = self._died.get(_node(info))
         return (died is None or time.monotonic() - died > LINGER) and _gid(info) not in self._dead_endpoints
-
-    # -- what is shown -------------------------------------------------------------------------------
 
     def has(self, full_name: str) -> bool:
         """Whether a living node of that name is in the graph."""

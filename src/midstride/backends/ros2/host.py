@@ -20,7 +20,7 @@ from rclpy.logging import get_logger
 from rclpy.task import Future
 
 from midstride.backends.common import control_transport, ending_on_signals, on_thread, with_short_pauses
-from midstride.backends.ros2 import endpoints, names, node_parameters, qos
+from midstride.backends.ros2 import endpoints, names, node_parameters
 from midstride.backends.ros2.nodes import ComponentNodes
 from midstride.backends.ros2.parameter_services import parameters_of
 from midstride.backends.ros2.timers import Ros2GridTimer
@@ -69,10 +69,6 @@ class Ros2Host:
 
     # -- data thread -----------------------------------------------------------------------------------
 
-    @property
-    def ros_node(self) -> Any:
-        return self._node
-
     def on_data(self, function: Callable[[], T]) -> Awaitable[T]:
         return on_thread(function, self._post)
 
@@ -88,26 +84,26 @@ class Ros2Host:
 
         def over() -> None:
             timer.cancel()
-            self._node.destroy_timer(timer)
+            self.ros_node.destroy_timer(timer)
             future.set_result(None)
 
-        timer = self._node.create_timer(max(0.0, seconds), over, callback_group=self._group)
+        timer = self.ros_node.create_timer(max(0.0, seconds), over, callback_group=self._group)
         return future  # type: ignore[no-any-return]
 
-    def create_publisher(self, topic: str, type_: type, qos_: QoS) -> endpoints.RosPublisher:
-        publisher = self._node.create_publisher(type_, topic, qos.profile(qos_), callback_group=self._group)
+    def create_publisher(self, topic: str, type_: type, qos: QoS) -> endpoints.RosPublisher:
+        publisher = self.ros_node.create_publisher(type_, topic, endpoints.profile_of(qos), callback_group=self._group)
         self._ports.add(id(publisher))
-        return endpoints.RosPublisher(publisher, qos_, self._destroy(self._node.destroy_publisher))
+        return endpoints.RosPublisher(publisher, qos, self._destroy(self.ros_node.destroy_publisher))
 
     def create_subscription(
-        self, topic: str, type_: type, qos_: QoS, callback: Callable[[Any, Any], None]
+        self, topic: str, type_: type, qos: QoS, callback: Callable[[Any, Any], None]
     ) -> endpoints.RosSubscription:
-        subscription = self._node.create_subscription(
-            type_, topic, endpoints.for_rclpy(callback), qos.profile(qos_), callback_group=self._group
+        subscription = self.ros_node.create_subscription(
+            type_, topic, endpoints.for_rclpy(callback), endpoints.profile_of(qos), callback_group=self._group
         )
         self._ports.add(id(subscription))
         return endpoints.RosSubscription(
-            subscription, self._destroy(self._node.destroy_subscription), self._node.count_publishers
+            subscription, self._destroy(self.ros_node.destroy_subscription), self.ros_node.count_publishers
         )
 
     def _destroy(self, destroy: Callable[[Any], object]) -> Callable[[Any], None]:
@@ -118,7 +114,7 @@ class Ros2Host:
         return forget
 
     def create_timer(self, period: float, epoch: int | None, callback: Callable[[int, int], None]) -> Ros2GridTimer:
-        return Ros2GridTimer(self._node, self._group, self.now, period, epoch, callback)
+        return Ros2GridTimer(self.ros_node, self._group, self.now, period, epoch, callback)
 
     # -- control thread --------------------------------------------------------------------------------
 
@@ -130,7 +126,7 @@ class Ros2Host:
             self._nodes.parameter_services.show(parameters_of(state), self.now())
 
     def extra_endpoints(self) -> list[Endpoint]:
-        return node_parameters.endpoints(self._node, self._ports)
+        return node_parameters.endpoints(self.ros_node, self._ports)
 
     # -- life ----------------------------------------------------------------------------------------
 
@@ -180,16 +176,16 @@ class Ros2Host:
                 f"a callback raised, and the component goes on without it:\n{raised}"
             ),
         )
-        self._node = nodes.data
+        self.ros_node: Any = nodes.data
         self._executor = nodes.data_executor
         self._group = ReentrantCallbackGroup()
-        self.parameters: NodeParameters = node_parameters.Ros2NodeParameters(self._node, self._given)
-        self._clock = self._node.get_clock()
+        self.parameters: NodeParameters = node_parameters.Ros2NodeParameters(self.ros_node, self._given)
+        self._clock = self.ros_node.get_clock()
         self.simulated_time = bool(self._clock.ros_time_is_active)
         self._clock_changes = self._clock.create_jump_callback(
             JumpThreshold(min_forward=None, min_backward=None, on_clock_change=True), post_callback=self._clock_changed
         )
-        self.logger = self._node.get_logger()
+        self.logger = self.ros_node.get_logger()
         self._nodes = nodes
         return nodes
 

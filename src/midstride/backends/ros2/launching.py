@@ -21,24 +21,16 @@ _BOOTSTRAPPED: Final = "_ROS_WHEELS_BOOTSTRAP_COMPLETE"
 def environment(
     launch: Launch, control: Path, program: str, settings: DdsSettings, base: Mapping[str, str]
 ) -> dict[str, str]:
-    """The environment of a component's process: the manager's, without what would break another interpreter.
-
-    ``control`` is the folder of the control sockets.
-    """
-    result = dict(base)
-    if program != sys.executable and result.pop(_BOOTSTRAPPED, None) is not None:
-        # It finds its own libraries: those of the wheels in this interpreter's prefix would come first.
-        drop_paths(result, "LD_LIBRARY_PATH", lambda path: not path or Path(path).is_relative_to(sys.prefix))
+    """The environment of a component's process: the manager's, without what would break another interpreter."""
+    result, variables = dict(base), settings.variables
+    if program != sys.executable:
+        if result.pop(_BOOTSTRAPPED, None) is not None:
+            # It finds its own libraries: those of the wheels in this interpreter's prefix would come first.
+            drop_paths(result, "LD_LIBRARY_PATH", lambda path: not path or Path(path).is_relative_to(sys.prefix))
+        # The Fast DDS that it will load may be another one than the manager's.
+        major = dds_profiles.installed_major(Path(program).parent.parent)
+        if major is not None and variables:
+            variables = dds_profiles.choose(base, settings.middleware, major).variables
     # ROS 1 and ROS 2 on one path break each other's messages.
     drop_paths(result, "PYTHONPATH", lambda path: os.path.isdir(os.path.join(path, "rospy")))
-    result.update(_variables(program, settings, base))
-    result.update(processes.identity(launch, "ros2", control))
-    return result
-
-
-def _variables(program: str, settings: DdsSettings, base: Mapping[str, str]) -> Mapping[str, str]:
-    """The settings for the Fast DDS that ``program`` will load, which may be another one than the manager's."""
-    major = None if program == sys.executable else dds_profiles.installed_major(Path(program).parent.parent)
-    if major is None or not settings.variables:
-        return settings.variables
-    return dds_profiles.choose(base, settings.middleware, major).variables
+    return {**result, **variables, **processes.identity(launch, "ros2", control)}

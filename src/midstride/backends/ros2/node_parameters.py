@@ -6,6 +6,7 @@ from collections.abc import Callable, Collection
 from typing import Any, Final, Literal, TypeAlias
 
 from rcl_interfaces.msg import SetParametersResult
+from rclpy import action
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
@@ -101,21 +102,12 @@ def endpoints(node: Any, ports: Collection[int]) -> list[Endpoint]:
         name = _service_name(node, service)
         if not name.endswith(_SERVICES_OF_ROS):
             found.add(("service", name))
-    for name in _actions(node):
-        found.add(("ROS action", name))
+    # The graph knows the actions, for rclpy keeps no list. One's own ends are in it at once.
+    for actions in (action.get_action_server_names_and_types_by_node, action.get_action_client_names_and_types_by_node):
+        found |= {("ROS action", name) for name, _ in actions(node, node.get_name(), node.get_namespace())}
     return [Endpoint(kind=kind, name=name) for kind, name in sorted(found)]
 
 
 def _service_name(node: Any, service: Any) -> str:
     name = getattr(service, "service_name", None)  # what the graph shows, remappings applied; not on older rclpy
     return str(name) if name else str(node.resolve_service_name(service.srv_name))
-
-
-def _actions(node: Any) -> list[str]:
-    """Served or called; the graph knows them, for rclpy keeps no list. One's own ends are in it at once."""
-    from rclpy import action
-
-    of_this_node = node, node.get_name(), node.get_namespace()
-    served = action.get_action_server_names_and_types_by_node(*of_this_node)
-    called = action.get_action_client_names_and_types_by_node(*of_this_node)
-    return [name for name, _ in (*served, *called)]

@@ -7,17 +7,19 @@ answers while user code runs.
 from __future__ import annotations
 
 import sys
+import threading
 import time
+import traceback
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends.ros2 import names
-from midstride.backends.ros2.executor_thread import ExecutorThread
 from midstride.backends.ros2.parameter_services import ParameterServices
 from midstride.errors import NodeError
 
@@ -26,6 +28,44 @@ from midstride.errors import NodeError
 LOOK: Final = 0.5
 # How long the threads may take to end (s).
 _JOIN: Final = 2.0
+
+
+class ExecutorThread:
+    """Spins a SingleThreadedExecutor in a thread until it is stopped; survives what user callbacks raise."""
+
+    def __init__(self, name: str, context: Any, failed: Callable[[str], None]) -> None:
+        """``failed`` is called, in the thread, with the traceback of whatever a callback raised."""
+        self.executor: Any = SingleThreadedExecutor(context=context)
+        self._context = context
+        self._failed = failed
+        self._stopping = False
+        self._thread = threading.Thread(target=self._spin, name=name, daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def stop(self, timeout: float) -> bool:
+        """Stop and join it; False where a callback does not return in time. Blocks.
+
+        The thread must be out of the middleware before the context is shut down, or that aborts.
+        """
+        self._stopping = True
+        if self._thread.is_alive():
+            self.executor.create_task(lambda: None)  # a mere wake-up would let it go back to waiting
+            self._thread.join(timeout)
+        if self._thread.is_alive():
+            return False
+        self.executor.shutdown()
+        return True
+
+    def _spin(self) -> None:
+        while not self._stopping and self._context.ok():
+            try:
+                self.executor.spin_once()
+            except ExternalShutdownException:
+                return
+            except Exception:
+                self._failed(traceback.format_exc())
 
 
 class ComponentNodes:

@@ -154,12 +154,10 @@ def _listed(name: str, prefixes: list[str], depth: int) -> bool:
     """ROS 2's rule: ``depth`` counts the parts of a name below a prefix; 0 means any."""
     if not prefixes:
         return depth == 0 or name.count(".") < depth
-    for prefix in prefixes:
-        if name == prefix:
-            return True
-        if name.startswith(f"{prefix}.") and (depth == 0 or name[len(prefix) + 1 :].count(".") < depth):
-            return True
-    return False
+    return any(
+        name == prefix or (name.startswith(f"{prefix}.") and (depth == 0 or name[len(prefix) + 1 :].count(".") < depth))
+        for prefix in prefixes
+    )
 
 
 def parameters_of(state: ComponentState) -> dict[str, Any]:

@@ -60,12 +60,10 @@ class Simulator:
         self.control = SimulatedControl(self.time, latency, self.faults)
         self.transport: Transport = self.control
         self._starting = starting
-        self._on_exit: Callable[[Exited], None] | None = None
+        self._on_exit: Callable[[Exited], None] = lambda exited: None
         self._patches = ExitStack()
         self._active = False
         self._pids = FIRST_PID
-
-    # -- running -----------------------------------------------------------------------------------
 
     def run(self, main: Coroutine[Any, Any, T]) -> T:
         """Run ``main`` in virtual time to its end, then shut down: no thread, import hook or patch remains."""
@@ -81,7 +79,7 @@ class Simulator:
 
     async def shutdown(self) -> None:
         """Kill everything that runs, and undo what was changed in this process."""
-        self._on_exit = None
+        self._on_exit = lambda exited: None
         for process in list(self.processes.values()):
             process.kill()
         self._active = False
@@ -94,14 +92,12 @@ class Simulator:
             self._patches.enter_context(simulated_sleep())
             self._active = True
 
-    # -- the back-end protocol ---------------------------------------------------------------------
-
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         self._activate()
         self._on_exit = on_exit
 
     async def close(self) -> None:
-        self._on_exit = None
+        self._on_exit = lambda exited: None
 
     async def start(self, launch: Launch) -> Handle:
         self._activate()
@@ -152,13 +148,7 @@ class Simulator:
             del self.processes[process.instance]
         if not process.exit_expected:
             event = Exited(process.instance, process.status, process.log.tail(20))
-            self.time.loop.call_later(EXIT_LATENCY, self._report, event)
-
-    def _report(self, exited: Exited) -> None:
-        if self._on_exit is not None:
-            self._on_exit(exited)
-
-    # -- observing ---------------------------------------------------------------------------------
+            self.time.loop.call_later(EXIT_LATENCY, lambda: self._on_exit(event))
 
     def log(self, instance: str) -> str:
         """What a running component has written to its output."""

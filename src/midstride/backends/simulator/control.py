@@ -21,23 +21,18 @@ from midstride.wire.transport import Connection, Serve, StopListening
 
 
 class ClientEnd:
-    """The end that sends requests: the manager's (``process`` is None), or that of a peer of a hand-over."""
+    """The end that sends requests, the manager's or that of a peer of a hand-over, with injected faults."""
 
     peer: int | None = None
 
-    def __init__(
-        self, control: SimulatedControl, instance: str, process: SimulatedProcess | None, end: PipeEnd
-    ) -> None:
+    def __init__(self, control: SimulatedControl, instance: str, end: SimulatedEnd) -> None:
         self._control = control
         self._instance = instance
-        self._process = process
         self._end = end
         self._lost_replies: set[str] = set()
         self.close = end.close
 
     async def send(self, frame: bytes) -> None:
-        if self._process is not None:
-            await self._process.wait_while_frozen()
         request = frames.decode_from_client(frame)
         if isinstance(request, Request):
             name = frames.command_name(request)
@@ -58,8 +53,6 @@ class ClientEnd:
 
     async def receive(self) -> bytes | None:
         while (line := await self._end.receive()) is not None:
-            if self._process is not None:
-                await self._process.wait_while_frozen()
             match frames.decode_from_component(line):
                 case frames.StateChanged(state=state) if self._control.rewrite_state is not None:
                     if (rewritten := self._control.rewrite_state(state)) is None:
@@ -72,34 +65,29 @@ class ClientEnd:
         return None
 
 
-class ServerEnd:
-    """The component's end: it neither sends nor receives while its process is frozen."""
+class SimulatedEnd(PipeEnd):
+    """One end of a pipe on which every frame takes the network's latency, and order is kept.
 
-    peer: int | None = None
+    It neither sends nor receives while its process is frozen; the manager has none.
+    """
 
-    def __init__(self, process: SimulatedProcess, end: PipeEnd) -> None:
-        self._process = process
-        self._end = end
-        self.close = end.close
-
-    async def send(self, frame: bytes) -> None:
-        await self._process.wait_while_frozen()
-        await self._end.send(frame)
-
-    async def receive(self) -> bytes | None:
-        line = await self._end.receive()
-        await self._process.wait_while_frozen()
-        return line
-
-
-class DelayedEnd(PipeEnd):
-    """One end of a pipe on which every frame takes the network's latency, and order is kept."""
-
-    def __init__(self, clock: SimulatedClock, latency: float) -> None:
+    def __init__(self, clock: SimulatedClock, latency: float, process: SimulatedProcess | None) -> None:
         super().__init__()
         self._clock = clock
         self._latency = latency
+        self._process = process
         self._in_flight: deque[bytes | None] = deque()
+
+    async def send(self, frame: bytes) -> None:
+        if self._process is not None:
+            await self._process.wait_while_frozen()
+        await super().send(frame)
+
+    async def receive(self) -> bytes | None:
+        line = await super().receive()
+        if self._process is not None:
+            await self._process.wait_while_frozen()
+        return line
 
     def _transmit(self, frame: bytes | None) -> None:
         self._in_flight.append(frame)
@@ -123,7 +111,7 @@ class SimulatedControl:
         self._latency = latency
         self._pipes = PipeNetwork()
         self._processes: dict[str, SimulatedProcess] = {}
-        self._ends: dict[SimulatedProcess, list[DelayedEnd]] = {}
+        self._ends: dict[SimulatedProcess, list[SimulatedEnd]] = {}
         self.address = self._pipes.address
         self.present = self._pipes.present
 
@@ -142,15 +130,15 @@ class SimulatedControl:
         serve = self._pipes.listeners.get(instance)
         if serve is None:
             raise Unreachable(f"no component {instance} runs")
-        ours, theirs = (DelayedEnd(self._clock, self._latency) for _ in range(2))
-        ours.other, theirs.other = theirs, ours
         server = self._processes[instance]
+        ours, theirs = (SimulatedEnd(self._clock, self._latency, owner) for owner in (process, server))
+        ours.other, theirs.other = theirs, ours
         self._ends[server] = [end for end in self._ends.get(server, []) if not end.closed] + [theirs]
         if process is not None:
             self._ends.setdefault(process, []).append(ours)
         await asyncio.sleep(self._latency)
-        self._pipes.serve(serve, ServerEnd(server, theirs))
-        return ClientEnd(self, instance, process, ours)
+        self._pipes.serve(serve, theirs)
+        return ClientEnd(self, instance, ours)
 
     def remove(self, process: SimulatedProcess) -> None:
         """Close the listener and the connections of a process that has ended."""

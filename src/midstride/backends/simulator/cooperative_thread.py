@@ -32,18 +32,14 @@ class Sleeps:
 
 
 @dataclass(frozen=True, slots=True)
-class Waits:
-    """The thread waits for work: it has finished what it was given."""
-
-
-@dataclass(frozen=True, slots=True)
 class Ended:
     """The thread's function has returned, or raised."""
 
     error: BaseException | None
 
 
-Yielded: TypeAlias = Sleeps | Waits | Ended
+# None: it waits for work, and has finished what it was given.
+Yielded: TypeAlias = Sleeps | Ended | None
 
 
 # Its ``thread`` is the cooperative thread that the current thread is, if it is one.
@@ -60,7 +56,7 @@ class CooperativeThread:
         self._context = context
         self._go = threading.Semaphore(0)
         self._back = threading.Semaphore(0)
-        self._yielded: Yielded = Waits()
+        self._yielded: Yielded = None
         self._work: Any = None
         self._killed = False
         self._thread: threading.Thread | None = None

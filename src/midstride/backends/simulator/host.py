@@ -6,12 +6,13 @@ import asyncio
 import logging
 import threading
 from collections.abc import Awaitable, Callable, Coroutine
+from functools import partial
 from typing import Any, TypeVar
 
 from midstride.backends.common import KeptParameters
+from midstride.backends.simulator.clock import SimulatedTimer
 from midstride.backends.simulator.network import Network, SimulatedReader, SimulatedWriter
 from midstride.backends.simulator.process import SimulatedProcess
-from midstride.backends.simulator.timer import SimulatedTimer
 from midstride.model.contract import QoS
 from midstride.node.contracts import type_name
 from midstride.node.host import MessageInfo, NodeParameters
@@ -61,13 +62,11 @@ class SimulatedHost:
 
         def item() -> None:
             try:
-                result = function()
+                settle = partial(future.set_result, function())
             except Exception as error:
-                if not future.done():
-                    future.set_exception(error)
-            else:
-                if not future.done():
-                    future.set_result(result)
+                settle = partial(future.set_exception, error)
+            if not future.done():
+                settle()
 
         self._process.enqueue(item)
         return future

@@ -85,6 +85,16 @@ def _store() -> Any:
 
 
 @cache
+def _packages() -> dict[str, list[str]]:
+    """The names of the messages of each package."""
+    packages: dict[str, list[str]] = {}
+    for name in _store().fielddefs:
+        package, _, short = name.split("/")
+        packages.setdefault(package, []).append(short)
+    return packages
+
+
+@cache
 def message_class(name: str) -> type[SimulatedMessage]:
     """The class of ``pkg/msg/Name``. Raises KeyError for one that the type store does not have."""
     constants, fields = _store().fielddefs[name]
@@ -152,21 +162,13 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     """Finds ``pkg`` and ``pkg.msg`` for the packages of the type store, where no other finder does."""
 
     def __init__(self) -> None:
-        self._packages: dict[str, list[str]] = {}
         self.served: list[str] = []
-
-    def packages(self) -> dict[str, list[str]]:
-        if not self._packages:
-            for name in _store().fielddefs:
-                package, _, short = name.split("/")
-                self._packages.setdefault(package, []).append(short)
-        return self._packages
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
         package, _, rest = fullname.partition(".")
-        if rest not in ("", "msg") or package not in self.packages():
+        if rest not in ("", "msg") or package not in _packages():
             return None
         return importlib.machinery.ModuleSpec(fullname, self, is_package=not rest)
 
@@ -174,7 +176,7 @@ class _Finder(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         package, _, rest = module.__name__.partition(".")
         self.served.append(module.__name__)
         if rest:
-            for short in self.packages()[package]:
+            for short in _packages()[package]:
                 setattr(module, short, message_class(f"{package}/msg/{short}"))
 
 

@@ -53,7 +53,8 @@ class SimulatedWriter:
         return True
 
     def destroy(self) -> None:
-        self._network.remove_writer(self)
+        with suppress(ValueError):  # it went with its process
+            self._network.topic(self.topic).writers.remove(self)
 
 
 class SimulatedReader:
@@ -81,7 +82,8 @@ class SimulatedReader:
 
     def destroy(self) -> None:
         self.gone = True
-        self._network.remove_reader(self)
+        with suppress(ValueError):
+            self._network.topic(self.topic).readers.remove(self)
 
 
 def _depth(qos: QoS) -> int | None:
@@ -121,8 +123,6 @@ class Network:
     def topic(self, name: str) -> SimulatedTopic:
         return self.topics.setdefault(name if name.startswith("/") else f"/{name}", SimulatedTopic())
 
-    # -- endpoints ---------------------------------------------------------------------------------
-
     def create_writer(self, owner: SimulatedProcess, topic: str, type_: str, qos: QoS) -> SimulatedWriter:
         writer = SimulatedWriter(self, owner, topic, type_, qos)
         self.topic(topic).writers.append(writer)
@@ -133,17 +133,12 @@ class Network:
     ) -> SimulatedReader:
         reader = SimulatedReader(self, owner, topic, type_, qos, wake)
         self.topic(topic).readers.append(reader)
+        # A late joiner gets what transient-local writers have kept, once they are matched.
         for writer in self.topic(topic).writers:
-            self._latch(writer, reader)
+            if writer.qos.is_transient_local and reader.qos.is_transient_local and _compatible(writer, reader):
+                for message, info in writer.history:
+                    self._send(writer, reader, message, info, self.discovery)
         return reader
-
-    def remove_writer(self, writer: SimulatedWriter) -> None:
-        with suppress(ValueError):  # it went with its process
-            self.topic(writer.topic).writers.remove(writer)
-
-    def remove_reader(self, reader: SimulatedReader) -> None:
-        with suppress(ValueError):
-            self.topic(reader.topic).readers.remove(reader)
 
     def remove_process(self, owner: SimulatedProcess) -> None:
         """Remove the endpoints of a process that has ended."""
@@ -169,8 +164,6 @@ class Network:
         """Whether the reader's process knows of the writer."""
         return writer.created < self.undiscovering.get(reader.owner, math.inf)
 
-    # -- messages ----------------------------------------------------------------------------------
-
     def publish(self, writer: SimulatedWriter, message: Any) -> None:
         topic = self.topic(writer.topic)
         if writer not in topic.writers:
@@ -186,12 +179,6 @@ class Network:
             if self._found(writer, reader):
                 self._send(writer, reader, message, info)
 
-    def _latch(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        """A late joiner gets what a transient-local writer has kept, once they are matched."""
-        if writer.qos.is_transient_local and reader.qos.is_transient_local and _compatible(writer, reader):
-            for message, info in writer.history:
-                self._send(writer, reader, message, info, self.discovery)
-
     def _send(
         self, writer: SimulatedWriter, reader: SimulatedReader, message: Any, info: Any, extra: float = 0.0
     ) -> None:
@@ -206,7 +193,7 @@ class Network:
         self.clock.loop.call_later(at - self.clock.steady(), self._arrive, writer, reader)
 
     def _arrive(self, writer: SimulatedWriter, reader: SimulatedReader) -> None:
-        left = reader.owner.frozen_until() - self.clock.steady()
+        left = reader.owner.thawed_at - self.clock.steady()
         if left > 0 and not reader.gone:
             self.clock.loop.call_later(left, self._arrive, writer, reader)  # a frozen process acknowledges nothing
             return

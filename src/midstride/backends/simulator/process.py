@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 from midstride.backends import naming
 from midstride.backends.simulator.clock import SimulatedClock
-from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Sleeps, Waits, Yielded
+from midstride.backends.simulator.cooperative_thread import CooperativeThread, Ended, Sleeps, Yielded
 from midstride.backends.simulator.program import ProcessOutput, SimulatedProgram
 from midstride.errors import BackendError
 from midstride.node import process_context
@@ -50,7 +50,8 @@ class SimulatedProcess:
         self._program = SimulatedProgram(launch, self.log)
         self._queue: deque[Callable[[], None]] = deque()
         self._scheduled = False
-        self._thawed_at = 0.0
+        # Until when it is frozen (steady s); in the past where it is not.
+        self.thawed_at = 0.0
         self._asleep = False
         context = contextvars.copy_context()
         own = process_context.ProcessContext(
@@ -64,8 +65,6 @@ class SimulatedProcess:
         )
         context.run(process_context.current.set, own)
         self._thread = CooperativeThread(launch.instance, self._program.run, context)
-
-    # -- running -----------------------------------------------------------------------------------
 
     def resume(self, work: Callable[[], None] | None = None) -> None:
         """Let the thread run, and handle what it yields for."""
@@ -95,32 +94,30 @@ class SimulatedProcess:
     def _schedule(self) -> None:
         if self._queue and not self._scheduled and not self.dead:
             self._scheduled = True
-            if self.frozen_until() > self.clock.steady():
+            if self.thawed_at > self.clock.steady():
                 self.clock.loop.call_at(self._thawed_on_loop(), self._work)
             else:
                 self.clock.loop.call_soon(self._work)
 
     def _work(self) -> None:
         self._scheduled = False
-        if self.frozen_until() > self.clock.steady():
+        if self.thawed_at > self.clock.steady():
             self._schedule()
         elif self._queue and not self._asleep and not self.dead:
             self.resume(self._queue.popleft())
 
     def run_work(self) -> None:
         """In its thread: let the loop run until there is work, and do that."""
-        work: Callable[[], None] = self._thread.yield_to_loop(Waits())
+        work: Callable[[], None] = self._thread.yield_to_loop(None)
         work()
 
     def _wake(self) -> None:
         """A `time.sleep` of its code is over."""
-        if self.frozen_until() > self.clock.steady():
+        if self.thawed_at > self.clock.steady():
             self.clock.loop.call_at(self._thawed_on_loop(), self._wake)
             return
         self._asleep = False
         self.resume()
-
-    # -- signals and faults ------------------------------------------------------------------------
 
     def terminate(self) -> None:
         """SIGTERM: a component in ``start()`` ends in order; a process that has not got there ends at once."""
@@ -144,18 +141,14 @@ class SimulatedProcess:
 
     def freeze(self, seconds: float) -> None:
         """As SIGSTOP, and SIGCONT after ``seconds``."""
-        self._thawed_at = max(self._thawed_at, self.clock.steady() + seconds)
-
-    def frozen_until(self) -> float:
-        """Until when it is frozen (steady s); in the past where it is not."""
-        return self._thawed_at
+        self.thawed_at = max(self.thawed_at, self.clock.steady() + seconds)
 
     def _thawed_on_loop(self) -> float:
-        return self.clock.loop.time() + max(0.0, self._thawed_at - self.clock.steady())
+        return self.clock.loop.time() + max(0.0, self.thawed_at - self.clock.steady())
 
     async def wait_while_frozen(self) -> None:
         """Returns once it is not frozen. Raises CancelledError where it is dead, which ends its tasks."""
-        while not self.dead and (left := self._thawed_at - self.clock.steady()) > 0:
+        while not self.dead and (left := self.thawed_at - self.clock.steady()) > 0:
             await self.clock.sleep(left)
         if self.dead:
             raise asyncio.CancelledError

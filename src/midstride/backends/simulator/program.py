@@ -47,7 +47,8 @@ class SimulatedProgram:
 
     def __init__(self, launch: Launch, log: ProcessOutput) -> None:
         command = " ".join(launch.arguments)
-        if not launch.arguments or not _is_python(launch.arguments[0]):
+        program = launch.arguments[0] if launch.arguments else ""
+        if program != sys.executable and not _PYTHON.match(Path(program).name):
             raise StartFailed(
                 f"{launch.instance}: the simulator runs `python3 FILE.py` and `python3 -m MODULE`, not `{command}`"
             )
@@ -138,10 +139,7 @@ class SimulatedProgram:
             sys.stdout, sys.stderr, sys.argv = before
 
     def _keep_own_modules(self, known: int) -> None:
-        """Keep modules from its own folder apart: another component's `helper` is another module.
-
-        ``known`` modules were there before.
-        """
+        """Keep modules from its own folder apart, beyond the first ``known``: another's `helper` is another module."""
         if len(sys.modules) <= known or self._module is not None:
             return
         folder = self._directory.rstrip("/") + "/"
@@ -149,7 +147,3 @@ class SimulatedProgram:
             file = getattr(sys.modules[name], "__file__", None)
             if isinstance(file, str) and file.startswith(folder):
                 self._modules[name] = sys.modules.pop(name)
-
-
-def _is_python(program: str) -> bool:
-    return program == sys.executable or bool(_PYTHON.match(Path(program).name))

@@ -1,4 +1,4 @@
-"""``replace``, ``add``, ``remove``, ``apply``: change the running system, with the plan shown first."""
+"""``replace``, ``restart``, ``add``, ``remove``, ``apply``: change the running system, with the plan shown first."""
 
 from __future__ import annotations
 
@@ -42,6 +42,15 @@ def replace_command(
     """Replace the component of NODE with COMPONENT, on the same topics."""
     request = {"replace": [[node, component]], "components": _components(file), "strategy": strategy}
     return change(system, request, f"replace {node} with {component}", yes, verify)
+
+
+@click.command("restart")
+@click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=completion.nodes)
+@_change_options
+def restart_command(nodes: tuple[str, ...], system: str | None, strategy: str, verify: bool, yes: bool) -> int:
+    """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
+    request = {"restart": list(nodes), "strategy": strategy}
+    return change(system, request, f"restart {', '.join(nodes)}", yes, verify)
 
 
 @click.command("add")

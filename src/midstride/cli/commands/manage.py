@@ -4,20 +4,26 @@ from __future__ import annotations
 
 import asyncio
 from pathlib import Path
+from typing import Final
 
 import click
 
 from midstride import backends
+from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG
 from midstride.cli.files import load
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.launcher import STOP_GRACE
+from midstride.runtime.logs import shorten
 from midstride.runtime.manager import Manager
 from midstride.runtime.process import end_orphans
 from midstride.runtime.reaper import process_info
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import LOOPBACK, Tcp, serve
+
+# How often the manager's log is checked (s).
+CHECK_LOG: Final = 1.0
 
 
 @click.command("_manager", hidden=True)
@@ -32,13 +38,23 @@ def manager_command(file: Path, backend: str, http: int | None, http_host: str |
     tcp = None if http is None else Tcp(http, http_host or LOOPBACK)
 
     async def run() -> int:
-        specification = await _still_running(workspace) or requested
-        platform = backends.make(backend, workspace)
-        manager = Manager(specification, platform, workspace, file.resolve().parent)
-        return await serve(manager, workspace, backend=backend, tcp=tcp)
+        shortening = asyncio.ensure_future(_shorten_log(workspace.manager_log))
+        try:
+            specification = await _still_running(workspace) or requested
+            platform = backends.make(backend, workspace)
+            manager = Manager(specification, platform, workspace, file.resolve().parent)
+            return await serve(manager, workspace, backend=backend, tcp=tcp)
+        finally:
+            shortening.cancel()
 
     with workspace.lock():
         return asyncio.run(run())
+
+
+async def _shorten_log(log: Path) -> None:
+    while True:
+        await asyncio.sleep(CHECK_LOG)
+        shorten(log, LONGEST_LOG, KEPT_OF_LOG)
 
 
 async def _still_running(workspace: Workspace) -> Specification | None:

@@ -29,6 +29,9 @@ from midstride.plan.request_form import decode_request
     shell_complete=completion.replacements,
     help="Replace the component of NODE.",
 )
+@click.option(
+    "--restart", "restarted", multiple=True, metavar="NODE", shell_complete=completion.nodes, help="Restart a node."
+)
 @click.option("--add", "added", multiple=True, metavar="'NODE COMPONENT PORT=TOPIC...'", help="Add a node.")
 @click.option(
     "--remove", "removed", multiple=True, metavar="NODE", shell_complete=completion.nodes, help="Remove a node."
@@ -39,6 +42,7 @@ def plan_command(
     file: Path,
     to: Path | None,
     replaced: tuple[str, ...],
+    restarted: tuple[str, ...],
     added: tuple[str, ...],
     removed: tuple[str, ...],
     strategy: str,
@@ -49,24 +53,28 @@ def plan_command(
     midstride plan talker.json --replace talker=NewTalker
     midstride plan talker.json --add 'second Listener in=/chatter'
     """
-    if not (to or replaced or added or removed):
-        raise click.UsageError("nothing to change: pass --to NEW, --replace, --add or --remove")
+    single = replaced or restarted or added or removed
+    if not (to or single):
+        raise click.UsageError("nothing to change: pass --to NEW, --replace, --restart, --add or --remove")
     specification = load(file)
     request = decode_request(
         {
             "replace": [parse_pair(text, "NODE=COMPONENT, such as talker=NewTalker") for text in replaced],
+            "restart": list(restarted),
             "add": [parse_new_node(shlex.split(text)) for text in added],
             "remove": list(removed),
             "strategy": strategy,
         }
     )
     if to is not None:
-        if replaced or added or removed:
-            raise click.UsageError("--to cannot be combined with --replace, --add or --remove")
+        if single:
+            raise click.UsageError("--to cannot be combined with --replace, --restart, --add or --remove")
         target = load(to)
     else:
         target = request.target(specification)
-    document = encode_plan(planner(strategy)(change_between(initial(specification), specification, target)))
+    document = encode_plan(
+        planner(strategy)(change_between(initial(specification), specification, target, renewed=request.renewed()))
+    )
     if wants_json():
         print_json(document)
     else:

@@ -66,9 +66,6 @@ def prove_command(
     return int(not ok)
 
 
-# -- by solvers ------------------------------------------------------------------------------------------------
-
-
 def _proofs(solver: str, timeout: float, verbose: bool) -> tuple[bool, dict[str, Any]]:
     names = NAMES if solver == "both" else tuple(name for name in NAMES if name == solver)
     proofs: list[Proof] = []
@@ -89,32 +86,32 @@ def _proofs(solver: str, timeout: float, verbose: bool) -> tuple[bool, dict[str,
     return ok, {"solvers": solvers, "goals": [proof.to_document() for proof in proofs]}
 
 
+def _line(text: str, style: str) -> None:
+    console().print(text, style=style, markup=False, soft_wrap=True)
+
+
 def _show(proof: Proof, verbose: bool) -> None:
     """One row of the table, followed by problems and weakened goals."""
-    out = console()
     seconds = "  ".join(f"{name} {took:5.2f} s" for name, took in proof.seconds.items())
     style = _STYLES[proof.answer.value]
     goal = proof.goal
     row = f"{proof.answer!s:8}  {goal.kind:5}  {goal.name:14}  {seconds}  {goal.claim}"
-    out.print(row, style=style, markup=False, soft_wrap=True)
+    _line(row, style)
     if proof.because is not None:
-        out.print(f"          {proof.because}", style=style, markup=False, soft_wrap=True)
+        _line(f"          {proof.because}", style)
     if proof.answer.value != "unknown" and proof.possible.value != "holds":
-        out.print("          not shown to be possible at all", style="yellow", markup=False)
+        _line("          not shown to be possible at all", "yellow")
     for weakened in proof.weakened:
         left_out = "`, `".join(weakened.dropped)
         if not weakened.as_expected:
             because = "no counterexample found" if weakened.needed else "needed after all"
-            out.print(f"          without `{left_out}`: {because}", style="yellow", markup=False, soft_wrap=True)
+            _line(f"          without `{left_out}`: {because}", "yellow")
         if weakened.counterexample is not None:
             # Without --verbose: the action and what fails, but not the configuration before.
             fails = weakened.counterexample if verbose else weakened.counterexample.partition(". ")[2]
-            out.print(f"          without `{left_out}`: {fails}", style="dim", markup=False, soft_wrap=True)
+            _line(f"          without `{left_out}`: {fails}", "dim")
         elif verbose and weakened.as_expected:
-            out.print(f"          without `{left_out}`: still holds", style="dim", markup=False, soft_wrap=True)
-
-
-# -- by Alloy --------------------------------------------------------------------------------------------------
+            _line(f"          without `{left_out}`: still holds", "dim")
 
 
 def _checks(alloy: Alloy, scope: int, jobs: int | None, limit: float) -> tuple[bool, dict[str, Any]]:
@@ -138,8 +135,8 @@ def _checks(alloy: Alloy, scope: int, jobs: int | None, limit: float) -> tuple[b
 
 
 def _show_check(checked: Checked, number: int, total: int) -> None:
-    out, style = console(), _STYLES[checked.answer.value]
+    style = _STYLES[checked.answer.value]
     row = f"{checked.answer!s:8}  {number:2}/{total}  {checked.task!s:32}  {checked.seconds:6.1f} s  {checked.claim}"
-    out.print(row, style=style, markup=False, soft_wrap=True)
+    _line(row, style)
     if checked.because is not None:
-        out.print(f"          {checked.because}", style=style, markup=False, soft_wrap=True)
+        _line(f"          {checked.because}", style)

@@ -65,7 +65,7 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     arguments = [str(file.resolve()), "--backend", backend]
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
-    log = workspace.logs / "manager.log"
+    log = workspace.manager_log
     try:
         with _interrupt_deferred():  # until the manager's process is known and can be stopped
             manager = _start(arguments, log)
@@ -108,7 +108,8 @@ def _interrupt_deferred() -> Iterator[None]:
 
 def _start(arguments: list[str], log: Path) -> subprocess.Popen[bytes]:
     """Start the manager in a new session, which does not end with this terminal."""
-    with log.open("wb") as output:
+    with log.open("ab") as output:  # for appending, so that the manager can cut it
+        output.truncate(0)
         return subprocess.Popen(
             [sys.executable, "-m", "midstride", "_manager", *arguments],
             stdin=subprocess.DEVNULL,

@@ -57,14 +57,7 @@ async def changes_modes_between_two_calls(lab: Lab) -> None:
     busy = await lab.functionality("slow", "talk")
     assert lab.clock.steady() - begun < 0.5, "observe waited for user code"
     assert busy["mode"] == "normal" and 0 < busy["busy"] < 1.5, busy
-    words = await lab.refusal("slow", "modes", modes={"talk": "degraded"}, timeout=0.2)
-    assert "talk" in words and "0.2" in words, words
-    await lab.sleep(2.5)  # a change that was withdrawn must not happen later
-    assert (await lab.functionality("slow", "talk"))["mode"] == "normal"
-    await lab.mode("slow", "talk", "degraded", timeout=5.0)
-    arrived = await _arrived(lab)
-    await lab.sleep(2.0)
-    assert await lab.received("sink") == arrived, "something arrived after the degrade was acknowledged"
+    await _degrades_after_its_call(lab)
     assert (await lab.functionality("slow", "talk"))["busy"] is None
 
 
@@ -77,10 +70,18 @@ async def _start_slow(lab: Lab, mode: puppets.Description) -> None:
     await lab.sleep(0.3)
 
 
-async def _arrived(lab: Lab) -> list[str]:
-    """What has arrived once messages on their way have had time to."""
-    await lab.sleep(0.2)
-    return await lab.received("sink")
+async def _degrades_after_its_call(lab: Lab) -> None:
+    """``slow`` refuses to degrade while its call takes longer than the time-out; what it writes until then arrives."""
+    words = await lab.refusal("slow", "modes", modes={"talk": "degraded"}, timeout=0.2)
+    assert "talk" in words and "0.2" in words, words
+    await lab.sleep(2.5)  # a change that was withdrawn must not happen later
+    assert (await lab.functionality("slow", "talk"))["mode"] == "normal"
+    await lab.mode("slow", "talk", "degraded", timeout=5.0)
+    await lab.sleep(0.2)  # for messages on their way
+    arrived = await lab.received("sink")
+    assert arrived, "its calls never ended"
+    await lab.sleep(2.0)
+    assert await lab.received("sink") == arrived, "something arrived after the degrade was acknowledged"
 
 
 @check
@@ -89,15 +90,7 @@ async def counts_an_async_call_as_running(lab: Lab) -> None:
     await _start_slow(lab, {"pause": 1.5})
     assert (await lab.functionality("slow", "talk"))["busy"] > 0
     await lab.exported("slow")  # the data thread is free meanwhile
-    words = await lab.refusal("slow", "modes", modes={"talk": "degraded"}, timeout=0.2)
-    assert "talk" in words, words
-    await lab.sleep(2.5)
-    assert (await lab.functionality("slow", "talk"))["mode"] == "normal"
-    await lab.mode("slow", "talk", "degraded", timeout=5.0)
-    arrived = await _arrived(lab)
-    assert arrived, "its calls never ended"
-    await lab.sleep(2.0)
-    assert await lab.received("sink") == arrived
+    await _degrades_after_its_call(lab)
 
 
 @check

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from midstride.runtime.backend import Backend
 from midstride.testing.conformance import puppets
-from midstride.testing.conformance.lab import CHECKS, Lab, check
+from midstride.testing.conformance.lab import CHECKS, Lab, assert_unbroken, check
 
 # How far ahead a cut is agreed (s): many round trips on a busy machine.
 LEAD: Final = 0.5
@@ -56,6 +56,14 @@ async def _outcomes(lab: Lab, expected: str = "done", cut: str = "cut") -> tuple
     return old, new
 
 
+def _turn(words: list[str]) -> int:
+    """The number of messages of the old side, all of which come before those of the new one."""
+    sides = [word.split(" ")[0] for word in words]
+    turn = sides.index("new")
+    assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "their messages are interleaved"
+    return turn
+
+
 async def hands_over_on_the_grid(backend: Backend, workspace: Path) -> None:
     """At 50 Hz: every slot written by exactly one side, the cut where it was agreed, both publishers in the graph.
 
@@ -84,12 +92,9 @@ async def _hand_over_on_the_grid(backend: Backend, workspace: Path) -> str | Non
         await lab.change("old", "detach", port="out", topic="/chatter", timeout=2.0)
         await lab.sleep(0.5)
         words = await lab.received("sink")
-        sides = [word.split(" ")[0] for word in words]
-        turn = sides.index("new")
-        assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "their messages are interleaved"
-        for side in ("old", "new"):
-            spoken = [int(word.rsplit(" ", 1)[1]) for word in words if word.startswith(side)]
-            assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), (side, spoken)
+        turn = _turn(words)
+        assert_unbroken(words[:turn])
+        assert_unbroken(words[turn:])
         assert old["last"]["out /chatter"]["number"] == turn, (old, turn)
         assert new["first"]["out /chatter"]["number"] == 1, new
         rows = await lab.rows("sink")
@@ -122,8 +127,7 @@ async def hands_over_to_another_of_its_outputs(lab: Lab) -> None:
     assert (await lab.port("old", "other", "/chatter"))["gate"] == "open"
     await lab.change("old", "detach", port="out", topic="/chatter", timeout=2.0)
     await lab.sleep(0.5)
-    spoken = [int(word.rsplit(" ", 1)[1]) for word in await lab.received("sink")]
-    assert spoken == list(range(spoken[0], spoken[0] + len(spoken))), spoken
+    assert_unbroken(await lab.received("sink"))
 
 
 def _fault_of_slots(rows: list[list[Any]], at: int, period: float) -> str | None:
@@ -290,17 +294,9 @@ async def refuses_impossible_cuts(lab: Lab) -> None:
 async def keeps_to_the_grid_across_a_busy_spell(lab: Lab) -> None:
     """A new side that is busy at the cut writes its slots late or not at all, but never one of the old side's."""
     await _two_talkers(lab, rate=20, mode={"sleep": 0.2, "at_call": 30})
-    await lab.eventually("it is about to be busy", lambda: _called(lab, 24))
+    await lab.eventually("it is about to be busy", lambda: lab.calls("new", "talk.normal"), lambda calls: calls >= 24)
     at, epoch, _ = await _slot(lab, "old", lead=0.25)
     await _cut(lab, at, epoch, resume_after=2.0)
     await _outcomes(lab)
     await lab.sleep(0.3)
-    sides = [word.split(" ")[0] for word in await lab.received("sink")]
-    turn = sides.index("new")
-    assert sides == ["old"] * turn + ["new"] * (len(sides) - turn), "their messages are interleaved"
-    assert (await lab.port("old", "out", "/chatter"))["count"] == turn
-
-
-async def _called(lab: Lab, least: int) -> bool:
-    calls: int = (await lab.exported("new"))["calls"].get("talk.normal", 0)
-    return calls >= least
+    assert (await lab.port("old", "out", "/chatter"))["count"] == _turn(await lab.received("sink"))

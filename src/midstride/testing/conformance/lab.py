@@ -6,10 +6,9 @@ import base64
 import contextlib
 import json
 import sys
-from collections.abc import Awaitable, Callable, Coroutine, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Iterable, Sequence
 from functools import wraps
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Final, TypeAlias
 
 import msgspec
@@ -46,9 +45,7 @@ class Lab:
         await self.backend.open(self.on_exit)
         return self
 
-    async def __aexit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    async def __aexit__(self, *raised: object) -> None:
         for channel in self._channels.values():
             channel.close()
         try:
@@ -171,10 +168,9 @@ class Lab:
     def _result(self, reply: Reply) -> dict[str, Any]:
         if reply.refused is not None:
             raise CommandRefused(reply.refused)
-        result: dict[str, Any] = msgspec.json.decode(reply.result)
-        return result
+        return dict(msgspec.json.decode(reply.result))
 
-    # -- common steps of checks ----- --------------------------------------------------------------
+    # -- common steps of checks --------------------------------------------------------------------
 
     async def listen(self, topic: str = "/chatter") -> None:
         """Start ``sink``, attached and in its normal mode."""
@@ -191,30 +187,24 @@ class Lab:
     async def exported(self, instance: str) -> dict[str, Any]:
         """What a puppet exports: calls, received messages, imported state."""
         state = (await self.read(instance, "export_state"))["state"]
-        exported: dict[str, Any] = json.loads(base64.b64decode(state))
-        return exported
+        return dict(json.loads(base64.b64decode(state)))
 
     async def received(self, instance: str, port: str = "in") -> list[str]:
-        words: list[str] = (await self.exported(instance))["received"].get(port, [])
-        return words
+        return list((await self.exported(instance))["received"].get(port, []))
 
     async def calls(self, instance: str, mode: str) -> int:
         """How often a puppet's mode was called, given as ``talk.normal``."""
-        calls: int = (await self.exported(instance))["calls"].get(mode, 0)
-        return calls
+        return int((await self.exported(instance))["calls"].get(mode, 0))
 
     async def rows(self, instance: str, port: str = "in") -> list[list[Any]]:
-        rows: list[list[Any]] = (await self.read(instance, "records", input=port))["rows"]
-        return rows
+        return list((await self.read(instance, "records", input=port))["rows"])
 
     async def port(self, instance: str, port: str, topic: str) -> dict[str, Any]:
         """The state of one attachment."""
-        link: dict[str, Any] = (await self.read(instance, "observe"))["ports"][port][topic]
-        return link
+        return dict((await self.read(instance, "observe"))["ports"][port][topic])
 
     async def functionality(self, instance: str, name: str) -> dict[str, Any]:
-        state: dict[str, Any] = (await self.read(instance, "observe"))["functionalities"][name]
-        return state
+        return dict((await self.read(instance, "observe"))["functionalities"][name])
 
     async def in_mode(self, instance: str, functionality: str, mode: str) -> bool:
         return bool((await self.functionality(instance, functionality))["mode"] == mode)
@@ -222,14 +212,16 @@ class Lab:
     async def sleep(self, seconds: float) -> None:
         await self.clock.sleep(seconds)
 
-    async def eventually(self, what: str, look: Callable[[], Any], patience: float = PATIENCE) -> Any:
-        """The first true result of ``look``, which may be async."""
+    async def eventually(
+        self, what: str, look: Callable[[], Any], enough: Callable[[Any], bool] = bool, patience: float = PATIENCE
+    ) -> Any:
+        """The first result of ``look``, which may be async, that is ``enough``."""
         deadline = self.clock.steady() + patience
         while True:
             found = look()
             if isinstance(found, Awaitable):
                 found = await found
-            if found:
+            if enough(found):
                 return found
             assert self.clock.steady() < deadline, f"within {patience:g} s it has not happened that {what}"
             await self.sleep(0.02)
@@ -275,6 +267,12 @@ def check(body: Callable[[Lab], Coroutine[Any, Any, None]]) -> Check:
 
     CHECKS.append(opened)
     return opened
+
+
+def assert_unbroken(words: Iterable[str]) -> None:
+    """A puppet numbers its calls: no message is missing, doubled or out of order, whatever the middleware reports."""
+    numbers = [int(word.rsplit(" ", 1)[1]) for word in words]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers))), numbers
 
 
 def settled(state: dict[str, Any]) -> dict[str, Any]:

@@ -46,12 +46,11 @@ async def stops_in_order(lab: Lab) -> None:
     assert exited.status == 0, exited
     assert (await lab.received("sink"))[-1] == "last words"
     assert await lab.unreachable("talker")
-    await lab.eventually("the graph shows it no more", lambda: _gone(lab, "talker"))
-
-
-async def _gone(lab: Lab, instance: str) -> bool:
-    endpoints = await lab.backend.endpoints()
-    return f"/{instance}" not in endpoints.nodes and all(node != f"/{instance}" for node, _ in endpoints.publishers)
+    await lab.eventually(
+        "the graph shows it no more",
+        lab.backend.endpoints,
+        lambda graph: "/talker" not in graph.nodes and "/talker" not in dict(graph.publishers),
+    )
 
 
 @check

@@ -133,14 +133,14 @@ async def walk(backend: Backend, workspace: Path, seed: int) -> None:
 
 async def _graph_agrees(lab: Lab, accounts: dict[str, ExpectedComponent]) -> bool:
     graph = await lab.backend.endpoints()
-    publishers, subscribers = set(), set()
-    for name, account in accounts.items():
-        publishers |= {(f"/{name}", topic) for port in ("out", "log") for topic in account.gates[port]}
-        subscribers |= {(f"/{name}", topic) for topic in account.gates["in"]}
-    ours = set(TOPICS)
-    return {pair for pair in graph.publishers if pair[1] in ours} == publishers and {
-        pair for pair in graph.subscribers if pair[1] in ours
-    } == subscribers
+
+    def expected(*ports: str) -> set[tuple[str, str]]:
+        return {(f"/{name}", topic) for name, account in accounts.items() for p in ports for topic in account.gates[p]}
+
+    publishers, subscribers = (
+        {pair for pair in of if pair[1] in TOPICS} for of in (graph.publishers, graph.subscribers)
+    )
+    return publishers == expected("out", "log") and subscribers == expected("in")
 
 
 def _seeded(seed: int) -> Check:

@@ -1,6 +1,6 @@
 """Unbounded proofs: the facts F1, F2, F3 and F6 of docs/semantics.md, for systems of any size.
 
-`terms` has formulas as SMT-LIB text, `theory` and `rules` sections 1 to 3, `actions` section 4, `goals` and `facts`
+`terms` has formulas as SMT-LIB text, `theory` sections 1 to 3, `actions` section 4, `goals` and `facts`
 what is proved, `solvers` z3 and cvc5, `run` the verdicts, and `counterexample` the text of counterexamples.
 """
 

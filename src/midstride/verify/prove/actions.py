@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from midstride.verify.prove.terms import Term, and_, app, equal, if_, implies, not_, or_
-from midstride.verify.prove.theory import COMPONENT, FUNCTIONALITY, MODE, PORT, TOPIC, Part, State, Theory
+from midstride.verify.prove.theory import FUNCTIONALITY, PORT, TOPIC, Parts, State, Theory
 
 # Names of conjuncts, as messages show them.
 NOT_LIVE, LIVE, ISOLATED, CAPACITY = "not live", "live", "isolated", "capacities hold"
@@ -30,7 +30,7 @@ MEETS, CAPS = "every new output currently meets its topic", "caps hold afterward
 class ActionFormula:
     """An action: its precondition, and the configuration that it leads to."""
 
-    precondition: list[Part]
+    precondition: Parts
     after: State
 
 
@@ -41,61 +41,51 @@ def create(t: Theory, s: State, c: Term, tag: str = "after") -> ActionFormula:
         lambda p, k: and_(s.attached(p, k), not_(equal(t.component(p), c))),
         lambda f: if_(equal(t.host(f), c), t.last(f), s.mode(f)),
     )
-    return ActionFormula([Part(NOT_LIVE, not_(s.live(c))), Part(CAPACITY, t.capacities_hold(after))], after)
+    return ActionFormula({NOT_LIVE: not_(s.live(c)), CAPACITY: t.capacities_hold(after)}, after)
 
 
 def remove(t: Theory, s: State, c: Term, tag: str = "after") -> ActionFormula:
-    isolated = t.logic.all((PORT, TOPIC), lambda p, k: implies(equal(t.component(p), c), not_(s.attached(p, k))))
+    isolated = t.all((PORT, TOPIC), lambda p, k: implies(equal(t.component(p), c), not_(s.attached(p, k))))
     after = t.state(tag, lambda d: and_(s.live(d), not_(equal(d, c))), s.attached, s.mode)
-    return ActionFormula([Part(LIVE, s.live(c)), Part(ISOLATED, isolated)], after)
+    return ActionFormula({LIVE: s.live(c), ISOLATED: isolated}, after)
 
 
 def attach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> ActionFormula:
     after = t.state(tag, s.live, lambda q, on: or_(s.attached(q, on), and_(equal(q, p), equal(on, k))), s.mode)
-    precondition = [
-        Part(LIVE, s.live(t.component(p))),
-        Part(NOT_ATTACHED, not_(s.attached(p, k))),
-        Part(CONTRACT, t.fits(p, k)),
-        Part(CAP, implies(t.is_output(p), t.cap_holds(after, k))),
-    ]
+    precondition = {
+        LIVE: s.live(t.component(p)),
+        NOT_ATTACHED: not_(s.attached(p, k)),
+        CONTRACT: t.fits(p, k),
+        CAP: implies(t.is_output(p), t.cap_holds(after, k)),
+    }
     return ActionFormula(precondition, after)
 
 
 def detach(t: Theory, s: State, p: Term, k: Term, tag: str = "after") -> ActionFormula:
     after = t.state(tag, s.live, lambda q, on: and_(s.attached(q, on), not_(and_(equal(q, p), equal(on, k)))), s.mode)
-    return ActionFormula([Part(ATTACHED, s.attached(p, k)), Part(STAYS, t.all_satisfied(after))], after)
+    return ActionFormula({ATTACHED: s.attached(p, k), STAYS: t.all_satisfied(after)}, after)
 
 
 Group = Callable[[Term], Term]
 
 
-def _changed(t: Theory, s: State, group: Group, to: Callable[[Term], Term], better: bool) -> tuple[list[Part], State]:
-    """The shared precondition of mode changes: F is live, and each new mode is strictly better or worse."""
+def change_modes(t: Theory, s: State, group: Group, to: Callable[[Term], Term], kind: str) -> ActionFormula:
+    """``degrade`` or ``upgrade``: F is live, and each new mode is strictly worse or strictly better."""
     after = s.in_modes(lambda f: if_(group(f), to(f), s.mode(f)))
-    live = t.logic.all((FUNCTIONALITY,), lambda f: implies(group(f), s.live(t.host(f))))
+    better = kind == "upgrade"
 
     def strictly(f: Term) -> Term:
         return t.better(to(f), s.mode(f)) if better else t.better(s.mode(f), to(f))
 
-    named = t.logic.all((FUNCTIONALITY,), lambda f: implies(group(f), strictly(f)))
-    return [Part(LIVE, live), Part(STRICTLY.format("better" if better else "worse"), named)], after
-
-
-def _satisfied(t: Theory, after: State, members: Group) -> Term:
-    return t.logic.all(
-        (FUNCTIONALITY,), lambda f: implies(and_(t.live_in(after, f), members(f)), t.satisfied(after, f))
-    )
-
-
-def degrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> ActionFormula:
-    parts, after = _changed(t, s, group, to, better=False)
-    parts += [Part(OUTSIDE, _satisfied(t, after, lambda f: not_(group(f)))), Part(INSIDE, _satisfied(t, after, group))]
-    return ActionFormula(parts, after)
-
-
-def upgrade(t: Theory, s: State, group: Group, to: Callable[[Term], Term]) -> ActionFormula:
-    parts, after = _changed(t, s, group, to, better=True)
-    return ActionFormula([*parts, Part(INSIDE, _satisfied(t, after, group))], after)
+    parts = {
+        LIVE: t.all((FUNCTIONALITY,), lambda f: implies(group(f), t.live_in(s, f))),
+        STRICTLY.format("better" if better else "worse"): t.all(
+            (FUNCTIONALITY,), lambda f: implies(group(f), strictly(f))
+        ),
+    }
+    if not better:
+        parts[OUTSIDE] = t.all_satisfied(after, lambda f: not_(group(f)))
+    return ActionFormula(parts | {INSIDE: t.all_satisfied(after, group)}, after)
 
 
 Swaps = Callable[[Term, Term, Term], Term]  # topic, old, new
@@ -103,56 +93,45 @@ Swaps = Callable[[Term, Term, Term], Term]  # topic, old, new
 
 def handover(t: Theory, s: State, swaps: Swaps, tag: str = "after") -> ActionFormula:
     """All swaps at once. One-to-one replacement keeps the number of publishers: the third law of finite sets."""
-    logic = t.logic
 
     def is_new(p: Term, k: Term) -> Term:
-        return logic.some((PORT,), lambda old: swaps(k, old, p))
+        return t.some((PORT,), lambda old: swaps(k, old, p))
 
     def is_old(p: Term, k: Term) -> Term:
-        return logic.some((PORT,), lambda new: swaps(k, p, new))
+        return t.some((PORT,), lambda new: swaps(k, p, new))
 
     def each(formula: Callable[[Term, Term, Term], Term]) -> Term:
-        return logic.all((TOPIC, PORT, PORT), lambda k, old, new: implies(swaps(k, old, new), formula(k, old, new)))
+        return t.all((TOPIC, PORT, PORT), lambda k, old, new: implies(swaps(k, old, new), formula(k, old, new)))
 
     def outputs(k: Term, old: Term, new: Term) -> Term:
         return and_(*(and_(t.is_output(p), s.live(t.component(p))) for p in (old, new)))
 
     def once(k: Term) -> Term:
         return and_(
-            logic.all((PORT,) * 3, lambda o, n, m: implies(and_(swaps(k, o, n), swaps(k, o, m)), equal(n, m))),
-            logic.all((PORT,) * 3, lambda o, q, n: implies(and_(swaps(k, o, n), swaps(k, q, n)), equal(o, q))),
-            logic.all((PORT,) * 3, lambda o, p, n: not_(and_(swaps(k, o, p), swaps(k, p, n)))),
+            t.all((PORT,) * 3, lambda o, n, m: implies(and_(swaps(k, o, n), swaps(k, o, m)), equal(n, m))),
+            t.all((PORT,) * 3, lambda o, q, n: implies(and_(swaps(k, o, n), swaps(k, q, n)), equal(o, q))),
+            t.all((PORT,) * 3, lambda o, p, n: not_(and_(swaps(k, o, p), swaps(k, p, n)))),
         )
 
     after = t.state(tag, s.live, lambda p, k: and_(or_(s.attached(p, k), is_new(p, k)), not_(is_old(p, k))), s.mode)
-    if not logic.bounded:
-        logic.facts.append(
-            logic.all(
-                (TOPIC,),
-                lambda k: implies(
-                    and_(
-                        logic.all(
-                            (PORT, PORT),
-                            lambda o, n: implies(
-                                swaps(k, o, n),
-                                and_(t.is_output(o), t.is_output(n), s.attached(o, k), not_(s.attached(n, k))),
-                            ),
-                        ),
-                        once(k),
-                    ),
-                    equal(after.publishers(k), s.publishers(k)),
-                ),
-            )
-        )
-    meets = each(lambda k, old, new: t.satisfies(t.current(s, new), t.topic_guarantee(k)))
-    precondition = [
-        Part(OUTPUTS, each(outputs)),
-        Part(OLD, each(lambda k, old, new: s.attached(old, k))),
-        Part(NEW, each(lambda k, old, new: not_(s.attached(new, k)))),
-        Part(ONCE, logic.all((TOPIC,), once)),
-        Part(MEETS, meets),
-        Part(CAPS, logic.all((TOPIC,), lambda k: t.cap_holds(after, k))),
-    ]
+
+    def exchanged(k: Term, old: Term, new: Term) -> Term:
+        return and_(t.is_output(old), t.is_output(new), s.attached(old, k), not_(s.attached(new, k)))
+
+    def one_to_one(k: Term) -> Term:
+        return and_(t.all((PORT, PORT), lambda o, n: implies(swaps(k, o, n), exchanged(k, o, n))), once(k))
+
+    if not t.bounded:
+        same = t.all((TOPIC,), lambda k: implies(one_to_one(k), equal(after.publishers(k), s.publishers(k))))
+        t.facts.append(same)
+    precondition = {
+        OUTPUTS: each(outputs),
+        OLD: each(lambda k, old, new: s.attached(old, k)),
+        NEW: each(lambda k, old, new: not_(s.attached(new, k))),
+        ONCE: t.all((TOPIC,), once),
+        MEETS: each(lambda k, old, new: t.meets(s, new, k)),
+        CAPS: t.all((TOPIC,), lambda k: t.cap_holds(after, k)),
+    }
     return ActionFormula(precondition, after)
 
 
@@ -162,26 +141,3 @@ def in_group(f: Term) -> Term:
 
 def swap(k: Term, old: Term, new: Term) -> Term:
     return app("swapped", k, old, new)
-
-
-def a_group(t: Theory) -> tuple[Group, Callable[[Term], Term]]:
-    """Any set of functionalities, and for each any mode of its chain."""
-    group = t.logic.function("in_group", (FUNCTIONALITY,), "Bool")
-    to = t.logic.function("mode_named", (FUNCTIONALITY,), MODE)
-    t.logic.facts.append(t.logic.all((FUNCTIONALITY,), lambda f: equal(t.whose(to(f)), f)))
-    return group, to
-
-
-def some_swaps(t: Theory) -> Swaps:
-    return t.logic.function("swapped", (TOPIC, PORT, PORT), "Bool")
-
-
-def a_component(t: Theory) -> Term:
-    return t.logic.constant("the_component", COMPONENT)
-
-
-def a_port(t: Theory, output: bool) -> tuple[Term, Term]:
-    """Any input or output, and any topic."""
-    port, topic = t.logic.constant("the_port", PORT), t.logic.constant("the_topic", TOPIC)
-    t.logic.facts.append(t.is_output(port) if output else not_(t.is_output(port)))
-    return port, topic

@@ -33,7 +33,7 @@ class Counterexample:
         return self.value(term) == "true"
 
     def every(self, sort: str) -> list[Term]:
-        return self.t.logic.elements(sort)
+        return self.t.elements(sort)
 
     @staticmethod
     def short(element: Term) -> str:
@@ -51,8 +51,6 @@ class Counterexample:
             named = [self.port(p) for p in self.every(PORT) if self.true(self.t.names(a, p))]
             return " or ".join(named) or "no input"
         return f"contract {self.short(self.value(self.t.wants(a)))}"
-
-    # -- the configuration -------------------------------------------------------------------------------
 
     def needs(self, f: Term, m: Term) -> str:
         wanted = [self.assumption(f, a) for a in self.every(ASSUMPTION) if self.true(self.t.assumes(m, a))]
@@ -74,7 +72,7 @@ class Counterexample:
             if not self.true(self.t.is_output(p)):
                 lines.append(f"input {self.port(p)} on {self.short(k)}")
                 continue
-            meets = self.true(self.t.satisfies(self.t.current(s, p), self.t.topic_guarantee(k)))
+            meets = self.true(self.t.meets(s, p, k))
             lines.append(f"output {self.port(p)} on {self.short(k)} ({'meets' if meets else 'does not meet'} it)")
         return lines
 
@@ -86,17 +84,14 @@ class Counterexample:
                 parts.append(f"the environment publishes on {self.short(k)}")
         return "; ".join(parts)
 
-    # -- the action and its result ------------------------------------------------------------
-
     def action(self) -> str:
         action = self.case.action
         kind, _, direction = action.partition(" ")
         if kind in ("create", "remove"):
-            instance = self.short(self.value("the_component"))
-            return wording.creation(instance) if kind == "create" else wording.removal(instance)
+            return wording.existence(kind, self.short(self.value("the_component")))
         if kind in ("attach", "detach"):
             port, topic = f"{direction} {self.port(self.value('the_port'))}", self.short(self.value("the_topic"))
-            return wording.attachment(port, topic) if kind == "attach" else wording.detachment(port, topic)
+            return wording.attachment(kind, port, topic)
         if kind in ("degrade", "upgrade"):
             members = [f for f in self.every(FUNCTIONALITY) if self.true(app("in_group", f))]
             entered = {f: self.short(self.value(app("mode_named", f))) for f in members}
@@ -135,7 +130,7 @@ class Counterexample:
 
     def __str__(self) -> str:
         before, *later = self.case.states
-        failed = [part.name for part in self.case.conclusion if not self.true(part.formula)]
+        failed = [name for name, formula in self.case.conclusion.items() if not self.true(formula)]
         in_validity = any("satisfied" in name or name.startswith(("only ports", "no ")) for name in failed)
         parts = [f"before: {self.configuration(before)}"]
         if action := self.action():

@@ -14,9 +14,21 @@ from functools import partial
 
 from midstride.verify.prove import actions as act
 from midstride.verify.prove.terms import FALSE, TRUE, Term, and_, equal, if_, implies, not_, or_
-from midstride.verify.prove.theory import ASSUMPTION, FUNCTIONALITY, PORT, TOPIC, Part, State, Theory
+from midstride.verify.prove.theory import (
+    ASSUMPTION,
+    COMPONENT,
+    FUNCTIONALITY,
+    PORT,
+    SATISFIED,
+    TOPIC,
+    Parts,
+    State,
+    Theory,
+)
 
 FITS = "attached ports fit their topics"
+# The conjuncts that are about other functionalities than those named.
+_ABOUT_MODES = (act.STAYS, act.OUTSIDE, act.INSIDE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,9 +39,9 @@ class Case:
     :mod:`.counterexample`).
     """
 
-    given: list[Part]
-    asked: list[Part]
-    conclusion: list[Part]
+    given: Parts
+    asked: Parts
+    conclusion: Parts
     states: tuple[State, ...]
     occurs: Term = TRUE
     action: str = ""
@@ -53,27 +65,24 @@ class Goal:
 
 def active(t: Theory, s: State) -> Term:
     """Some live functionality has an assumption, so validity is not trivial."""
-    return t.logic.some((FUNCTIONALITY, ASSUMPTION), lambda f, a: and_(t.live_in(s, f), t.assumes(s.mode(f), a)))
-
-
-def _some_member(t: Theory, group: act.Group) -> Term:
-    return t.logic.some((FUNCTIONALITY,), group)
+    return t.some((FUNCTIONALITY, ASSUMPTION), lambda f, a: and_(t.live_in(s, f), t.assumes(s.mode(f), a)))
 
 
 def _step(t: Theory, s: State, action: str) -> tuple[act.ActionFormula, Term]:
     """The action of that name in ``s``, with arbitrary arguments; and that it is not empty."""
     if action in ("create", "remove"):
-        step = (act.create if action == "create" else act.remove)(t, s, act.a_component(t))
-        return step, TRUE
+        component = t.constant("the_component", COMPONENT)
+        return (act.create if action == "create" else act.remove)(t, s, component), TRUE
     if action in ("degrade", "upgrade"):
-        group, to = act.a_group(t)
-        return (act.degrade if action == "degrade" else act.upgrade)(t, s, group, to), _some_member(t, group)
+        group, to = t.function("in_group", (FUNCTIONALITY,), "Bool"), t.assignment("mode_named")
+        return act.change_modes(t, s, group, to, action), t.some((FUNCTIONALITY,), group)
     if action == "handover":
-        swaps = act.some_swaps(t)
-        return act.handover(t, s, swaps), t.logic.some((TOPIC, PORT, PORT), swaps)
-    word, _, which = action.partition(" ")
-    port, topic = act.a_port(t, output=which == "output")
-    return (act.attach if word == "attach" else act.detach)(t, s, port, topic), TRUE
+        swaps = t.function("swapped", (TOPIC, PORT, PORT), "Bool")
+        return act.handover(t, s, swaps), t.some((TOPIC, PORT, PORT), swaps)
+    kind, _, direction = action.partition(" ")
+    port, topic = t.constant("the_port", PORT), t.constant("the_topic", TOPIC)
+    t.facts.append(t.is_output(port) if direction == "output" else not_(t.is_output(port)))
+    return (act.attach if kind == "attach" else act.detach)(t, s, port, topic), TRUE
 
 
 def _preserved(action: str, t: Theory) -> Case:
@@ -86,15 +95,19 @@ def _preserved(action: str, t: Theory) -> Case:
 def _fitting(action: str, t: Theory) -> Case:
     s = t.start()
     step, some = _step(t, s, action)
-    given = [Part(FITS, t.all_fit(s))]
-    return Case(given, step.precondition, [Part(FITS, t.all_fit(step.after))], (s, step.after), some, action)
+    fit, still_fit = {FITS: t.all_fit(s)}, {FITS: t.all_fit(step.after)}
+    return Case(fit, step.precondition, still_fit, (s, step.after), some, action)
+
+
+def _named(prefix: str, parts: Parts) -> Parts:
+    return {f"{prefix}{name}": formula for name, formula in parts.items()}
 
 
 def _undone(action: str, t: Theory) -> Case:
     s = t.start()
-    given = [*t.valid(s), Part(FITS, t.all_fit(s))]
+    given = t.valid(s) | {FITS: t.all_fit(s)}
     step, some = _step(t, s, action)
-    after, asked = step.after, list(step.precondition)
+    after, asked = step.after, dict(step.precondition)
     c, p, k = "the_component", "the_port", "the_topic"
     if action == "create":
         back = act.remove(t, after, c, "undone")
@@ -103,35 +116,34 @@ def _undone(action: str, t: Theory) -> Case:
     elif action.startswith("detach"):
         back = act.attach(t, after, p, k, "undone")
     elif action == "handover":
-        old_meets = t.logic.all(
+        old_meets = t.all(
             (TOPIC, PORT, PORT),
-            lambda k, old, new: implies(act.swap(k, old, new), t.satisfies(t.current(s, old), t.topic_guarantee(k))),
+            lambda k, old, new: implies(act.swap(k, old, new), t.meets(s, old, k)),
         )
-        asked.append(Part("every old output still meets its topic", old_meets))
+        asked["every old output still meets its topic"] = old_meets
         back = act.handover(t, after, lambda k, old, new: act.swap(k, new, old), "undone")
     else:
-        other = act.upgrade if action == "degrade" else act.degrade
-        back = other(t, after, act.in_group, s.mode)
-    conclusion = [Part(f"the undo requires: {part.name}", part.formula) for part in back.precondition]
-    conclusion += [Part(f"after the undo, {part.name}", part.formula) for part in t.same(back.after, s)]
+        back = act.change_modes(t, after, act.in_group, s.mode, "upgrade" if action == "degrade" else "degrade")
+    conclusion = _named("the undo requires: ", back.precondition)
+    conclusion |= _named("after the undo, ", t.same(back.after, s))
     return Case(given, asked, conclusion, (s, after, back.after), and_(some, active(t, s)), action)
 
 
 def _remove_undone(t: Theory) -> Case:
     """`create c` again, then upgrades one by one: ``raised`` are those of ``c`` that were raised already."""
     s = t.start()
-    c = act.a_component(t)
+    c = t.constant("the_component", COMPONENT)
     step = act.remove(t, s, c)
     again = act.create(t, step.after, c, "created")
-    raised = t.logic.function("raised", (FUNCTIONALITY,), "Bool")
-    f = t.logic.constant("the_functionality", FUNCTIONALITY)
+    raised = t.function("raised", (FUNCTIONALITY,), "Bool")
+    f = t.constant("the_functionality", FUNCTIONALITY)
     midway = again.after.in_modes(lambda g: if_(and_(raised(g), equal(t.host(g), c)), s.mode(g), again.after.mode(g)))
-    t.logic.facts += [equal(t.host(f), c), not_(raised(f)), not_(equal(s.mode(f), t.last(f)))]
-    up = act.upgrade(t, midway, lambda g: equal(g, f), s.mode)
-    conclusion = [Part(f"the undo requires: {part.name}", part.formula) for part in again.precondition]
-    conclusion += [Part(f"the upgrade of the undo requires: {part.name}", part.formula) for part in up.precondition]
+    t.facts += [equal(t.host(f), c), not_(raised(f)), not_(equal(s.mode(f), t.last(f)))]
+    up = act.change_modes(t, midway, lambda g: equal(g, f), s.mode, "upgrade")
+    conclusion = _named("the undo requires: ", again.precondition)
+    conclusion |= _named("the upgrade of the undo requires: ", up.precondition)
     all_raised = again.after.in_modes(lambda g: if_(equal(t.host(g), c), s.mode(g), again.after.mode(g)))
-    conclusion += [Part(f"after the undo, {part.name}", part.formula) for part in t.same(all_raised, s)]
+    conclusion |= _named("after the undo, ", t.same(all_raised, s))
     return Case(t.valid(s), step.precondition, conclusion, (s, step.after, up.after), active(t, s), "remove")
 
 
@@ -141,24 +153,21 @@ def _apart_undone(t: Theory) -> Case:
     In between, an attachment of ``before`` may be missing if its output does not meet the topic; others may exist.
     """
     s = t.start()
-    attached = t.logic.function("attached_between", (PORT, TOPIC), "Bool")
+    attached = t.function("attached_between", (PORT, TOPIC), "Bool")
     between = t.state("between", s.live, attached, s.mode)
-    kept = t.logic.all(
+    kept = t.all(
         (PORT, TOPIC),
-        lambda p, k: implies(
-            and_(s.attached(p, k), or_(not_(t.is_output(p)), t.satisfies(t.current(s, p), t.topic_guarantee(k)))),
-            attached(p, k),
-        ),
+        lambda p, k: implies(and_(s.attached(p, k), or_(not_(t.is_output(p)), t.meets(s, p, k))), attached(p, k)),
     )
-    asked = [Part("only outputs that do not meet their topic are missing", kept)]
-    given = [t.valid(s)[0]]
-    some = t.logic.some((PORT, TOPIC), lambda p, k: and_(s.attached(p, k), not_(attached(p, k))))
-    conclusion = [Part("every functionality is satisfied", t.all_satisfied(between))]
+    asked = {"only outputs that do not meet their topic are missing": kept}
+    given = {SATISFIED: t.all_satisfied(s)}
+    some = t.some((PORT, TOPIC), lambda p, k: and_(s.attached(p, k), not_(attached(p, k))))
+    conclusion = {SATISFIED: t.all_satisfied(between)}
     return Case(given, asked, conclusion, (s, between), and_(some, active(t, s)), "")
 
 
 def _consumes(t: Theory, s: State, f: Term, k: Term) -> Term:
-    return t.logic.some((PORT,), lambda p: and_(t.uses(f, p), s.attached(p, k)))
+    return t.some((PORT,), lambda p: and_(t.uses(f, p), s.attached(p, k)))
 
 
 def _checked(action: str, t: Theory) -> Case:
@@ -166,34 +175,27 @@ def _checked(action: str, t: Theory) -> Case:
     s = t.start()
     step, some = _step(t, s, action)
     after = step.after
-    asked = [part for part in step.precondition if part.name not in (act.STAYS, act.OUTSIDE, act.INSIDE)]
-    required = [part for part in step.precondition if part not in asked]
-    affected: Callable[[Term], Term]
-    if action == "detach output":
-        k = "the_topic"
-        affected = lambda f: _consumes(t, after, f, k)  # noqa: E731
-        topic_kept = t.topic_satisfied(after, k)
-    elif action == "detach input":
-        affected = lambda f: t.uses(f, "the_port")  # noqa: E731
-        topic_kept = FALSE
-    else:
-        topic_kept = FALSE
+    required = {name: step.precondition[name] for name in step.precondition if name in _ABOUT_MODES}
+    asked = {name: step.precondition[name] for name in step.precondition if name not in required}
 
-        def lost(k: Term) -> Term:
-            fed = t.logic.some((PORT,), lambda p: and_(t.is_output(p), act.in_group(t.owner(p)), s.attached(p, k)))
-            return and_(fed, t.topic_satisfied(s, k), not_(t.topic_satisfied(after, k)))
+    def lost(k: Term) -> Term:
+        fed = t.some((PORT,), lambda p: and_(t.is_output(p), act.in_group(t.owner(p)), s.attached(p, k)))
+        return and_(fed, t.topic_satisfied(s, k), not_(t.topic_satisfied(after, k)))
 
-        def affected(f: Term) -> Term:
-            return or_(act.in_group(f), t.logic.some((TOPIC,), lambda k: and_(lost(k), _consumes(t, s, f, k))))
+    def affected(f: Term) -> Term:
+        if action == "detach output":
+            return _consumes(t, after, f, "the_topic")
+        if action == "detach input":
+            return t.uses(f, "the_port")
+        return or_(act.in_group(f), t.some((TOPIC,), lambda k: and_(lost(k), _consumes(t, s, f, k))))
 
-    examined = t.logic.all(
-        (FUNCTIONALITY,), lambda f: implies(and_(t.live_in(after, f), affected(f)), t.satisfied(after, f))
-    )
-    asked.append(Part("every functionality that `check` examines is satisfied", or_(topic_kept, examined)))
+    topic_kept = t.topic_satisfied(after, "the_topic") if action == "detach output" else FALSE
+    examined = or_(topic_kept, t.all_satisfied(after, affected))
+    asked["every functionality that `check` examines is satisfied"] = examined
     return Case(t.valid(s), asked, required, (s, after), and_(some, active(t, s)), action)
 
 
-_NAMED = "an assumption names associated inputs"
+_NAMES = "an assumption names associated inputs"
 _DOWN = act.STRICTLY.format("worse")
 _VALID = "a valid configuration stays valid"
 _BACK = "the undo is allowed and restores the configuration"
@@ -224,7 +226,7 @@ ACTION_GOALS: tuple[Goal, ...] = (
     Goal("upgrade F", "F6", _BACK, partial(_undone, "upgrade"), spare={act.INSIDE}),
     Goal("handover", "F6", _BACK, partial(_undone, "handover"), spare={act.MEETS, act.CAPS}),
     Goal("handover apart", "F6", "every functionality stays satisfied during the undo", _apart_undone),
-    Goal("detach output", "check", _LOCAL, partial(_checked, "detach output"), (_NAMED,), {act.ATTACHED}),
-    Goal("detach input", "check", _LOCAL, partial(_checked, "detach input"), (_NAMED,), {act.ATTACHED}),
-    Goal("degrade F", "check", _LOCAL, partial(_checked, "degrade"), (_NAMED,), {act.LIVE, _DOWN}),
+    Goal("detach output", "check", _LOCAL, partial(_checked, "detach output"), (_NAMES,), {act.ATTACHED}),
+    Goal("detach input", "check", _LOCAL, partial(_checked, "detach input"), (_NAMES,), {act.ATTACHED}),
+    Goal("degrade F", "check", _LOCAL, partial(_checked, "degrade"), (_NAMES,), {act.LIVE, _DOWN}),
 )  # fmt: skip

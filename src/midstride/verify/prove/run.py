@@ -21,9 +21,8 @@ from midstride.verify.prove import solvers
 from midstride.verify.prove.counterexample import Counterexample
 from midstride.verify.prove.facts import FACT_GOALS
 from midstride.verify.prove.goals import ACTION_GOALS, Case, Goal
-from midstride.verify.prove.rules import rules
 from midstride.verify.prove.terms import Term, and_, app, not_
-from midstride.verify.prove.theory import SORTS, Part, Theory
+from midstride.verify.prove.theory import SORTS, Parts, Theory
 from midstride.verify.verdict import Answer
 
 GOALS: Final[tuple[Goal, ...]] = (*ACTION_GOALS, *FACT_GOALS)
@@ -113,63 +112,58 @@ def prove_goal(goal: Goal, names: Sequence[solvers.Name] = solvers.NAMES, second
     if not installed:
         return Proof(goal, Answer.UNKNOWN, took, "; ".join(because))
     first = installed[0]
-    total = _combined(answers)
+    total = answers[0] if len(set(answers)) == 1 else Answer.UNKNOWN  # also where the solvers differ
     if total is not Answer.HOLDS:
         model = _model(goal, first, (), seconds, violated=True)
         if model is not None and Answer.HOLDS in answers:
             total, because = Answer.UNKNOWN, [*because, "the solvers disagree"]
         elif model is not None:
             total, because = Answer.VIOLATED, [model]
-    possible = Answer.HOLDS if all(_possible(goal, name, seconds) for name in installed) else Answer.UNKNOWN
+    # Whether the premises can all be true in a non-trivial case.
+    occurs = all(_model(goal, name, (), seconds, violated=False) is not None for name in installed)
+    possible = Answer.HOLDS if occurs else Answer.UNKNOWN
     weakened = tuple(_weakened(goal, dropped, needed, first, seconds) for dropped, needed in weakenings(goal))
     return Proof(goal, total, took, "; ".join(because) or None, possible, weakened)
 
 
-def _combined(answers: Iterable[Answer]) -> Answer:
-    """HOLDS only if every solver agrees; UNKNOWN if they differ."""
-    distinct = set(answers)
-    return distinct.pop() if len(distinct) == 1 else Answer.UNKNOWN
-
-
 def weakenings(goal: Goal) -> Iterator[tuple[tuple[str, ...], bool]]:
     """The parts to leave out, and whether the goal must fail without them."""
-    for part in goal.build(Theory()).asked:
-        yield (part.name,), part.name not in goal.spare
+    for name in goal.build(Theory()).asked:
+        yield (name,), name not in goal.spare
     for rule in goal.rules:
         yield (rule,), True
     for names in goal.together:
         yield names, True
 
 
-def premises(t: Theory, case: Case, dropped: tuple[str, ...]) -> list[tuple[str, Term]]:
+def premises(t: Theory, case: Case, dropped: tuple[str, ...]) -> Parts:
     """The premises of a goal, without the dropped ones."""
-    parts = [*rules(t), *case.given, *case.asked]
-    missing = set(dropped) - {part.name for part in parts}
+    parts = t.rules() | case.given | case.asked
+    missing = set(dropped) - parts.keys()
     assert not missing, f"no conjunct is called {missing}"
-    return [(part.name, part.formula) for part in parts if part.name not in dropped]
+    return {name: formula for name, formula in parts.items() if name not in dropped}
 
 
-def script(goal: Goal, part: int, dropped: tuple[str, ...] = ()) -> str:
-    """The unbounded negation of one part of the goal, as SMT-LIB text."""
+def script(goal: Goal, part: str, dropped: tuple[str, ...] = ()) -> str:
+    """The unbounded negation of one part of the goal's conclusion, as SMT-LIB text."""
     t = Theory()
     case = goal.build(t)
-    concluded: Part = case.conclusion[part]
-    return t.logic.script([*premises(t, case, dropped), (f"NOT: {concluded.name}", not_(concluded.formula))])
+    return t.script(premises(t, case, dropped) | {f"NOT: {part}": not_(case.conclusion[part])})
 
 
 def _proved(goal: Goal, name: solvers.Name, seconds: float, dropped: tuple[str, ...] = ()) -> tuple[Answer, str | None]:
-    for number, part in enumerate(goal.build(Theory()).conclusion):
+    for part in goal.build(Theory()).conclusion:
         answer: solvers.Answer = "unknown"
         for strategy in solvers.STRATEGIES[name]:
             session = solvers.open_session(name, seconds, strategy)
-            solvers.send(session, script(goal, number, dropped))
+            solvers.send(session, script(goal, part, dropped))
             answer = solvers.check_sat(session)
             if answer != "unknown":
                 break
         if answer == "sat":
-            return Answer.VIOLATED, f"{name}: does not follow: {part.name}"
+            return Answer.VIOLATED, f"{name}: does not follow: {part}"
         if answer == "unknown":
-            return Answer.UNKNOWN, f"{name} does not decide within {seconds:g} s: {part.name}"
+            return Answer.UNKNOWN, f"{name} does not decide within {seconds:g} s: {part}"
     return Answer.HOLDS, None
 
 
@@ -182,19 +176,14 @@ def _weakened(goal: Goal, dropped: tuple[str, ...], needed: bool, name: solvers.
     return Weakened(dropped, needed, Answer.UNKNOWN if text is None else Answer.VIOLATED, text)
 
 
-def _possible(goal: Goal, name: solvers.Name, seconds: float) -> bool:
-    """Whether the premises can all be true in a non-trivial case."""
-    return _model(goal, name, (), seconds, violated=False) is not None
-
-
 def _model(goal: Goal, name: solvers.Name, dropped: tuple[str, ...], seconds: float, *, violated: bool) -> str | None:
     """The text of a small model of the premises (``violated``: in which the conclusion is false), or None."""
     for sizes in SIZES:
         t = Theory(sizes)
         case = goal.build(t)
-        query = not_(and_(*(part.formula for part in case.conclusion))) if violated else case.occurs
+        query = not_(and_(*case.conclusion.values())) if violated else case.occurs
         session = solvers.open_session(name, seconds)
-        solvers.send(session, t.logic.script([*premises(t, case, dropped), ("query", query)]))
+        solvers.send(session, t.script(premises(t, case, dropped) | {"query": query}))
         if solvers.check_sat(session) != "sat":
             continue
         if violated:
@@ -223,7 +212,7 @@ def _atoms(t: Theory) -> list[Term]:
     """Every relation applied to every combination of elements."""
     return [
         app(name, *chosen)
-        for name, (arguments, result) in t.logic.declared.items()
+        for name, (arguments, result) in t.declared.items()
         if result == "Bool"
-        for chosen in product(*map(t.logic.elements, arguments))
+        for chosen in product(*map(t.elements, arguments))
     ]

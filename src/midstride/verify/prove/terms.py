@@ -46,10 +46,6 @@ def implies(premise: Term, conclusion: Term) -> Term:
     return or_(not_(premise), conclusion) if FALSE in (premise, conclusion) else app("=>", premise, conclusion)
 
 
-def iff(left: Term, right: Term) -> Term:
-    return app("=", left, right)
-
-
 def equal(left: Term, right: Term) -> Term:
     return TRUE if left == right else app("=", left, right)
 
@@ -102,15 +98,11 @@ class Logic:
         bound = " ".join(f"({variable} {sort})" for variable, sort in zip(variables, sorts, strict=True))
         return f"({name} ({bound}) {inside})"
 
-    def total(self, sort: str, amount: Callable[[Term], Term]) -> Term:
-        """The sum over all elements of a bounded sort."""
-        return app("+", "0", *map(amount, self.elements(sort)))
-
     def number(self, sort: str, holds: Callable[[Term], Term]) -> Term:
         """The number of elements of a bounded sort for which ``holds`` is true."""
-        return self.total(sort, lambda element: if_(holds(element), "1", "0"))
+        return app("+", "0", *(if_(holds(element), "1", "0") for element in self.elements(sort)))
 
-    def script(self, assertions: Iterable[tuple[str, Term]]) -> str:
+    def script(self, assertions: Mapping[str, Term]) -> str:
         """Declarations, facts and named assertions as SMT-LIB text, without ``check-sat``."""
         lines = ["(set-logic ALL)"]
         for sort in self.sorts:
@@ -121,6 +113,6 @@ class Logic:
         for name, (arguments, result) in self.declared.items():
             lines.append(f"(declare-fun {name} ({' '.join(arguments)}) {result})")
         lines += [f"(assert {fact})" for fact in self.facts]
-        for name, term in assertions:
+        for name, term in assertions.items():
             lines += [f"; {name}", f"(assert {term})"]
         return "\n".join(lines) + "\n"
