@@ -95,7 +95,7 @@ def test_the_exit_is_reported_with_its_status(tmp_path: Path, code: str, status:
     async def run() -> tuple[int | None, list[int | None]]:
         heard: list[int | None] = []
         process = spawn([sys.executable, "-S", "-c", code], tmp_path, {}, tmp_path / "log.txt")
-        process.on_exit(heard.append)
+        process.on_exit = heard.append
         await asyncio.wait_for(process.wait(), 10)
         process.close()
         return process.status, heard

@@ -122,8 +122,7 @@ class HandoverCommands:
         await within(self._host, over, command.timeout)
         results = [side.result() for side in sides]
         # Where both sides are here, the cut is done once both are.
-        open_outcomes: list[commands.CutOutcome] = [result.outcome for result in results if result.outcome != "done"]
-        outcome: commands.CutOutcome = open_outcomes[0] if open_outcomes else "done"
+        outcome: commands.CutOutcome = next((each.outcome for each in results if each.outcome != "done"), "done")
         last = {name: write for result in results for name, write in result.last.items()}
         first = {name: write for result in results for name, write in result.first.items()}
         return commands.CutResult(outcome=outcome, last=last, first=first)

@@ -44,11 +44,11 @@ class Process:
         self.started = started
         self.log = log
         self.status: int | None = None  # negative for a signal, None while it runs and if unknown
+        self.on_exit: Callable[[int | None], object] | None = None  # called with the status when it has exited
         self._log_begins = log_begins
         self._child = child
         self._exited = asyncio.Event()
         self._ending = False
-        self._on_exit: Callable[[int | None], None] | None = None
         self._fd = os.pidfd_open(pid)
         info = reaper.process_info(pid)
         if info is None or info.started != started:
@@ -71,10 +71,6 @@ class Process:
         if self.log is not None and shorten(self.log, longest, kept):
             self._log_begins = 0
 
-    def on_exit(self, callback: Callable[[int | None], None] | None) -> None:
-        """Call ``callback(status)`` when the process has exited; replaces the previous callback."""
-        self._on_exit = callback
-
     async def wait(self) -> int | None:
         await self._exited.wait()
         return self.status
@@ -92,8 +88,8 @@ class Process:
             # A shell that is killed must not leave the component that it ran.
             reaper.signal_group(self._group, signal.SIGKILL)
         self._exited.set()
-        if self._on_exit is not None:
-            self._on_exit(self.status)
+        if self.on_exit is not None:
+            self.on_exit(self.status)
 
     async def end(self, grace: float) -> None:
         """End the process and its group: with SIGTERM, and after ``grace`` seconds with SIGKILL.
