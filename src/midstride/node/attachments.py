@@ -8,6 +8,7 @@ before an endpoint is destroyed, its gate is closed and its readers have acknowl
 from __future__ import annotations
 
 import asyncio
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
@@ -24,18 +25,18 @@ SETTLE: Final = 0.05
 TICK: Final = 0.005
 
 
+@dataclass
 class Attachments:
     """The attachments of a component's ports. Raises CommandRefused for names that do not exist."""
 
-    def __init__(self, parts: DeclaredParts, host: Host, data: DataExecutor) -> None:
-        self._parts = parts
-        self._host = host
-        self._data = data
+    parts: DeclaredParts
+    host: Host
+    data: DataExecutor
 
     def port(self, name: str) -> Input | Output:
-        found = self._parts.ports.get(name)
+        found = self.parts.ports.get(name)
         if found is None:
-            listed = ", ".join(self._parts.ports) or "none"
+            listed = ", ".join(self.parts.ports) or "none"
             raise CommandRefused(f"there is no port {name}; the ports are: {listed}")
         return found
 
@@ -63,7 +64,7 @@ class Attachments:
         port = self.port(command.port)
         if port.link(topic) is not None:
             raise CommandRefused(f"{port.name} is already attached to {topic}")
-        link = await self._data.run(lambda: self._create(port, topic), timeout)
+        link = await self.data.run(lambda: self._create(port, topic), timeout)
         try:
             matched = await self._match(link, command.peers, timeout)
             if matched < command.peers:
@@ -72,30 +73,30 @@ class Attachments:
                     "the others are missing, or have another type or incompatible QoS"
                 )
             if command.peers:
-                await self._host.sleep(SETTLE)
+                await self.host.sleep(SETTLE)
             matched = await self._match(link, command.everyone, command.patience)
             if command.everyone > command.peers:  # endpoints outside the system as well
-                await self._host.sleep(SETTLE)
+                await self.host.sleep(SETTLE)
             if isinstance(link, OutputLink) and command.gate == "open":
-                await self._data.run(partial(self._open, link), timeout)
+                await self.data.run(partial(self._open, link), timeout)
         except CommandRefused:
             # Undone as soon as user code returns, however long that takes: a refused command must change nothing.
-            await within(self._host, self._host.on_data(link.destroy), timeout)
+            await within(self.host, self.host.on_data(link.destroy), timeout)
             raise
         return commands.Attached(matched=matched)
 
     async def detach(self, command: commands.DetachCommand) -> commands.Detached:
         link, timeout = self._attached(command.port, command.topic), command.timeout
         if isinstance(link, InputLink):
-            await self._data.run(link.destroy, timeout)
+            await self.data.run(link.destroy, timeout)
             return commands.Detached(acknowledged=None, last=None)
         was_open = link.gate == "open"
-        await self._data.run(lambda: link.set_gate(False), timeout)
+        await self.data.run(lambda: link.set_gate(False), timeout)
         acknowledged = await link.endpoint.acknowledged(timeout)
         try:
-            await self._data.run(link.destroy, timeout)
+            await self.data.run(link.destroy, timeout)
         except CommandRefused:
-            self._host.on_data(lambda: link.set_gate(was_open))
+            self.host.on_data(lambda: link.set_gate(was_open))
             raise
         return commands.Detached(acknowledged=acknowledged, last=link.count)
 
@@ -109,16 +110,16 @@ class Attachments:
             if command.latch:
                 link.write_last_gated()
 
-        await self._data.run(switch, command.timeout)
+        await self.data.run(switch, command.timeout)
         return commands.Done()
 
     async def await_write(self, command: commands.AwaitWriteCommand) -> commands.GatedWrites:
         link = self.link(command.port, command.topic)
-        deadline = self._host.steady() + int(command.timeout * 1e9)
-        while not link.gated and link.output.wrong_type is None and self._host.steady() < deadline:
+        deadline = self.host.steady() + int(command.timeout * 1e9)
+        while not link.gated and link.output.wrong_type is None and self.host.steady() < deadline:
             if link.output.owner.failed:
                 break  # it will not write
-            await self._host.sleep(TICK)
+            await self.host.sleep(TICK)
         return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
 
     async def await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
@@ -127,9 +128,9 @@ class Attachments:
 
     async def close_all(self, timeout: float) -> None:
         """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""
-        links = [link for output in self._parts.outputs.values() for link in output.links]
+        links = [link for output in self.parts.outputs.values() for link in output.links]
         await asyncio.gather(*(link.endpoint.acknowledged(timeout) for link in links))
-        await self._data.run(self._destroy_all, timeout)
+        await self.data.run(self._destroy_all, timeout)
 
     def _attached(self, port: str, topic: str) -> OutputLink | InputLink:
         """The attachment of a port to ``topic``. Raises CommandRefused where there is none."""
@@ -140,9 +141,9 @@ class Attachments:
 
     async def _match(self, link: OutputLink | InputLink, wanted: int, patience: float) -> int:
         """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s)."""
-        deadline = self._host.steady() + int(patience * 1e9)
-        while (matched := link.endpoint.matched()) < wanted and self._host.steady() < deadline:
-            await self._host.sleep(TICK)
+        deadline = self.host.steady() + int(patience * 1e9)
+        while (matched := link.endpoint.matched()) < wanted and self.host.steady() < deadline:
+            await self.host.sleep(TICK)
         return matched
 
     # -- data thread -------------------------------------------------------------------------------
@@ -150,11 +151,11 @@ class Attachments:
     def _create(self, port: Output | Input, topic: str) -> OutputLink | InputLink:
         if isinstance(port, Input):
             inlet = InputLink(port, topic)
-            receive = port.receiver(inlet, self._host)
-            inlet.endpoint = self._host.create_subscription(topic, port.type, port.assumption.qos, receive)
+            receive = port.receiver(inlet, self.host)
+            inlet.endpoint = self.host.create_subscription(topic, port.type, port.assumption.qos, receive)
             port.links = (*port.links, inlet)
             return inlet
-        link = OutputLink(port, topic, self._host.create_publisher(topic, port.type, port.qos))
+        link = OutputLink(port, topic, self.host.create_publisher(topic, port.type, port.qos))
         if port.last is not None and (port.latched or port.owner.driven == "none"):
             link.write_gated(port.last)  # a mode that writes once, on entry, may have written while unattached
         port.wrong_type = None
@@ -167,6 +168,6 @@ class Attachments:
             link.write_last_gated()
 
     def _destroy_all(self) -> None:
-        for port in self._parts.ports.values():
+        for port in self.parts.ports.values():
             for link in port.links:
                 link.destroy()

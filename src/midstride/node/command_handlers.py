@@ -181,7 +181,8 @@ class CommandHandlers:
     # -- modes -------------------------------------------------------------------------------------
 
     async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.Before:
-        targets = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
+        indices = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
+        targets = {runner: indices[runner.name] for runner in self._runners if runner.name in indices}
         settled = asyncio.Event()
         on_settled = partial(asyncio.get_running_loop().call_soon_threadsafe, settled.set)
 
@@ -190,13 +191,13 @@ class CommandHandlers:
                 return "a functionality has degraded by itself meanwhile: observe the component again, then retry"
             return None
 
-        switch = ModeSwitch(targets, self._runners, command.because, guard, on_settled)
+        switch = ModeSwitch(targets, command.because, guard, on_settled)
         attempt = asyncio.ensure_future(self._host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
         if await within(self._host, settled.wait(), command.timeout) is None and switch.claim.take():
             self._host.on_data(switch.release)
             raise CommandRefused(
-                f"the change of {', '.join(targets)} was withdrawn: "
+                f"the change of {', '.join(indices)} was withdrawn: "
                 f"user code did not return within {command.timeout:g} s{self._busy_words()}"
             )
         await settled.wait()
