@@ -41,14 +41,14 @@ class FirstClaim:
     """Whether something happens (data thread) or is withdrawn (control thread): the first to claim it decides."""
 
     def __init__(self) -> None:
-        self.taken = False
-        self._lock = threading.Lock()
+        self._lock = threading.Lock()  # never released
 
     def take(self) -> bool:
         """Returns whether the caller is the first."""
-        with self._lock:
-            first, self.taken = not self.taken, True
-            return first
+        return self._lock.acquire(blocking=False)
+
+    def taken(self) -> bool:
+        return self._lock.locked()
 
 
 @dataclass
@@ -129,7 +129,7 @@ class ModeSwitch:
 
     def attempt(self) -> None:
         """On the data thread: switch, unless an async call is under way; then this is called again at its end."""
-        if self.claim.taken:
+        if self.claim.taken():
             return
         if any(runner.asynchronous for runner in self.targets):
             for runner in self.targets:

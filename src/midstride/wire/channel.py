@@ -6,6 +6,7 @@ import asyncio
 import contextlib
 import uuid
 from collections.abc import Callable, Coroutine
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import msgspec
@@ -21,6 +22,7 @@ T = TypeVar("T")
 Report = frames.Registration | frames.StateChanged
 
 
+@dataclass(eq=False)
 class Channel:
     """One connection to one component. ``report`` is called with each of its reports, ``ended`` once when it is gone.
 
@@ -28,19 +30,14 @@ class Channel:
     where nothing listens any more. To be used on one event loop.
     """
 
-    def __init__(
-        self,
-        connection: Connection,
-        greeting: frames.Greeting,
-        report: Callable[[Report], None],
-        ended: Callable[[], None],
-    ) -> None:
-        self.greeting = greeting
-        self.direct = connection.peer in (None, greeting.pid)
+    connection: Connection
+    greeting: frames.Greeting
+    report: Callable[[Report], None]
+    ended: Callable[[], None]
+
+    def __post_init__(self) -> None:
+        self.direct = self.connection.peer in (None, self.greeting.pid)
         self.closed = asyncio.Event()
-        self._connection = connection
-        self._report = report
-        self._ended = ended
         self._waiting: dict[str, asyncio.Future[Reply]] = {}
         self._reading = asyncio.get_running_loop().create_task(self._read())
 
@@ -88,7 +85,7 @@ class Channel:
         waiting: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
         self._waiting[request.id] = waiting
         try:
-            await self._connection.send(frames.encode(request))
+            await self.connection.send(frames.encode(request))
             return await waiting
         finally:
             if self._waiting.get(request.id) is waiting:  # not that of a repetition
@@ -98,15 +95,15 @@ class Channel:
 
     def close(self) -> None:
         """Close the connection; neither ``report`` nor ``ended`` is called any more."""
-        self._report = lambda _: None
-        self._ended = lambda: None
+        self.report = lambda _: None
+        self.ended = lambda: None
         self._reading.cancel()
         self._end("the connection was closed at this end")
 
     async def _read(self) -> None:
         words = "it has closed its control connection"
         try:
-            while (line := await self._connection.receive()) is not None:
+            while (line := await self.connection.receive()) is not None:
                 self._take(line)
         except ProtocolError as error:
             words = str(error)
@@ -115,7 +112,7 @@ class Channel:
             asyncio.get_running_loop().call_exception_handler(
                 {"message": f"handling a report of {self.greeting.instance} failed", "exception": error}
             )
-        ended = self._ended
+        ended = self.ended
         self._end(words)
         ended()
 
@@ -126,14 +123,14 @@ class Channel:
             if waiting is not None and not waiting.done():
                 waiting.set_result(frame)
         elif isinstance(frame, (frames.Registration, frames.StateChanged)):
-            self._report(frame)
+            self.report(frame)
 
     def _end(self, words: str) -> None:
         if self.closed.is_set():
             return
         self.closed.set()
         with contextlib.suppress(Exception):
-            self._connection.close()
+            self.connection.close()
         for waiting in self._waiting.values():
             if not waiting.done():
                 waiting.set_exception(Unreachable(f"{self.greeting.instance} is gone: {words}"))
