@@ -59,12 +59,9 @@ class Agent:
         self._welcomed = False
         self._ready = asyncio.Event()
         self._stopping = asyncio.Event()
+        name, token = self.host.instance, self.start_token
         greeting = frames.Greeting(
-            protocol=frames.PROTOCOL,
-            instance=self.host.instance,
-            uuid=self._uuid,
-            pid=self.pid,
-            start_token=self.start_token,
+            protocol=frames.PROTOCOL, instance=name, uuid=self._uuid, pid=self.pid, start_token=token
         )
         self._server = CommandServer(greeting, self.serve)
         self._handlers = CommandHandlers(

@@ -44,7 +44,6 @@ class TimeGrid(Protocol):
 
     def regrid(self, epoch: int) -> None:
         """Continue along the grid through ``epoch`` (ns)."""
-        ...
 
 
 class OutputOwner(Protocol):

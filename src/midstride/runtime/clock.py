@@ -12,15 +12,12 @@ class Clock(Protocol):
 
     def steady(self) -> float:
         """Monotonic time in seconds, from an arbitrary start."""
-        ...
 
     def ros_now(self) -> int:
         """ROS time in nanoseconds."""
-        ...
 
     async def sleep(self, seconds: float) -> None:
         """Sleep on the monotonic clock."""
-        ...
 
 
 class SystemClock:

@@ -203,13 +203,7 @@ class Manager:
         if self._current is not None:
             running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
         return status.status(
-            self.system,
-            self._client,
-            self._monitor,
-            self._launcher,
-            self._backend.name,
-            running,
-            self._store.unwritten,
+            self.system, self._client, self._monitor, self._launcher, self._backend.name, running, self._store.unwritten
         )
 
     async def live(self) -> LiveConfiguration:
