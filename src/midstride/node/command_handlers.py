@@ -256,8 +256,6 @@ class CommandHandlers:
 
         return await self._data.run(guarded, timeout)
 
-    # -- measuring ---------------------------------------------------------------------------------
-
     async def _record(self, command: commands.RecordCommand) -> commands.RecordingSwitched:
         ports = [self._attachments.input(name) for name in command.inputs]
 

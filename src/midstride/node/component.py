@@ -188,8 +188,6 @@ class Component:
         agent = Agent(self._parts, declaration, host, context.token, pid, standalone)
         host.run(agent.main)
 
-    # -- checking ----------------------------------------------------------------------------------
-
     def _declaring(self, what: str) -> None:
         if self._started:
             raise NodeError(f"{what}: component {self.name} has been started; declare everything before start()")

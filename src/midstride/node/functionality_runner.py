@@ -146,7 +146,6 @@ class FunctionalityRunner(OutputOwner):
             self._error = error
 
     def _returned(self) -> None:
-        """An async call has ended."""
         self.asynchronous = False
         error, self._error = self._error, None
         self._ended()

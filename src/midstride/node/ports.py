@@ -139,8 +139,6 @@ class InputLink:
 
     def destroy(self) -> None:
         self.input.remove(self)
-        if not self.input.links:
-            self.input.forget()
 
 
 L = TypeVar("L", OutputLink, InputLink)
@@ -193,7 +191,8 @@ class Output(_Port[OutputLink]):
         section 7).
         """
         if message.__class__ is not self.type and not isinstance(message, self.type):
-            self._refuse(message)
+            self.wrong_type = f"output {self.name} takes {type_name(self.type)}, not {type(message).__name__}"
+            raise NodeError(f"{self.wrong_type}; write {self.name}.write({self.type.__name__}(…))")
         links = self.links
         if self.latched or not links:
             self.last = message
@@ -205,10 +204,6 @@ class Output(_Port[OutputLink]):
                 link.count += 1
             else:
                 link.write_gated(message)
-
-    def _refuse(self, message: Any) -> None:
-        self.wrong_type = f"output {self.name} takes {type_name(self.type)}, not {type(message).__name__}"
-        raise NodeError(f"{self.wrong_type}; write {self.name}.write({self.type.__name__}(…))")
 
     def __repr__(self) -> str:
         return f"<output {self.name}: {type_name(self.type)}>"
@@ -249,10 +244,10 @@ class Input(_Port[InputLink]):
 
         return receive
 
-    def forget(self) -> None:
-        """Drop the latest message: the input is not attached any more."""
-        self.latest = None
-        self._received_at = None
+    def remove(self, link: InputLink) -> None:
+        super().remove(link)
+        if not self.links:
+            self.latest = self._received_at = None
 
     def record(self, on: bool) -> None:
         """Keep every receipt from now on, or only the last few; earlier ones are kept."""

@@ -81,8 +81,6 @@ class ComponentClient:
     _reopened_at: dict[str, float] = field(default_factory=dict)
     _registrations: dict[str, asyncio.Future[Registration]] = field(default_factory=dict)
 
-    # -- connections -------------------------------------------------------------------------------
-
     def address(self, instance: str) -> str:
         """Where the component listens, for its peer of a hand-over."""
         return self.transport.address(instance)
@@ -209,8 +207,6 @@ class ComponentClient:
         """Close every connection; the components keep running."""
         for instance in {*self._channels, *self._reopening}:
             self.disconnect(instance)
-
-    # -- commands ----------------------------------------------------------------------------------
 
     async def read(self, instance: str, command: Command[R]) -> R:
         """Send a command that changes nothing.

@@ -32,12 +32,9 @@ def own_degradations(
     configuration: Configuration, client: ComponentClient, exited: Container[str]
 ) -> dict[FunctionalityRef, int]:
     """The functionalities that report a worse mode than the model has, except those of ``exited``."""
-    degraded: dict[FunctionalityRef, int] = {}
-    for name in sorted(configuration.instances):
-        latest = client.latest(name)
-        if latest is not None and name not in exited:
-            degraded.update(own_degradations_in(configuration, latest.state))
-    return degraded
+    latest = [client.latest(name) for name in sorted(configuration.instances) if name not in exited]
+    found = [own_degradations_in(configuration, each.state) for each in latest if each is not None]
+    return {ref: index for degraded in found for ref, index in degraded.items()}
 
 
 def own_degradations_in(configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:

@@ -24,7 +24,7 @@ def status(
     unwritten: str | None,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
-    configuration = system.configuration
+    configuration, evaluator = system.configuration, Evaluator(system.configuration)
     found, silences = violations(configuration), monitor.faults(configuration)
     components = [
         _component(configuration, instance, client.responsive(name), launcher)
@@ -41,26 +41,21 @@ def status(
             if name not in configuration.instances
         ],
         silences=silences,
-        topics=_topics(configuration),
+        topics=[
+            reports.TopicStatus(
+                name=name,
+                satisfied=evaluator.connector_satisfied(name),
+                publishers=[str(port) for port in sorted(configuration.publishers_on(name))],
+                subscribers=[str(port) for port in sorted(configuration.subscribers_on(name))],
+            )
+            for name in sorted(configuration.context.connectors)
+        ],
         system=system.specification.name,
         backend=backend,
         revision=system.revision,
         running=running,
         unwritten=unwritten,
     )
-
-
-def _topics(configuration: Configuration) -> list[reports.TopicStatus]:
-    evaluator = Evaluator(configuration)
-    return [
-        reports.TopicStatus(
-            name=name,
-            satisfied=evaluator.connector_satisfied(name),
-            publishers=[str(port) for port in sorted(configuration.publishers_on(name))],
-            subscribers=[str(port) for port in sorted(configuration.subscribers_on(name))],
-        )
-        for name in sorted(configuration.context.connectors)
-    ]
 
 
 def _component(

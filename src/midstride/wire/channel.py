@@ -7,7 +7,7 @@ import contextlib
 import uuid
 from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import msgspec
 
@@ -163,8 +163,6 @@ def result_of(reply: Reply, command: Command[R]) -> R:
     if reply.refused is not None:
         raise CommandRefused(reply.refused)
     try:
-        result: Any = msgspec.json.decode(reply.result, type=command.reply)
+        return cast(R, msgspec.json.decode(reply.result, type=command.reply))
     except frames.INVALID as error:
         raise ProtocolError(f"the reply to `{command.name}` is malformed: {error}") from None
-    found: R = result
-    return found
