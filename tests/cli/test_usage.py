@@ -16,6 +16,7 @@ import midstride as package
 from midstride.backends import NAMES
 from midstride.cli import main, render
 from midstride.cli.app import COMMANDS, GROUPS
+from midstride.cli.change_options import parse_value
 from midstride.cli.output import console
 from midstride.model.specification import Specification
 from midstride.runtime.state_store import StateStore
@@ -452,3 +453,53 @@ def test_a_role_that_degrades_and_is_then_removed_is_shown_as_unserved(
     status, out, _ = run(capsys, "plan", str(path), "--replace", "base=New")
     assert status == 0
     assert "Degrades: base.drive to stop, unserved from step 3 on, for about" in out
+
+
+DEEP = "[" * 100_000
+
+
+@pytest.mark.parametrize(
+    "text", [DEEP, '{"system": "s", "nodes": {"n": ' * 2000, "{}", "[]", '{"steps": [{}]}', "{", "\udcff"]
+)
+@pytest.mark.parametrize(
+    "words",
+    ["check {}", "graph {}", "diff {} {}", "impact {} a.b", "up {} --backend sim", "verify --plan {}", "demo {}"],
+)
+def test_a_json_file_that_is_damaged_is_named(
+    words: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "demo.json"
+    file.write_bytes(text.encode(errors="surrogateescape"))
+    name = tmp_path if words.startswith("demo") else file
+    status, out, err = run(capsys, *words.format(name, name).split())
+    assert status == 1
+    assert any("demo.json" in line for line in (out + err).splitlines()[:2])
+    assert not any(word in out + err for word in ("Traceback", "RecursionError", "KeyError", "TypeError"))
+
+
+def test_json_that_is_nested_too_deep_is_reported_where_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "s.json"
+    file.write_text('{"system": "s",\n "nodes":\n  ' + '{"n":' * 100_000)
+    status, out, _ = run(capsys, "check", str(file))
+    assert status == 1 and "not JSON: nested too deep" in out and f"{file}:3:" in out
+
+
+def test_half_of_a_surrogate_pair_is_reported_where_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "s.json"
+    file.write_text('{"system":\n "\\ud800"}')
+    status, out, _ = run(capsys, "check", str(file))
+    assert status == 1 and "half of a surrogate pair" in out and f"{file}:2:3" in out
+
+
+def test_what_was_generated_is_forgotten_where_its_record_is_damaged(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / ".midstride-generated.json").write_text(DEEP)
+    status, _, err = run(capsys, "generate", str(EXAMPLES / "talker" / "talker.json"), "-o", str(tmp_path))
+    assert (status, err) == (0, "")
+
+
+def test_a_value_that_is_nested_too_deep_is_text() -> None:
+    assert parse_value(DEEP) == DEEP

@@ -289,6 +289,50 @@ def test_parameter_files_are_matched_by_role() -> None:
     assert decode_specification(encode_specification(found)) == found
 
 
+TAGGED = [
+    ("!sum [1, 2]", "!sum"),
+    ("! [1, 2]", "!"),
+    ("!!set [1, 2]", "tag:yaml.org,2002:set"),
+    ("!!map [1, 2]", "tag:yaml.org,2002:map"),
+    ("[!one 1, 2]", "!one"),
+    ("[1, !!float 2]", "tag:yaml.org,2002:float"),
+    ("!sum {a: 1}", "!sum"),
+    ("!!seq {a: 1}", "tag:yaml.org,2002:seq"),
+    ("{!a a: 1}", "!a"),
+    ("!!int 5", "tag:yaml.org,2002:int"),
+    ("! 5", "!"),
+    ("! '5'", "!"),
+    ("!!binary YQ==", "tag:yaml.org,2002:binary"),
+    ("!!python/object/apply:os.getcwd []", "tag:yaml.org,2002:python/object/apply:os.getcwd"),
+]
+
+
+@pytest.mark.parametrize(("value", "tag"), TAGGED)
+@pytest.mark.parametrize("file", ["n: {{ros__parameters: {{p: {}}}}}\n", "n:\n  ros__parameters:\n    - &a {}\n"])
+def test_a_tag_in_a_parameter_file_is_an_error_at_its_place(file: str, value: str, tag: str) -> None:
+    text = file.format(value)
+    loaded = load_text('system s\ncomponent C { }\nnode n : C { parameters "p.yaml" }\n', read=lambda path: text)
+    (found,) = [d for d in loaded.diagnostics if d.code == "E150"]
+    assert f"`{tag}`" in found.message and found.help is not None and found.span is not None
+    line, column = found.position
+    assert text.splitlines()[line - 1][column - 1] in {"!", "&"}
+
+
+@pytest.mark.parametrize("character", ["\x1b", "\x00", "\ud800", "\uffff"])
+def test_a_character_that_no_yaml_contains_is_an_error_at_its_place(character: str) -> None:
+    text = f"n:\n  # größer {character}\n  ros__parameters: {{p: 1}}\n"
+    loaded = load_text('system s\ncomponent C { }\nnode n : C { parameters "p.yaml" }\n', read=lambda path: text)
+    (found,) = [d for d in loaded.diagnostics if d.code == "E150"]
+    assert found.position == (2, 12) and ascii(character) in found.message
+
+
+def test_tags_that_say_what_a_value_is_anyway_change_nothing() -> None:
+    text = "!!map\nn: !!map {ros__parameters: {p: !!seq [!!str 1, !!str 'b'], !!str q: 1, r: !!str true}}\n"
+    head = "system s\ncomponent C { functionality f { mode a { } mode b { } } }\n"
+    values = load_text(head + 'node n : C { parameters "p.yaml" }\n', read=lambda path: text).require()
+    assert dict(values.nodes["n"].parameters) == {"p": ["1", "b"], "q": 1, "r": "true"}
+
+
 def test_parameters_can_have_any_name_that_ros_allows() -> None:
     """The diagnostics of Autoware have such names."""
     text = (

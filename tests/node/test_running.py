@@ -340,6 +340,56 @@ comp.start()
     simulate(tmp_path, main)
 
 
+@pytest.mark.parametrize(
+    ("failing", "why"),
+    [
+        ("normal", "f is in mode degraded: mode normal raised: ValueError: no more"),
+        ("last", "f is in mode degraded: its last mode, degraded, raised, so it is no longer called: ValueError"),
+    ],
+)
+def test_a_change_that_expects_the_state_before_a_failure_is_refused_with_that_failure(
+    failing: str, why: str, tmp_path: Path
+) -> None:
+    """And not with two revisions, which explain nothing. One that knows of the failure is carried out."""
+
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+f = comp.create_functionality("f")
+calls = 0
+
+def fail():
+    global calls
+    calls += 1
+    if calls == 2:
+        raise ValueError("no more")
+
+NORMAL
+comp.start()
+""".replace(
+                "NORMAL",
+                "f.set_normal_mode(fail, rate=1)\nf.set_degraded_mode(lambda: None)"
+                if failing == "normal"
+                else "f.set_normal_mode(lambda: None, rate=1)\nf.set_degraded_mode(fail, rate=1)",
+            ),
+        )
+        if failing == "normal":
+            await bench.send("node", "modes", modes={"f": "normal"})
+        expected = bench.state("node").revision
+        await bench.sleep(1.5)
+        arguments: dict[str, Any] = {"parameters": {}}
+        reply = await bench.lab.send("node", "set", arguments, id="x", revision=expected)
+        assert reply.refused is not None and reply.refused.startswith(why), reply
+        reply = await bench.lab.send("node", "set", arguments, id="y", revision=reply.revision)
+        assert reply.refused is None
+        reply = await bench.lab.send("node", "set", arguments, id="z", revision=reply.revision + 1)
+        assert reply.refused is not None and "is at revision" in reply.refused
+
+    simulate(tmp_path, main)
+
+
 def test_a_change_is_refused_where_a_functionality_degrades_while_it_waits(tmp_path: Path) -> None:
     """The manager chose the modes for the state that it knew."""
 

@@ -56,6 +56,15 @@ def test_every_fault_of_a_plan_is_found_at_once() -> None:
     ]
 
 
+@pytest.mark.parametrize("key", ["start", "target"])
+def test_a_functionality_without_modes_is_a_fault_of_a_plan(key: str) -> None:
+    document = encode_plan(replaced(talker(), "talker", "NewTalker", "paper"))
+    document[key]["components"]["Talker"]["functionalities"]["talk"]["modes"] = {}
+    with pytest.raises(SpecificationError) as refused:
+        decode_plan(document)
+    assert any(f"/{key}/components/Talker/functionalities/talk/modes:" in str(p) for p in refused.value.problems)
+
+
 def test_a_preview_is_the_plan_without_its_specifications() -> None:
     plan = replaced(talker(), "talker", "NewTalker", "paper")
     document = encode_plan(plan)

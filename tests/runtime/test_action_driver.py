@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 from immutables import Map
@@ -27,6 +28,9 @@ from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
     AwaitWriteCommand,
+    Before,
+    Command,
+    CutInCommand,
     CutResult,
     DetachCommand,
     Detached,
@@ -52,6 +56,7 @@ from tests.runtime.scripted import (
     Bench,
     bench,
     instance,
+    reported,
     talking,
 )
 
@@ -396,3 +401,38 @@ def test_a_hand_over_that_fails_keeps_no_number(tmp_path: Path) -> None:
         assert b.driver.last_numbers == {}
 
     bench(replacing(), tmp_path, body)
+
+
+# -- what degrades by itself ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("command", [ImportStateCommand, AttachCommand, AwaitWriteCommand, GridCommand, CutInCommand])
+@pytest.mark.parametrize("name", ["talker", "talker_2"])
+def test_a_side_that_degraded_is_the_reason_whatever_is_refused(
+    name: str, command: type[Command[Any]], tmp_path: Path
+) -> None:
+    async def body(b: Bench) -> None:
+        def degrades(_: object) -> CommandRefused:
+            b.client.report(reported(b.configuration.instances[name], modes={"work": "degraded"}))
+            return REFUSED
+
+        b.client.reply("talker", ExportStateCommand, EXPORTED)
+        b.client.reply("talker" if command is GridCommand else "talker_2", command, degrades)
+        with pytest.raises(
+            StepFailed, match=rf"^{name}\.work entered mode degraded unexpectedly: it entered degraded$"
+        ):
+            await perform(b, HANDOVER)
+
+    bench(replacing(), tmp_path, body)
+
+
+def test_what_a_step_itself_degraded_is_not_the_reason(tmp_path: Path) -> None:
+    both = Degrade(Map({work("listener"): 1, work("talker"): 1}))
+
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", ModesCommand, REFUSED)
+        b.client.reply("listener", ModesCommand, Before(before={}), TIMEOUT)  # its roll-back fails
+        with pytest.raises(CommandRefused):
+            await perform(b, both)
+
+    bench(talking(), tmp_path, body)

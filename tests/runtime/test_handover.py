@@ -54,7 +54,6 @@ from tests.runtime.scripted import (
     C,
     bench,
     instance,
-    reported,
     started,
     talking,
 )
@@ -247,18 +246,6 @@ def test_an_old_side_that_ends_meanwhile_is_known_in_one_turn(tmp_path: Path) ->
         b.client.reply("talker_2", MeetCommand, dies)
         await fails(b, str(UNREACHABLE))
         assert len(b.client.of(MeetCommand, "talker_2")) == 1
-
-    bench(CONFIGURATION, tmp_path, body)
-
-
-def test_a_new_side_that_degraded_is_the_reason_whatever_it_refused(tmp_path: Path) -> None:
-    async def body(b: Bench) -> None:
-        def degrades(_: AwaitWriteCommand) -> CommandRefused:
-            b.client.report(reported(b.configuration.instances["talker_2"], modes={"work": "degraded"}))
-            return REFUSED
-
-        b.client.reply("talker_2", AwaitWriteCommand, degrades)
-        await fails(b, r"talker_2\.work entered mode degraded unexpectedly: it entered degraded")
 
     bench(CONFIGURATION, tmp_path, body)
 

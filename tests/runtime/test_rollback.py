@@ -325,3 +325,44 @@ def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) ->
     assert outcome.seconds < 4  # of the simulator's own time: its first write is not waited for any more
     told = "talker_2.talk entered mode degraded unexpectedly: mode normal raised: ValueError: unplugged"
     assert told in str(outcome.because)
+
+
+@pytest.mark.parametrize("command", ["export_state", "import_state", "attach", "await_write", "meet", "cut_in"])
+@pytest.mark.parametrize("call", [1, 2])
+def test_a_message_of_the_wrong_type_is_the_reason_whenever_it_is_written(
+    call: int, command: str, tmp_path: Path
+) -> None:
+    """In the first call, or in the one before any command of the hand-over arrives."""
+
+    class Waiting(Simulator):
+        async def before(self, instance: str, op: str) -> None:
+            if op == command and "talker_2" in self.processes:
+                await self.clock.sleep(0.5)  # five of its periods
+
+    simulator = Waiting()
+    simulator.control.before_request = simulator.before
+    specification = stateful_talkers(tmp_path)
+    program = tmp_path / "NewTalker.py"
+    write = f"""
+def write():
+    write.calls += 1
+    out.write(String() if write.calls < {call} else comp)
+write.calls = 0
+talk.set_normal_mode(write,"""
+    text = program.read_text()
+    program.write_text(text.replace("talk.set_normal_mode(lambda: out.write(String(data=state)),", write))
+    assert program.read_text() != text
+
+    async def body(manager: Manager, _: Simulator) -> Outcome:
+        return await manager.change(replace("talker", "NewTalker"))
+
+    folder = tmp_path / "workspace"
+    folder.mkdir()
+    outcome = managed("talker", folder, body, simulator, specification)
+    assert outcome.outcome == "rolled_back" and outcome.because is not None
+    step, _, reason = outcome.because.partition(": ")
+    assert step == "hand over /chatter from talker.out to talker_2.out"
+    assert reason.startswith(
+        "talker_2.talk entered mode degraded unexpectedly: mode normal raised: midstride.errors.NodeError: "
+        "output out takes std_msgs/msg/String, not Component;"
+    )

@@ -180,6 +180,9 @@ def test_a_disk_that_refuses_is_reported_once_and_caught_up_with(path: Path, mon
     assert [entry.handle for entry in found.instances] == [HANDLE], "what the disk refused was lost"
 
 
+DEEP = '{"a": ' * 100_000 + "1" + "}" * 100_000
+
+
 @pytest.mark.parametrize("content", [b"", b"{", b"SQLite format 3\0 and then nothing", b"\0" * 5000])
 def test_a_state_that_cannot_be_read_says_what_to_do(path: Path, content: bytes) -> None:
     path.write_bytes(content)
@@ -193,20 +196,53 @@ def test_a_state_that_cannot_be_read_says_what_to_do(path: Path, content: bytes)
         ("UPDATE system SET value = '1' WHERE key = 'version'", "another version of Midstride"),
         ("DELETE FROM system WHERE key = 'token'", "token"),
         ("UPDATE specification SET form = '[]' WHERE section = 'nodes'", "nodes"),
+        ("DELETE FROM system WHERE key = 'token'", "it is damaged: it has no 'token'"),
+        ("DELETE FROM system", "another version of Midstride"),
+        ("UPDATE system SET value = x'ff' WHERE key = 'token'", "it is damaged: .*UTF-8"),
         ("DELETE FROM specification WHERE section = 'rest'", "system"),
+        (f"UPDATE specification SET form = '{DEEP}' WHERE section = 'rest'", "it is damaged: it is nested too deep"),
+        (
+            f"UPDATE specification SET form = '{DEEP}' WHERE section = 'components'",
+            "it is damaged: it is nested too deep",
+        ),
+        (
+            "UPDATE specification SET form = '[1]' WHERE section = 'rest'",
+            "it is damaged: Expected `object`, got `array`",
+        ),
+        (
+            "UPDATE specification SET form = 'null' WHERE section = 'rest'",
+            "it is damaged: Expected `object`, got `null`",
+        ),
+        ("UPDATE specification SET section = 'system' WHERE section = 'topics'", "it is damaged: /system"),
+        ('UPDATE specification SET form = \'{"system": "patrol", "nodes": 5}\' WHERE section = \'rest\'', None),
+        (
+            "UPDATE specification SET form = '{\"topics\": [1' WHERE section = 'rest'",
+            "it is damaged: Input data was tr",
+        ),
+        ("UPDATE specification SET form = x'00ff' WHERE section = 'nodes'", "it is damaged: JSON is malformed"),
+        (f"UPDATE instances SET form = '{DEEP}'", "it is damaged: Object contains unknown field"),
+        (f"UPDATE instances SET handle = '{DEEP}'", "it is damaged: it is nested too deep"),
+        ("DROP TABLE instances", "it is damaged: no such table: instances"),
         ("UPDATE instances SET form = '{}'", "name"),
         ("UPDATE instances SET handle = '{\"pid\": 5}'", "instance"),
     ],
 )
-def test_a_state_that_makes_no_sense_says_so(path: Path, statement: str, why: str) -> None:
+def test_a_state_that_makes_no_sense_says_so(path: Path, statement: str, why: str | None) -> None:
+    """The file, that it is damaged and how, what became of the components, and what to do."""
     store = begun(path)
     store.write_instance(TALKER, HANDLE)
     store.close()
     with sqlite3.connect(path) as database:
         database.execute(statement)
     database.close()
-    with pytest.raises(ManagerError, match=why):
+    if why is None:  # what the rest says of the other sections is not used
+        assert StateStore(path).load() is not None
+        return
+    with pytest.raises(ManagerError, match=why) as raised:
         StateStore(path).load()
+    words = str(raised.value)
+    assert words.startswith(f"cannot read {path}: ") and "Error" not in words
+    assert "they keep running" in words and f"{path.parent / 'components'}), then remove the file" in words
 
 
 def test_a_write_costs_a_row_whatever_the_size_of_the_system(path: Path) -> None:

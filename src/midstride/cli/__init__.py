@@ -18,19 +18,27 @@ _GC_THRESHOLD = 50_000
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit status."""
+    from midstride.cli.output import printable_output
+
+    gc.set_threshold(_GC_THRESHOLD, *gc.get_threshold()[1:])
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    _replace_closed_streams()
+    if (instruction := os.environ.get("_MIDSTRIDE_COMPLETE")) is not None:
+        from midstride.cli.app import cli
+        from midstride.cli.completion import complete
+
+        return complete(cli, instruction)
+    with printable_output():
+        return _run(words)
+
+
+def _run(words: list[str]) -> int:
     import click
 
     from midstride.cli.app import cli
     from midstride.cli.output import INTERRUPTED
     from midstride.errors import MidstrideError
 
-    gc.set_threshold(_GC_THRESHOLD, *gc.get_threshold()[1:])
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    _replace_closed_streams()
-    if (instruction := os.environ.get("_MIDSTRIDE_COMPLETE")) is not None:
-        from midstride.cli.completion import complete
-
-        return complete(cli, instruction)
     try:
         status = cli.main(words, prog_name="midstride", standalone_mode=False)
         sys.stdout.flush()

@@ -98,7 +98,8 @@ def _print_version(ctx: click.Context, _: click.Parameter, value: bool) -> None:
         ctx.exit()
 
 
-@click.command(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
+# With `color`, click leaves control sequences to the output, which escapes them.
+@click.command(cls=Commands, context_settings={"help_option_names": ["-h", "--help"], "color": True})
 @json_option
 @click.option(
     "--version", is_flag=True, is_eager=True, expose_value=False, callback=_print_version, help="Print the version."

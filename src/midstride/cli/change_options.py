@@ -55,5 +55,5 @@ def parse_value(text: str) -> Any:
     """The value of a parameter, written as in JSON; text that is not JSON is a string."""
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text

@@ -9,8 +9,7 @@ from typing import Any
 import click
 
 import midstride
-from midstride.cli.files import load
-from midstride.codec.reading import parse_json
+from midstride.cli.files import load, read_json
 from midstride.errors import SpecificationError
 from midstride.model.diagnostics import suggestion
 from midstride.model.specification import Specification
@@ -69,7 +68,7 @@ def repository() -> Path | None:
 def read(folder: Path) -> Demo:
     """The example in ``folder``. Raises SpecificationError where its ``demo.json`` is invalid."""
     file = folder / "demo.json"
-    document: Any = parse_json(file.read_text(encoding="utf-8"))
+    document: Any = read_json(file)
     try:
         return Demo(
             name=folder.name,
@@ -82,4 +81,5 @@ def read(folder: Path) -> Demo:
             ),
         )
     except (KeyError, TypeError) as error:
-        raise SpecificationError(f"{file}: invalid description of an example ({error!r})") from None
+        why = f"it has no {error}" if isinstance(error, KeyError) else error
+        raise SpecificationError(f"{file} does not describe an example: {why}") from None

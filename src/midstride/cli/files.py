@@ -28,7 +28,7 @@ def read(path: Path) -> Specification:
     try:
         return decode_specification(parse_json(text))
     except SpecificationError as error:
-        raise _in_file(path, error.problems) from None
+        raise in_file(path, error.problems) from None
 
 
 def read_json(path: Path) -> Any:
@@ -40,7 +40,7 @@ def read_json(path: Path) -> Any:
     except UnicodeDecodeError as error:
         raise SpecificationError(f"cannot read standard input: {error}") from None
     except SpecificationError as error:
-        raise _in_file(path, error.problems) from None
+        raise in_file(path, error.problems) from None
 
 
 def load(path: Path) -> Specification:
@@ -51,7 +51,7 @@ def load(path: Path) -> Specification:
     if _is_stride(path):
         return specification  # the language has checked it, with the place of each error
     if found := errors(check(specification)):
-        raise _in_file(path, found)
+        raise in_file(path, found)
     return specification
 
 
@@ -92,5 +92,5 @@ def _candidates(folder: Path) -> list[Path]:
     return sorted([*folder.glob("*.stride"), *folder.glob("*.json")])
 
 
-def _in_file(path: Path, problems: Iterable[object]) -> SpecificationError:
+def in_file(path: Path, problems: Iterable[object]) -> SpecificationError:
     return SpecificationError([f"{path}: {problem}" for problem in problems])

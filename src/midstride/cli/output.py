@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import sys
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from typing import TYPE_CHECKING, Any, Final, TextIO, cast
 
 import click
 
@@ -38,19 +40,55 @@ def print_json(document: Any) -> None:
     """Print a document, in which there may be forms (midstride.codec)."""
     import msgspec
 
-    print(json.dumps(document, indent=2, ensure_ascii=False, default=msgspec.to_builtins))
+    from midstride.model.printable import printable
+
+    text = json.dumps(document, indent=2, ensure_ascii=False, default=msgspec.to_builtins)
+    if printable(text) != text:
+        text = "".join(c if printable(c) == c else json.dumps(c)[1:-1] for c in text)
+    print(text)
+
+
+class PrintableStream:
+    """A text stream that escapes control characters: they may come from anybody's file or component.
+
+    ``raw`` is the stream below, for what writes control characters of its own.
+    """
+
+    buffer: Final = None  # click would write to it
+
+    def __init__(self, raw: TextIO) -> None:
+        self.raw = raw
+
+    def write(self, text: str) -> int:
+        if not (text.isascii() and text.replace("\n", "").isprintable()):  # else the import would slow `--help` down
+            from midstride.model.printable import printable
+
+            text = printable(text)
+        return self.raw.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.raw, name)
+
+
+@contextmanager
+def printable_output() -> Iterator[None]:
+    """Within it, standard output and standard error are :class:`PrintableStream`."""
+    out, err = (cast("TextIO", PrintableStream(stream)) for stream in (sys.stdout, sys.stderr))
+    with redirect_stdout(out), redirect_stderr(err):
+        yield
 
 
 def console(stderr: bool = False) -> Console:
     """A console on standard output or standard error. Characters that its encoding lacks become question marks."""
-    from rich.console import Console
+    from midstride.cli.console import PrintableConsole
 
     stream = sys.stderr if stderr else sys.stdout
+    stream = getattr(stream, "raw", stream)
     reconfigure = getattr(stream, "reconfigure", None)
     if reconfigure is not None:
         reconfigure(errors="replace")
     width = None if stream.isatty() else PIPE_WIDTH
-    return Console(file=stream, highlight=False, emoji=False, width=width)
+    return PrintableConsole(file=stream, highlight=False, emoji=False, width=width)
 
 
 def is_interactive() -> bool:

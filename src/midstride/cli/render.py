@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
+from midstride.cli.console import PrintableTable
 from midstride.model import wording
 
 Document = Mapping[str, Any]
@@ -29,7 +30,7 @@ _STYLES: Final = {
 
 def table(left: Iterable[str], right: Iterable[str] = ()) -> Table:
     """An empty table with these columns, the last ones aligned to the right."""
-    made = Table(box=None, pad_edge=False, header_style="dim")
+    made = PrintableTable(box=None, pad_edge=False, header_style="dim")
     for name in left:
         made.add_column(name)
     for name in right:

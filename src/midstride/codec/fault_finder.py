@@ -83,9 +83,10 @@ class FaultFinder:
         before = len(self.faults)
         found = self.read(value, type_.type, path, extra.get("what") or what, extra.get("help") or help)
         check = extra.get("check")
-        if check is None or len(self.faults) > before or (wrong := check(found)) is None:
+        if check is None or (wrong := check(found)) is None:
             return found
-        self._fault("E001", path, wrong, extra["help"])
+        if len(self.faults) == before:  # else a stand-in may cause it
+            self._fault("E001", path, wrong, extra["help"])
         return stand_in(type_)
 
     # -- objects and lists -------------------------------------------------------------------------------------

@@ -29,6 +29,15 @@ _ESCAPE: Final = re.compile(
 )
 
 
+def strict_json(text: str, pairs: Callable[[list[tuple[str, Any]]], Any] | None = None) -> Any:
+    """The value of a JSON text without lone surrogates. Raises as ``json.loads`` does."""
+    value = json.loads(text, object_pairs_hook=pairs)
+    for escape in _ESCAPE.finditer(text):
+        if escape["lone"] is not None:
+            raise json.JSONDecodeError(f"\\{escape['lone']} is half of a surrogate pair", text, escape.start())
+    return value
+
+
 def parse_json(text: str) -> Any:
     """The value of a JSON text. Raises SpecificationError with line and column, never anything else.
 
@@ -47,10 +56,7 @@ def parse_json(text: str) -> Any:
         return marked
 
     try:
-        value = json.loads(text, object_pairs_hook=pairs)
-        for escape in _ESCAPE.finditer(text):
-            if escape["lone"] is not None:
-                raise json.JSONDecodeError(f"\\{escape['lone']} is half of a surrogate pair", text, escape.start())
+        value = strict_json(text, pairs)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise SpecificationError([Problem("E001", (), f"not JSON: {error.msg} at {where}")]) from None

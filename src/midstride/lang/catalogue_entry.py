@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.model.diagnostics import Severity
+from midstride.model.printable import printable
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +35,9 @@ class CatalogueEntry:
 
     @property
     def shown_example(self) -> str | None:
-        """The text of the first example, unless it is binary or long."""
+        """The text of the first example, printable, unless it is binary or long."""
         text = self.examples[0].text
-        return text.rstrip() if isinstance(text, str) and len(text) < 2000 else None
+        return printable(text.rstrip()) if isinstance(text, str) and len(text) < 2000 else None
 
     def render(self) -> str:
         """The entry as `midstride explain` shows it."""

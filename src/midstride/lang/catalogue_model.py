@@ -61,7 +61,8 @@ MODEL: Final = (
     _entry(
         "E004: number out of range",
         """The number is not finite or is out of range: rates and capacities must be greater than 0; times and
-        weights cannot be negative.""",
+        weights cannot be negative. Numbers are at most 1e18, in Hz and seconds; integer parameters have at most
+        64 bits.""",
         "write a finite number within the range that the message names",
         TALKING + "resource memory = -1\n",
         TALKING + "limit talker.talk below baseline -1 s\n",
@@ -70,6 +71,7 @@ MODEL: Final = (
         TALKING + "timing { create -1 s }\n",
         "system s\ntopic /chatter : std_msgs/msg/String qos(deadline = 0 s)\n",
         _json('{"system": "s", "topics": {"/chatter": {"type": "std_msgs/msg/String", "rate": -1}}}\n'),
+        _json('{"system": "s", "topics": {"/chatter": {"type": "std_msgs/msg/String", "rate": 1e308}}}\n'),
     ),
     _entry(
         "E005: unknown word",

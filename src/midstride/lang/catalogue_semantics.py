@@ -119,7 +119,8 @@ SEMANTICS: Final = (
     entry(
         "E150: invalid ROS parameter file",
         """A parameter file is YAML: a section per node, named as in ROS (with its namespace, or with wildcards),
-        each with `ros__parameters`, whose values are strings, numbers, booleans and lists of them.""",
+        each with `ros__parameters`, whose values are strings, numbers, booleans and lists of them. ROS knows no
+        tags (`!sum`), except `!!str` for strings.""",
         CatalogueExample(TALKING + 'parameters "p.yaml"\n', files={"p.yaml": "talker:\n  volume: 3\n"}),
         CatalogueExample(
             TALKING + 'parameters "p.yaml"\n', files={"p.yaml": "talker:\n  ros__parameters:\n    volume: [a, 1]\n"}
@@ -129,6 +130,10 @@ SEMANTICS: Final = (
             TALKING + 'parameters "p.yaml"\n', files={"p.yaml": "talker:\n  ros__parameters:\n    volume:\n"}
         ),
         CatalogueExample(TALKING + 'parameters "p.yaml"\n', files={"p.yaml": "[" * 50}),
+        CatalogueExample(
+            TALKING + 'parameters "p.yaml"\n',
+            files={"p.yaml": "talker:\n  ros__parameters:\n    volume: !sum [1, 2]\n"},
+        ),
     ),
     entry(
         "E151: parameter set for only some nodes",

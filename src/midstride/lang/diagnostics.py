@@ -12,6 +12,7 @@ from typing import Any
 
 from midstride.lang.source import Span
 from midstride.model.diagnostics import Severity
+from midstride.model.printable import on_one_line, printable
 
 # A file in another language would produce an error per line.
 MAX_DIAGNOSTICS = 100
@@ -74,7 +75,7 @@ class Diagnostic:
         }
 
     def render(self) -> str:
-        """The diagnostic as text: heading, source line with carets, notes, consequence, help."""
+        """The diagnostic as text, printable: heading, source line with carets, notes, consequence, help."""
         line, column = self.position
         parts = [f"{self.severity}[{self.code}]: {self.message}"]
         if self.span is None:
@@ -89,12 +90,12 @@ class Diagnostic:
             parts.append(f"  so: {self.follows}")
         if self.help:
             parts.append(f"  help: {self.help}")
-        return "\n".join(parts)
+        return "\n".join(map(on_one_line, parts))
 
     def __str__(self) -> str:
         line, column = self.position
         text = f"{self.file_name}:{line}:{column}: {self.severity}[{self.code}]: {self.message}"
-        return f"{text} ({self.help})" if self.help else text
+        return on_one_line(f"{text} ({self.help})" if self.help else text)
 
 
 def _note_json(note: Note) -> dict[str, Any]:
@@ -113,16 +114,19 @@ def _excerpt(span: Span) -> list[str]:
         text, before = text[first : first + _SHOWN], before - first
         length = max(1, min(length, _SHOWN - before))
     margin = " " * len(str(line))
-    # A tab as a space and a control character as U+FFFD, so that the carets line up.
-    hidden = {"Cc", "Cs", "Cf"}
-    shown = "".join("\ufffd" if unicodedata.category(c) in hidden else c for c in text.replace("\t", " "))
-    lead = " " * sum(_width(character) for character in cut + text[:before])
-    carets = "^" * max(1, sum(_width(character) for character in text[before : before + length]))
-    return [f" {margin} |", f" {line} | {cut}{shown}", f" {margin} | {lead}{carets}"]
+    text = text.replace("\t", " ")
+    lead = " " * _width(cut + text[:before])
+    carets = "^" * max(1, _width(text[before : before + length]))
+    return [f" {margin} |", f" {line} | {cut}{text}", f" {margin} | {lead}{carets}"]
 
 
-def _width(character: str) -> int:
-    if unicodedata.combining(character):
+def _width(text: str) -> int:
+    """How many columns ``text`` takes where it is shown."""
+    return sum(_columns(character) for character in printable(text))
+
+
+def _columns(character: str) -> int:
+    if unicodedata.combining(character) or unicodedata.category(character) == "Cf":
         return 0
     return 2 if unicodedata.east_asian_width(character) in {"W", "F"} else 1
 

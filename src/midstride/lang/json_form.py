@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 
-from midstride.codec.reading import parse_json
+from midstride.codec.reading import parse_json, strict_json
 from midstride.codec.specification import decode_specification
 from midstride.errors import SpecificationError
 from midstride.lang.diagnostics import Diagnostic, Reporter, in_order
@@ -29,20 +29,22 @@ def check_json(source: Source) -> tuple[Specification | None, tuple[Diagnostic, 
         problems = tuple(problem for problem in error.problems if isinstance(problem, Problem))
     places = places_of(source) if problems else {}
     for problem in problems:
-        place = _syntax_place(source) if not problem.subject else None
+        place = _syntax_place(source, places) if not problem.subject else None
         paths = (problem.subject[:length] for length in range(len(problem.subject), -1, -1))
         place = place or next((places[path] for path in paths if path in places), None)
         reporter.report(problem.code, place, problem.message, help=problem.help or None, file=source.name)
     return (None if reporter.has_errors else specification), in_order(reporter.found)
 
 
-def _syntax_place(source: Source) -> Span | None:
-    """Where the text stops being JSON, if it does."""
+def _syntax_place(source: Source, places: dict[tuple[str, ...], Span]) -> Span | None:
+    """Where the text stops being JSON, or where it is nested too deep, if it does or is."""
     try:
-        json.loads(source.text)
+        strict_json(source.text)
     except json.JSONDecodeError as error:
         return Span(source, error.pos, error.pos)
-    except (RecursionError, ValueError):
+    except RecursionError:
+        return next(reversed(places.values()))
+    except ValueError:
         pass
     return None
 

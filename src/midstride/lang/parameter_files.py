@@ -27,6 +27,12 @@ _TRUE: Final = frozenset("true True TRUE yes Yes YES on On ON".split())
 _FALSE: Final = frozenset("false False FALSE no No NO off Off OFF".split())
 _INTEGER: Final = re.compile(r"[-+]?(0x[0-9a-fA-F]+|[0-9]+)")
 _REAL: Final = re.compile(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)([eE][-+]?[0-9]+)?")
+# The tags that say what an event of each kind is anyway, and that a scalar is a string, which ROS reads as well.
+_TAGS: Final = {
+    "MappingStartEvent": "tag:yaml.org,2002:map",
+    "SequenceStartEvent": "tag:yaml.org,2002:seq",
+    "ScalarEvent": "tag:yaml.org,2002:str",
+}
 _NOT_FINITE: Final = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
 
 
@@ -145,9 +151,11 @@ class _TreeBuilder:
             mark = error.problem_mark or error.context_mark
             reason = error.problem or error.context or "it cannot be parsed"
             raise _InvalidFile(self._at(mark), f"invalid YAML: {reason}", "indent with spaces, not tabs") from None
-        except yaml.YAMLError as error:
-            first = str(error).splitlines()[0]
-            raise _InvalidFile(Span(self.source, 0, 0), f"invalid YAML: {first}") from None
+        except (yaml.YAMLError, UnicodeEncodeError):  # a character that no YAML contains, or a lone surrogate
+            match = yaml.reader.Reader.NON_PRINTABLE.search(self.source.text)
+            start, end = match.span() if match else (0, 0)
+            message = f"invalid YAML: it contains {self.source.text[start:end]!a}" if match else "invalid YAML"
+            raise _InvalidFile(Span(self.source, start, end), message, "write it in double quotes, escaped") from None
 
     def _at(self, mark: Any) -> Span:
         if mark is None:
@@ -173,6 +181,9 @@ class _TreeBuilder:
                 if documents > 1:
                     raise _InvalidFile(self._span(event), "a parameter file must be a single YAML document")
                 continue
+            if (tag := getattr(event, "tag", None)) is not None and tag != _TAGS[kind]:
+                help = "remove the tag; put text in double quotes"
+                raise _InvalidFile(self._span(event), f"ROS parameter files have no tag `{tag}` here", help)
             if kind in {"MappingStartEvent", "SequenceStartEvent"}:
                 if len(stack) >= MAX_DEPTH:
                     raise _InvalidFile(self._span(event), f"this is nested more than {MAX_DEPTH} deep")
@@ -217,12 +228,8 @@ class _TreeBuilder:
 
 def _scalar(event: Any, span: Span) -> Scalar | None:
     text: str = event.value
-    if event.tag not in {None, "!"}:
-        if event.tag == "tag:yaml.org,2002:str":
-            return text
-        raise _InvalidFile(span, f"parameters cannot have the tag {event.tag}")
     if not event.implicit[0]:
-        return text  # quoted, or a block of text
+        return text  # quoted, a block of text, or tagged as a string
     if text in {"", "~", "null", "Null", "NULL"}:
         return None
     if text in _TRUE or text in _FALSE:

@@ -18,7 +18,6 @@ SECONDS: Final = {"s": 1.0, "ms": 0.001, "us": 0.000001, "min": 60.0}
 _TYPE: Final = re.compile(r"[A-Za-z][A-Za-z0-9_]*/(msg/)?[A-Za-z][A-Za-z0-9_]*")
 _COMPARISONS: Final = frozenset({"=", "<", "<=", ">", ">=", "==", "!="})
 _INTEGER: Final = re.compile(r"[+-]?[0-9]+")
-_INT64: Final = 2**63
 
 
 class ContractParser(BlockParser):
@@ -176,11 +175,9 @@ class ContractParser(BlockParser):
         if kind == "number":
             whole = _INTEGER.fullmatch(text) is not None
             number = self.number(what)
-            value: Scalar = int(number.value) if whole and abs(number.value) < 2**53 else number.value
-            if whole and abs(number.value) >= 2**53 and len(text) <= 20:
-                value = int(text)
-                if not -_INT64 <= value < _INT64:
-                    self.reporter.report("E126", number.span, "integers have at most 64 bits")
+            value: Scalar = number.value
+            if whole:  # a float does not have every integer from 2**53 on
+                value = int(number.value) if abs(number.value) < 2**53 else int(text)
             return syntax.ScalarValue(value, number.span)
         if kind == "string":
             return syntax.ScalarValue(*self.text(what))

@@ -12,6 +12,7 @@ from midstride.lang.diagnostics import Reporter
 from midstride.lang.lexer import Tokens, string_value, truncated
 from midstride.lang.source import Span
 from midstride.lang.syntax import Name, Number, SourceLayout
+from midstride.model.component_rules import MAX_NUMBER
 from midstride.model.near_miss import nearest
 
 T = TypeVar("T")
@@ -36,7 +37,6 @@ _MISTAKEN_SIGNS: Final = {":", "="}
 
 # Converting longer numbers takes time and adds no precision.
 _MAX_DIGITS: Final = 40
-_MAX_NUMBER: Final = 1e18
 
 
 class Panic(Exception):
@@ -168,19 +168,23 @@ class TokenStream:
         if self.kinds[self.i] != "number":
             raise self.fail(what)
         text, span = self.take()
-        value = float(text) if len(text) <= _MAX_DIGITS else float("inf")
-        if abs(value) > _MAX_NUMBER:
-            message = "this number is too large, or written with too many digits"
-            self.reporter.report("E126", span, message, help="the maximum is 1e18")
-            value = 1.0
-        return Number(value, span)
+        return self._bounded(Number(float(text) if len(text) <= _MAX_DIGITS else float("inf"), span))
+
+    def _bounded(self, number: Number, unit: str = "") -> Number:
+        """``number``, or another one in its place if it is too large."""
+        if abs(number.value) <= MAX_NUMBER:
+            return number
+        message = "this number is too large, or written with too many digits"
+        self.reporter.report("E126", number.span, message, help=f"the maximum is 1e18{unit}")
+        return Number(1.0, number.span)
 
     def quantity(self, what: str, units: Mapping[str, float]) -> Number:
         """A number with a unit, converted to the base unit, which is the first of ``units``."""
         number = self.number(what)
         unit = self.texts[self.i]
         if self.kinds[self.i] == "name" and unit in units:
-            return Number(number.value * units[unit], number.span.to(self.take().span))
+            converted = Number(number.value * units[unit], number.span.to(self.take().span))
+            return self._bounded(converted, f" {next(iter(units))}")
         close = next((known for known in units if known.lower() == unit.lower()), None)
         example = f"write `{number.span.text} {close or next(iter(units))}`"
         if self.kinds[self.i] != "name" or unit in RESERVED or (close is None and self._starts_item(self.i)):

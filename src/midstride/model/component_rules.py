@@ -9,19 +9,39 @@ import math
 from collections.abc import Generator, Iterator
 from dataclasses import replace
 from itertools import pairwise
+from typing import Final
 
-from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
+from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode, ParameterValue
 from midstride.model.contract import OneOf, Predicate, QoS, explain, format_number
 from midstride.model.diagnostics import Problem
 
 Path = tuple[str, ...]
 
+# The largest number that a specification may state, in base units and of either sign; parameters are ROS's to limit.
+MAX_NUMBER: Final = 1e18
+MAX_DEPTH: Final = 2**31 - 1
+_INT64: Final = 2**63
 
-def number_problems(value: float | None, what: str, path: Path, *, zero: bool = False) -> Iterator[Problem]:
-    """``value``, where it is stated, must be finite and positive (or zero, where that has a meaning)."""
-    if value is not None and not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
+
+def number_problems(
+    value: float | None, what: str, path: Path, *, zero: bool = False, most: float = MAX_NUMBER
+) -> Iterator[Problem]:
+    """``value``, where stated, must be finite, positive (or zero, where that has a meaning) and at most ``most``."""
+    if value is None:
+        return
+    if not (math.isfinite(value) and (value > 0 or (zero and value == 0))):
         least = "at least" if zero else "greater than"
         yield Problem("E004", path, f"{what} must be finite and {least} 0, but is {format_number(value)}")
+    elif value > most:
+        message = f"{what} must be at most {format_number(most)}, but is {format_number(value)}"
+        yield Problem("E004", path, message, f"write at most {format_number(most)}")
+
+
+def value_problems(value: ParameterValue, path: Path) -> Iterator[Problem]:
+    """The value of a parameter must be one that ROS has."""
+    members = value if isinstance(value, (list, tuple)) else [value]
+    if any(isinstance(member, int) and not -_INT64 <= member < _INT64 for member in members):
+        yield Problem("E004", path, "integer parameters have at most 64 bits", "write a real number, such as 1e20")
 
 
 def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
@@ -29,12 +49,17 @@ def predicate_problems(predicate: Predicate, path: Path) -> Iterator[Problem]:
     yield from number_problems(predicate.rate, "a rate in Hz", (*path, "rate"))
     for name in ("deadline", "lease", "lifespan"):
         yield from number_problems(getattr(predicate.qos, name), f"a {name}", (*path, "qos", f"{name}_seconds"))
-    yield from number_problems(predicate.qos.depth, "a depth", (*path, "qos", "depth"))
+    yield from number_problems(predicate.qos.depth, "a depth", (*path, "qos", "depth"), most=MAX_DEPTH)
     for field, values in predicate.fields:
         where = (*path, "where", field)
-        numbers = values.values if isinstance(values, OneOf) else (values.low, values.high)
-        if any(isinstance(number, float) and math.isnan(number) for number in numbers):
+        stated = values.values if isinstance(values, OneOf) else (values.low, values.high)
+        numbers = [number for number in stated if isinstance(number, (int, float)) and not math.isinf(number)]
+        if any(math.isnan(number) for number in numbers):
             yield Problem("E004", where, f"field {field}: not a number")
+        elif any(abs(number) > MAX_NUMBER for number in numbers):
+            most = format_number(MAX_NUMBER)
+            help = f"write at most {most}, or leave out a bound that every value meets"
+            yield Problem("E004", where, f"field {field}: a number is beyond {most}", help)
         elif values.is_empty:
             yield Problem("E016", where, f"no value of field {field} meets all its constraints ({values})")
 
@@ -46,6 +71,8 @@ def component_rules(component: ComponentSpec, path: Path) -> Iterator[Problem]:
     for resource, amount in component.resource_usage.items():
         yield from number_problems(amount, f"the amount held of {resource}", (*path, "holds", resource))
     yield from number_problems(component.startup_seconds, "a start-up time", (*path, "takes_seconds"), zero=True)
+    for name, parameter in component.parameters.items():
+        yield from value_problems(parameter.value, (*path, "parameters", name))
     yield from _ownership(component, path)
     for functionality in component:
         yield from _functionality_rules(functionality, (*path, "functionalities", functionality.name))

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeAlias
 
 from midstride.model.near_miss import did_you_mean, nearest
+from midstride.model.printable import on_one_line
 
 Severity: TypeAlias = Literal["error", "warning"]
 
@@ -41,7 +42,8 @@ class Problem:
         return "".join("/" + element.replace("~", "~0").replace("/", "~1") for element in self.subject) or "/"
 
     def __str__(self) -> str:
-        return f"{self.path}: {self.message}" + (f" ({self.help})" if self.help else "") + f" [{self.code}]"
+        help = f" ({self.help})" if self.help else ""
+        return on_one_line(f"{self.path}: {self.message}{help} [{self.code}]")
 
 
 def with_suggestions(found: list[Problem]) -> list[Problem]:

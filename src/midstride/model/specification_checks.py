@@ -13,7 +13,7 @@ from fractions import Fraction
 
 from midstride.model.best import best
 from midstride.model.component import ComponentSpec, Connector, InputAlternatives, PortRef, value_fits, value_kind
-from midstride.model.component_rules import component_rules, number_problems, predicate_problems
+from midstride.model.component_rules import component_rules, number_problems, predicate_problems, value_problems
 from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import Contract, Predicate, explain, format_number, satisfies
 from midstride.model.diagnosis import Diagnosis
@@ -142,6 +142,7 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
                 message = f"{kind} {node.role}.{port} is attached to no topic"
                 yield Problem("W030", (*path, "attachments", port), message, "attach it, or remove it")
     for name, value in node.parameters.items():
+        yield from value_problems(value, (*path, "parameters", name))
         declared = component.parameters.get(name)
         if declared is not None and not value_fits(value, declared.value):
             kinds = f"{value_kind(declared.value)}, not {value_kind(value)}"

@@ -164,11 +164,16 @@ class Agent:
                 return self._refusal(request, "the component is ending")
             expected, actual = request.revision, self._revision.value
             if expected != actual:
-                named = "the request names none" if expected is None else f"the request expects {expected}"
-                return self._refusal(
-                    request, f"the component is at revision {actual}, and {named}: observe it again, then retry"
-                )
+                return self._refusal(request, self._mismatch(expected, actual))
             return await self._carry_out(request, command, token)
+
+    def _mismatch(self, expected: int | None, actual: int) -> str:
+        """Why a request that expects another revision is refused: what changed it, if user code did by raising."""
+        at, failure = self._revision.failure
+        if expected is not None and expected < at:
+            return failure
+        named = "the request names none" if expected is None else f"the request expects {expected}"
+        return f"the component is at revision {actual}, and {named}: observe it again, then retry"
 
     async def _carry_out(self, request: Request, command: Command[Any], token: str) -> Reply:
         try:
@@ -239,10 +244,11 @@ class Agent:
 
     def _degraded(self, runner: FunctionalityRunner) -> None:
         """On the data thread: a functionality has degraded by itself. The revision changes at once."""
-        self._revision.bump()
+        words = f"{runner.name} is in mode {runner.mode.name}: {runner.because}"
+        self._revision.bump(words)
         if self._loop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._report_degraded, runner)
+            self._loop.call_soon_threadsafe(self._report_degraded, words)
 
-    def _report_degraded(self, runner: FunctionalityRunner) -> None:
-        self.host.logger.error(f"{runner.name} is in mode {runner.mode.name}: {runner.because}")
+    def _report_degraded(self, words: str) -> None:
+        self.host.logger.error(words)
         self.report_state()

@@ -8,6 +8,7 @@ before an endpoint is destroyed, its gate is closed and its readers have acknowl
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -120,6 +121,9 @@ class Attachments:
             if link.output.owner.failed:
                 break  # it will not write
             await self.host.sleep(TICK)
+        if link.output.wrong_type is not None:
+            with contextlib.suppress(CommandRefused):
+                await self.data.run(lambda: None, command.timeout)  # until the call that wrote it has degraded
         return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
 
     async def await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:

@@ -33,14 +33,20 @@ SHUTDOWN_SECONDS: Final = 1.0
 
 
 class Revision:
-    """Counts the changes of a component. Both threads count up, so it has a lock; reading needs none."""
+    """Counts the changes of a component. Both threads count up, so it has a lock; reading needs none.
+
+    ``failure``: the last change that user code made by raising, as its number and in words.
+    """
 
     def __init__(self) -> None:
         self.value = 0
+        self.failure = (0, "")
         self._lock = threading.Lock()
 
-    def bump(self) -> None:
+    def bump(self, failure: str = "") -> None:
         with self._lock:
+            if failure:
+                self.failure = (self.value + 1, failure)
             self.value += 1
 
 

@@ -84,7 +84,7 @@ def _parameters(text: str) -> dict[str, Any]:
         return {}
     try:
         document = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise NodeError(f"{ENV_PARAMETERS} is not JSON: {error}") from None
     if not isinstance(document, dict):
         raise NodeError(f"{ENV_PARAMETERS} must be a JSON object of parameter values, not {text!r}")

@@ -13,6 +13,7 @@ from midstride.codec.reading import decode, under
 from midstride.codec.specification import SpecificationForm
 from midstride.model.best import best
 from midstride.model.component import FunctionalityRef
+from midstride.model.component_rules import component_rules
 from midstride.model.configuration import Configuration, configure
 from midstride.model.diagnostics import Problem
 from midstride.model.name_checks import specification_names
@@ -147,8 +148,11 @@ def _parts(form: PlanForm) -> tuple[PlanForm, Specification, Specification]:
 
 def _names(parts: tuple[PlanForm, Specification, Specification]) -> Iterable[Problem]:
     _, start, target = parts
-    yield from under("start", specification_names(start))
-    yield from under("target", specification_names(target))
+    for key, specification in (("start", start), ("target", target)):
+        yield from under(key, specification_names(specification))
+        for name, component in specification.components.items():  # no configuration has a functionality without modes
+            rules = component_rules(component, ("components", name))
+            yield from under(key, (problem for problem in rules if problem.code == "E015"))
 
 
 def _started(

@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
-from midstride.errors import CallTimeout, MidstrideError, Unreachable
+from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
@@ -19,6 +19,7 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, LiveHandover
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.running_system import RunningSystem
 from midstride.wire import commands
 from midstride.wire.commands import Command
@@ -57,6 +58,30 @@ class ActionDriver:
 
         ``because`` is the reason that components report for their new modes.
         """
+        try:
+            await self._perform(action, because)
+        except (CommandRefused, StepFailed) as error:
+            if degradations := await self._own_degradations(action):
+                raise StepFailed("; ".join(degradations)) from error
+            raise
+
+    async def _own_degradations(self, action: Action) -> list[str]:
+        """What degraded by itself in the instances of ``action``: the root cause of whatever they refused."""
+        found = []
+        expected = action.modes if isinstance(action, Degrade) else {}
+        for name in sorted(action.instances()):
+            if self.client.responsive(name) is None:
+                continue
+            try:
+                state = await self.client.peek(name)
+            except MidstrideError:
+                continue
+            for ref in sorted(own_degradations_in(self.system.configuration, state).keys() - expected.keys()):
+                view = state.functionalities[ref.functionality]
+                found.append(f"{ref} entered mode {view.mode} unexpectedly: {view.because.strip()}")
+        return found
+
+    async def _perform(self, action: Action, because: str) -> None:
         match action:
             case Create(instance):
                 await self.launcher.registered(instance)

@@ -15,7 +15,7 @@ from typing import Final
 
 from midstride.errors import CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import Swap
-from midstride.model.component import FunctionalityRef, PortRef
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.agreed_cut import Cut, agree_cuts, require_found, require_same_clock
 from midstride.runtime.component_client import ComponentClient
@@ -72,9 +72,8 @@ class LiveHandover:
                     raise
                 last = await self._take_over()
         except MidstrideError as error:
-            degradation = await self._degradation_of_new()
             await self._undo()
-            raise StepFailed(degradation or str(error)) from error
+            raise StepFailed(str(error)) from error
         except (Exception, asyncio.CancelledError):
             await self._undo()
             raise
@@ -154,19 +153,6 @@ class LiveHandover:
 
     def _topic(self, swap: Swap) -> str:
         return self.configuration.topic(swap.connector)
-
-    async def _degradation_of_new(self) -> str | None:
-        """If the new side degraded unexpectedly, that is the root cause of any refusal: a message saying so."""
-        for swap in self.swaps:
-            owner = self.configuration.component(swap.new.instance).owner(swap.new.port)
-            try:
-                view = (await self.client.peek(swap.new.instance)).functionalities.get(owner.name)
-            except MidstrideError:
-                continue
-            ref = FunctionalityRef(swap.new.instance, owner.name)
-            if view is not None and owner.mode_index(view.mode) > self.configuration.modes[ref]:
-                return f"{ref} entered mode {view.mode} unexpectedly: {view.because.strip()}"
-        return None
 
     async def _attach_gated(self, swap: Swap) -> None:
         """Attach the new publisher with a closed gate, and wait until it is matched with the subscribers of the model.

@@ -25,6 +25,7 @@ from midstride.errors import ManagerError, MidstrideError
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
+from midstride.wire.folders import COMPONENTS
 
 # The form of the database; a manager of another version refuses it.
 VERSION: Final = 3
@@ -81,7 +82,7 @@ class StateStore:
             return None
         try:
             with sqlite3.connect(f"file:{self.path}?mode=rw", uri=True) as database:
-                system = dict(database.execute("SELECT key, value FROM system"))
+                system = dict(database.execute("SELECT key, CAST(value AS TEXT) FROM system"))
                 if system.get("version") != str(VERSION):
                     raise self._unreadable("another version of Midstride wrote it")
                 parts = database.execute("SELECT section, name, form FROM specification").fetchall()
@@ -95,13 +96,19 @@ class StateStore:
             )
         except ManagerError:
             raise
-        except (sqlite3.Error, msgspec.DecodeError, MidstrideError, ValueError, KeyError, RecursionError) as error:
-            raise self._unreadable(f"{type(error).__name__}: {error}") from error
+        except KeyError as error:
+            raise self._unreadable(f"it is damaged: it has no {error}") from error
+        except RecursionError as error:
+            raise self._unreadable("it is damaged: it is nested too deep") from error
+        except (sqlite3.Error, msgspec.DecodeError, MidstrideError, ValueError, TypeError) as error:
+            raise self._unreadable(f"it is damaged: {error}") from error
 
     def _unreadable(self, why: str) -> ManagerError:
+        folder = self.path.parent
         return ManagerError(
-            f"cannot read {self.path}: {why}. So it is unknown which components of {self.path.parent.name} still run: "
-            "stop them yourself, then remove the file"
+            f"cannot read {self.path}: {why}. No manager can take over the components that were started, and they keep "
+            f"running. So it is unknown which components of {folder.name} still run: stop them yourself (their control "
+            f"sockets are in {folder / COMPONENTS}), then remove the file"
         )
 
     # -- writing -----------------------------------------------------------------------------------
@@ -211,13 +218,14 @@ def _rest(specification: Specification) -> Specification:
 
 def _assembled(parts: list[tuple[str, str, str]]) -> dict[str, Any]:
     """The document of the specification."""
-    document: dict[str, Any] = {}
+    rest: dict[str, Any] = {}
+    sections: dict[str, dict[str, Any]] = {}
     for section, name, form in parts:
         if section == _REST:
-            document.update(msgspec.json.decode(form))
+            rest = msgspec.json.decode(form, type=dict[str, Any])
         else:
-            document.setdefault(section, {})[name] = msgspec.json.decode(form)
-    return document
+            sections.setdefault(section, {})[name] = msgspec.json.decode(form)
+    return {**rest, **sections}
 
 
 def _instance(form: str, handle: str | None) -> SavedInstance:

@@ -32,7 +32,7 @@ def requested(header: Mapping[str, str]) -> QoS | None:
         return None
     try:
         return QoS(**json.loads(last.removeprefix(_REQUESTED)))
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, RecursionError):
         return None
 
 

@@ -105,6 +105,6 @@ def _write(path: Path, text: str, executable: bool) -> None:
 def _record(output: Path) -> dict[str, str]:
     try:
         found = json.loads((output / RECORD).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return {str(path): str(value) for path, value in found.items()} if isinstance(found, dict) else {}

@@ -10,7 +10,7 @@ from typing import Any, Final
 import click
 
 from midstride.cli import graphviz
-from midstride.cli.files import load, read_json
+from midstride.cli.files import in_file, load, read_json
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 from midstride.codec.configuration import decode_configuration
@@ -82,7 +82,11 @@ def verify_command(
 def _verify_files(file: Path | None, plan_file: Path | None, options: AlloyOptions) -> Verdict:
     specification = load(file) if file is not None else None
     if plan_file is not None:
-        return verify_plan(_plan(plan_file), plan_file.name, start=specification, options=options)
+        document = _plan(plan_file)
+        try:
+            return verify_plan(document, plan_file.name, start=specification, options=options)
+        except SpecificationError as error:
+            raise in_file(plan_file, error.problems) from None
     assert specification is not None
     return verify_specification(specification, options=options)
 
