@@ -107,7 +107,7 @@ class CutInTask(_CutTask):
     report: Callable[[float, bool], Awaitable[bool]]
 
     async def run(self) -> None:
-        latched = all(link.output.owner.rate is not None for link in self.side.links)  # these write at once
+        latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
         await self._until(self.side.at)
         waited_from = self.host.steady()
         while self._going() and not self.side.written and not self._failed():
