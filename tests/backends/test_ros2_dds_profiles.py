@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import socket
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -205,3 +207,22 @@ def test_a_new_process_is_matched_and_acknowledged_long_before_the_next_announce
     matched, acknowledged = (sorted(column)[2] for column in zip(*seconds, strict=True))
     assert matched < 1.0
     assert acknowledged < 1.0
+
+
+@pytest.mark.ros2
+def test_the_101st_process_of_a_host_is_heard() -> None:
+    """The ports of a domain allow 120, and Fast DDS tries the first 100 by default."""
+    tuned = dds_profiles.tuned_environment({**os.environ, **LOCAL})
+    first = 7400 + 250 * int(os.environ.get("ROS_DOMAIN_ID", "0")) + 10  # DDSI-RTPS 9.6.2.3
+    command = [sys.executable, "-c", JOINING]
+    with contextlib.ExitStack() as stack:
+        for number in range(101):
+            taken = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            with contextlib.suppress(OSError):  # taken already, by another process of this domain
+                taken.bind(("", first + 2 * number))
+        listener = stack.enter_context(
+            subprocess.Popen([*command, "listener"], env=tuned, stdout=subprocess.PIPE, text=True)
+        )
+        stack.callback(listener.kill)
+        assert listener.stdout is not None and listener.stdout.readline()
+        assert subprocess.check_output([*command, "talker"], env=tuned, timeout=60)

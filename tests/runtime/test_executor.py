@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import replace as changed
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ from midstride.errors import BackendError, StepFailed
 from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters
 from midstride.model.component import ParameterSpec
 from midstride.model.configuration import Configuration
-from midstride.runtime.executor import STARTS_AT_ONCE
+from midstride.runtime import launcher, pacing
 from midstride.wire.commands import (
     AttachCommand,
     Command,
@@ -261,19 +261,71 @@ def test_creations_in_a_row_are_started_at_once(tmp_path: Path) -> None:
     bench(talking(), tmp_path, body)
 
 
-def test_of_many_creations_only_a_few_are_starting_at_any_time(tmp_path: Path) -> None:
-    many = [instance(f"extra_{number}", TALKER) for number in range(3 * STARTS_AT_ONCE)]
+def registering_one_a_second(tmp_path: Path, idle: Callable[[float], float]) -> list[int]:
+    """How many processes were starting each second, while one registered; ``idle`` is that of the processors."""
+    many = [instance(f"extra_{number}", TALKER) for number in range(3 * pacing.MOST)]
+    starting = []
 
     async def body(b: Bench) -> None:
+        b.clock.idle = lambda: idle(b.clock.steady())  # type: ignore[method-assign]
         running = asyncio.ensure_future(b.executor.run([Create(each) for each in many]))
-        for count, each in enumerate(many):
+        for each in many:
             await asyncio.sleep(1)
-            assert len(b.backend.launches) == min(count + STARTS_AT_ONCE, len(many))
+            starting.append(b.launcher.starting())
+            assert each.name in b.backend.running, "the next one is always starting"
             b.client.register(each)
         await running
         assert [launch.instance for launch in b.backend.launches] == [each.name for each in many]
 
     bench(talking(), tmp_path, body)
+    return starting
+
+
+def test_on_busy_processors_one_start_for_each_is_under_way(tmp_path: Path) -> None:
+    counts = registering_one_a_second(tmp_path, lambda now: 0.04 * now)
+    assert set(counts[: -pacing.PROCESSORS]) == {pacing.PROCESSORS}
+
+
+def test_on_idle_processors_more_are_under_way_up_to_a_bound(tmp_path: Path) -> None:
+    """They wait for something else, as a driver for its device."""
+    counts = registering_one_a_second(tmp_path, lambda now: 0.6 * now)
+    assert counts[0] > pacing.PROCESSORS and max(counts) == pacing.MOST
+
+
+def hung(tmp_path: Path, others: int, every: float) -> tuple[float, str]:
+    """When the run fails and why, if the first process never registers, and the others do, one after ``every`` (s)."""
+    frozen, *rest = many = [instance(f"extra_{number}", TALKER) for number in range(others + 1)]
+    failed: list[tuple[float, str]] = []
+
+    async def body(b: Bench) -> None:
+        async def register() -> None:
+            for each in rest:
+                await asyncio.sleep(every)
+                b.client.register(each)
+
+        registering = asyncio.ensure_future(register())
+        with pytest.raises(StepFailed) as error:
+            await b.executor.run([Create(each) for each in many])
+        failed.append((b.clock.steady(), str(error.value)))
+        registering.cancel()
+        assert b.backend.running == {"talker", "listener"} and b.saved() == []
+
+    bench(talking(), tmp_path, body)
+    assert f"{frozen.name} did not register within" in failed[0][1]
+    return failed[0]
+
+
+def test_while_others_register_a_start_has_more_time(tmp_path: Path) -> None:
+    others = pacing.PROCESSORS - 1 or pytest.skip("one processor: nothing else is starting")
+    at, why = hung(tmp_path, others, every=20)
+    assert at == pytest.approx(20 * others + launcher.REGISTRATION_TIMEOUT)
+    assert f"within {at:g} s" in why
+
+
+def test_but_not_without_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(pacing, "PROCESSORS", 100)
+    at, _ = hung(tmp_path, 50, every=20)
+    assert at == pytest.approx(launcher.REGISTRATION_LIMIT)
 
 
 def test_where_one_creation_fails_what_was_started_ahead_is_ended(tmp_path: Path) -> None:

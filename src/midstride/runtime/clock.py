@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import time
 from typing import Protocol
 
@@ -16,6 +17,10 @@ class Clock(Protocol):
     def ros_now(self) -> int:
         """ROS time in nanoseconds."""
 
+    def idle(self) -> float:
+        """How long the processors have been idle, in total (s)."""
+        ...
+
     async def sleep(self, seconds: float) -> None:
         """Sleep on the monotonic clock."""
 
@@ -28,6 +33,10 @@ class SystemClock:
 
     def ros_now(self) -> int:
         return time.time_ns()
+
+    def idle(self) -> float:
+        with open("/proc/stat", encoding="ascii") as file:
+            return int(file.readline().split()[4]) / os.sysconf("SC_CLK_TCK")
 
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)

@@ -7,12 +7,10 @@ partial effects are undone, then the steps before it in reverse order (docs/sema
 from __future__ import annotations
 
 import asyncio
-import itertools
 import logging
-import os
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, field
+from typing import Any
 
 from immutables import Map
 from msgspec import UNSET
@@ -25,15 +23,13 @@ from midstride.plan.step_forms import AnyStep
 from midstride.runtime.action_driver import ActionDriver, by_instance
 from midstride.runtime.backend import Exited
 from midstride.runtime.events import counted
+from midstride.runtime.pacing import room_for_a_start
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.state_store import StateStore
 
 log = logging.getLogger(__name__)
 
 Done = list[tuple[Action, Configuration]]
-
-# How many processes may be starting: enough that no processor is idle while one waits for its disk or its middleware.
-STARTS_AT_ONCE: Final = 8 * len(os.sched_getaffinity(0))
 
 
 @dataclass(slots=True)
@@ -48,6 +44,8 @@ class Executor:
     store: StateStore
     on_moved: Callable[[Configuration, Collection[str]], None] = lambda *_: None
     after_step: Callable[[Configuration], Awaitable[None]] | None = None
+    _one_start: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _ahead: asyncio.Task[None] | None = None  # starts the processes of the next creations
 
     @property
     def system(self) -> RunningSystem:
@@ -66,7 +64,10 @@ class Executor:
             self.driver.events.add("step", f"{index + 1}/{len(actions)} {what}", **position)
             try:
                 if isinstance(action, Create):
-                    await self._start_ahead(actions[index:])
+                    await self._start(action)
+                    if index == 0 or not isinstance(actions[index - 1], Create):
+                        await self._stop_starting()
+                        self._ahead = asyncio.ensure_future(self._start_ahead(actions[index + 1 :]))
                 await self._step(action, done)
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
@@ -81,6 +82,7 @@ class Executor:
                     raise StepFailed(f"{what}: {why}", "rolled_back") from error
                 raise StepFailed(f"{what}: {why}; and the roll-back failed: {problem}", "failed") from error
             self.driver.events.add("step_done", f"{index + 1}/{len(actions)} done", **position)
+        await self._stop_starting()
 
     async def _step(self, action: Action, done: Done) -> None:
         """Perform ``action`` and append it to ``done``.
@@ -192,19 +194,34 @@ class Executor:
         return killed
 
     async def _start_ahead(self, actions: Iterable[Action]) -> None:
-        """Start the processes of the next consecutive creations, so that they load in parallel.
-
-        At most ``STARTS_AT_ONCE``: of many more, each would take so long that the first ones time out.
-        """
-        for action in itertools.islice(actions, STARTS_AT_ONCE):
+        """Start the processes of the next consecutive creations, so that they load in parallel, as the machine can."""
+        launcher = self.driver.launcher
+        for action in actions:
             if not isinstance(action, Create):
-                break
-            if await self.driver.launcher.start(action.instance):
-                self.system.started(action.instance.name)
-                handle = self.driver.launcher.handles.get(action.instance.name)
-                self.store.write_instance(action.instance, handle)
+                return
+            await room_for_a_start(self.driver.backend.clock, launcher.starting)
+            try:
+                await self._start(action)
+            except MidstrideError:
+                return  # the step itself tries it again, and fails with the reason
+
+    async def _start(self, action: Create) -> None:
+        """Start the process of a creation unless it is starting already. Raises StartFailed."""
+        instance = action.instance
+        async with self._one_start:
+            if instance.name not in self.system.configuration.instances and await self.driver.launcher.start(instance):
+                self.system.started(instance.name)
+                self.store.write_instance(instance, self.driver.launcher.handles.get(instance.name))
+
+    async def _stop_starting(self) -> None:
+        if self._ahead is not None:
+            async with self._one_start:  # not between the start of a process and its record
+                self._ahead.cancel()
+            await asyncio.wait({self._ahead})
+            self._ahead = None
 
     async def _abandon_started(self, actions: Iterable[Action]) -> None:
+        await self._stop_starting()
         for action in actions:
             if isinstance(action, Create) and action.instance.name not in self.system.configuration.instances:
                 await self.driver.launcher.abandon(action.instance.name)

@@ -29,8 +29,10 @@ from midstride.wire.commands import ReleaseCommand, WelcomeCommand
 from midstride.wire.frames import Greeting, Registration
 from midstride.wire.state import ComponentState
 
-# How long a process may take from its start to its registration (s), including imports of large libraries.
+# How long a process may take to register (s), including imports of large libraries, if no other registers meanwhile.
 REGISTRATION_TIMEOUT: Final = float(os.environ.get("MIDSTRIDE_REGISTRATION_TIMEOUT", "30"))
+# On a machine that is busy with the starts of others: how long it may take at most (s).
+REGISTRATION_LIMIT: Final = 10 * REGISTRATION_TIMEOUT
 # How long a component may take to terminate before it is killed (s), unless it asks for longer.
 STOP_GRACE: Final = 3.0
 # How long a running component may take to accept a connection of a new manager (s).
@@ -52,6 +54,7 @@ class Launcher:
         self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
         self._exits: dict[str, asyncio.Future[Exited]] = {}
         self._graces: dict[str, float] = {}
+        self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self.handles: dict[str, Handle] = {}
         self.ending: set[str] = set()
 
@@ -75,6 +78,7 @@ class Launcher:
             return False
         self._exits[name] = asyncio.get_running_loop().create_future()
         self._starting[name] = asyncio.ensure_future(self._client.registered(name))
+        self._starting[name].add_done_callback(self._registration_done)
         command = instance.component.run
         if command is None:
             return True
@@ -94,10 +98,19 @@ class Launcher:
             raise
         return True
 
+    def _registration_done(self, registering: asyncio.Future[tuple[Greeting, Registration]]) -> None:
+        if not registering.cancelled() and registering.exception() is None:
+            self._last_registration = self._backend.clock.steady()
+
+    def starting(self) -> int:
+        """How many processes have been started and have neither registered nor exited."""
+        return sum(not (registering.done() or self._exits[name].done()) for name, registering in self._starting.items())
+
     async def registered(self, instance: Instance) -> None:
         """Wait until ``instance`` registers, check it against its declaration, and accept it.
 
-        Raises StartFailed, after terminating the process that was started.
+        As long as other components register, it has more time: the machine is busy with them. Raises StartFailed, after
+        terminating the process that was started.
         """
         name = instance.name
         await self.start(instance)
@@ -117,7 +130,7 @@ class Launcher:
     async def _registration(self, instance: Instance) -> tuple[Greeting, Registration]:
         name, run = instance.name, instance.component.run
         registering, exiting = self._starting[name], self._exits[name]
-        timeout = asyncio.ensure_future(self._backend.clock.sleep(REGISTRATION_TIMEOUT))
+        timeout = asyncio.ensure_future(self._patience())
         first: set[asyncio.Future[Any]] = {registering, exiting, timeout}
         try:
             await asyncio.wait(first, return_when=asyncio.FIRST_COMPLETED)
@@ -130,9 +143,20 @@ class Launcher:
         where = f"was started with `{run}`" if run else "is started elsewhere"
         log = f" Its log: {self.handles[name].log}" if name in self.handles and self.handles[name].log else ""
         raise StartFailed(
-            f"{name} did not register within {REGISTRATION_TIMEOUT:g} s (it {where}); does its program "
+            f"{name} did not register within {timeout.result():g} s (it {where}); does its program "
             f"create a Component and call start()?{log}"
         )
+
+    async def _patience(self) -> float:
+        """Wait as long as a component may take to register; returns how long that was (s)."""
+        clock = self._backend.clock
+        begun = clock.steady()
+        while True:
+            last = max(begun, self._last_registration)
+            remaining = min(last + REGISTRATION_TIMEOUT, begun + REGISTRATION_LIMIT) - clock.steady()
+            if remaining <= 0:
+                return round(clock.steady() - begun, 1)
+            await clock.sleep(remaining)
 
     def _verify(self, instance: Instance, greeting: Greeting, registration: Registration) -> None:
         name, component = instance.name, instance.component

@@ -33,8 +33,10 @@ from midstride.wire.transport import Transport
 
 T = TypeVar("T")
 
-# How often the host checks that the component can go on (s); a signal that Python missed is noticed by then.
-_HEARTBEAT: Final = 0.1
+# How often the host checks that the component can go on (s), at first and later: each check wakes an idle process.
+# A signal that Python missed is noticed by then.
+_CHECK_AT_FIRST: Final = 0.1
+_CHECK: Final = 1.0
 
 
 class Ros2Host:
@@ -159,8 +161,8 @@ class Ros2Host:
             for function in self._early:
                 self._post(function)
             while True:
-                nodes.check()
-                await asyncio.sleep(_HEARTBEAT)
+                starting = nodes.check()
+                await asyncio.sleep(_CHECK_AT_FIRST if starting else _CHECK)
         except Exception as error:
             self._failure = error
             main.cancel()

@@ -116,12 +116,17 @@ class ComponentNodes:
         self._data_thread.start()
         self._control_thread.start()
 
-    def check(self) -> None:
-        """Raises NodeError where the component cannot go on: ROS was shut down, or another node has its name."""
+    def check(self) -> bool:
+        """Whether another node of its name may yet appear. To be repeated, soon as long as it may.
+
+        Raises NodeError where the component cannot go on: ROS was shut down, or another node has its name.
+        """
         if not self._context.ok():
             raise NodeError("rclpy was shut down from within the component; leave that to start()")
-        if time.monotonic() < self._checked_until:
-            self._check_alone(others=1, seconds=0.0)
+        if time.monotonic() >= self._checked_until:
+            return False
+        self._check_alone(others=1, seconds=0.0)
+        return True
 
     def _check_alone(self, others: int, seconds: float) -> None:
         """Raises NodeError where more than ``others`` nodes of our name are in the graph within ``seconds``."""

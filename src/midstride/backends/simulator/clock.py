@@ -41,6 +41,9 @@ class SimulatedClock:
         """When on the loop's clock the ROS clock reads ``ros``."""
         return self._zero + (ros - EPOCH) / 1e9
 
+    def idle(self) -> float:
+        return 0.0  # that of this machine would make runs differ
+
     async def sleep(self, seconds: float) -> None:
         await asyncio.sleep(seconds)
 

@@ -1,0 +1,32 @@
+"""Paces the starts of processes by what the machine can do.
+
+A process that starts needs a processor for its imports, and each that runs already needs time to discover it. If many
+start at once, all are slow, the middleware repeats what was not acknowledged in time, and the sum of the work grows.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from typing import Final
+
+from midstride.runtime.clock import Clock
+
+PROCESSORS: Final = len(os.sched_getaffinity(0))
+# How many processes may be starting while the processors are idle, because they wait for devices or disks.
+MOST: Final = 8 * PROCESSORS
+# Over this time (s), at least this share of one processor must have been idle before another process starts.
+INTERVAL: Final = 0.1
+SPARE: Final = 0.5
+
+
+async def room_for_a_start(clock: Clock, starting: Callable[[], int]) -> None:
+    """Return when another process may start; ``starting`` counts those that have not registered yet.
+
+    One per processor may start in any case, also on a machine that is busy with other work.
+    """
+    while starting() >= PROCESSORS:
+        at, idle = clock.steady(), clock.idle()
+        await clock.sleep(INTERVAL)
+        if starting() < MOST and clock.idle() - idle >= SPARE * (clock.steady() - at):
+            return
