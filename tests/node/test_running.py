@@ -688,6 +688,39 @@ comp.start()
     simulate(tmp_path, main)
 
 
+def test_an_input_is_not_attached_where_the_platform_refuses_the_subscription(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    create, refusing = SimulatedHost.create_subscription, [True]
+
+    def failing(host: SimulatedHost, *arguments: Any) -> Any:
+        if refusing.pop():
+            raise RuntimeError("no more subscriptions")
+        return create(host, *arguments)
+
+    monkeypatch.setattr(SimulatedHost, "create_subscription", failing)
+
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+in_ = comp.create_input("in", String)
+f = comp.create_functionality("f", inputs=[in_])
+f.set_normal_mode(lambda message: None, inputs=[in_])
+f.set_degraded_mode(lambda: None)
+comp.start()
+""",
+        )
+        await bench.send("node", "welcome", manager="me")
+        assert "no more subscriptions" in await bench.refusal("node", "attach", port="in", topic="/chatter")
+        assert bench.state("node").ports["in"] == {}
+        refusing.append(False)
+        await bench.attach("node", "in", "/chatter")
+
+    simulate(tmp_path, main)
+
+
 def test_a_mode_that_the_platform_cannot_run_is_a_failure_with_its_reason(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, cast
 
-from midstride.model.contract import QoS
-from midstride.node.contracts import predicate
+from midstride.model.contract import Predicate
 from midstride.node.host import Host
 from midstride.node.modes import Approximate, DeclaredMode
 from midstride.node.ports import Input
@@ -37,7 +36,7 @@ class Recorder:
 
 def inputs(runner: Recorder, slop: float = 0.04) -> tuple[Input, Input]:
     """Two inputs whose messages are called together."""
-    assumption = predicate(Image, None, QoS(), ())
+    assumption = Predicate("sensor_msgs/msg/Image")
     left, right = Input("left", Image, assumption), Input("right", Image, assumption)
     mode = DeclaredMode(
         "normal",

@@ -39,6 +39,7 @@ from midstride.wire.commands import (
     AwaitCutCommand,
     AwaitMatchCommand,
     AwaitWriteCommand,
+    Before,
     Command,
     CutResult,
     DetachCommand,
@@ -49,10 +50,8 @@ from midstride.wire.commands import (
     GatedWrites,
     Grid,
     GridCommand,
-    ModesBefore,
     ModesCommand,
     ObserveCommand,
-    ParametersBefore,
     RecordCommand,
     RecordingSwitched,
     Records,
@@ -85,10 +84,10 @@ REPLIES: dict[type[Command[Any]], Any] = {
     DetachCommand: Detached(acknowledged=True, last=None),
     ExportStateCommand: ExportedState(state=None),
     GridCommand: Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=1),
-    ModesCommand: ModesBefore(before={}),
+    ModesCommand: Before(before={}),
     RecordCommand: RecordingSwitched(now=0),
     RecordsCommand: Records(rows=[], publisher_identity=True, now=0),
-    SetParametersCommand: ParametersBefore(before={}),
+    SetParametersCommand: Before(before={}),
 }
 
 

@@ -28,6 +28,7 @@ from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
     AwaitWriteCommand,
+    Before,
     Command,
     CutInCommand,
     CutResult,
@@ -40,7 +41,6 @@ from midstride.wire.commands import (
     GridCommand,
     ImportStateCommand,
     LastWrite,
-    ModesBefore,
     ModesCommand,
     ReleaseCommand,
     SetParametersCommand,
@@ -431,7 +431,7 @@ def test_what_a_step_itself_degraded_is_not_the_reason(tmp_path: Path) -> None:
 
     async def body(b: Bench) -> None:
         b.client.reply("talker", ModesCommand, REFUSED)
-        b.client.reply("listener", ModesCommand, ModesBefore(before={}), TIMEOUT)  # its roll-back fails
+        b.client.reply("listener", ModesCommand, Before(before={}), TIMEOUT)  # its roll-back fails
         with pytest.raises(CommandRefused):
             await perform(b, both)
 

@@ -396,7 +396,7 @@ def test_the_end_of_a_forwarded_connection_is_not_that_of_the_component() -> Non
         c.network.peer = 4711  # the process of `ssh`; the component's is 7
         await c.client.observe("talker")
         listening = c.network.listeners.pop("talker")
-        c.network.opened[-1].other.close()  # type: ignore[union-attr]
+        c.network.opened[-1].other.close()
         await asyncio.sleep(5.5)
         assert c.events == [Disconnected("talker", exited=False)], "it is reported once"
         assert not c.client.is_lost("talker") and c.client.responsive("talker") is None

@@ -14,7 +14,7 @@ from midstride.errors import CommandRefused, StepFailed, Unreachable
 from midstride.model.action import Swap
 from midstride.model.component import ComponentSpec, FunctionalitySpec, Mode, PortRef
 from midstride.model.configuration import Configuration
-from midstride.runtime.agreed_cut import RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
+from midstride.runtime.agreed_cut import FIND_TIMEOUT, RESUME_PERIODS, RESUME_WITHOUT_RATE, SHORTEST_RESUME
 from midstride.runtime.handover import (
     ATTACH_TIMEOUT,
     DETACH_TIMEOUT,
@@ -25,7 +25,6 @@ from midstride.runtime.handover import (
     PROBATION,
     LiveHandover,
 )
-from midstride.runtime.handover_conditions import FIND_TIMEOUT
 from midstride.wire.commands import (
     AttachCommand,
     Attached,

@@ -19,8 +19,7 @@ import pytest
 from midstride.backends import processes
 from midstride.errors import StartFailed
 from midstride.runtime import reaper
-from midstride.runtime.logs import shorten, tail
-from midstride.runtime.process import Process, end_orphans, find, spawn
+from midstride.runtime.process import Process, end_orphans, find, shorten, spawn, tail
 from midstride.runtime.reaper import Reaper, group_members, process_info
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
@@ -96,7 +95,7 @@ def test_the_exit_is_reported_with_its_status(tmp_path: Path, code: str, status:
     async def run() -> tuple[int | None, list[int | None]]:
         heard: list[int | None] = []
         process = spawn([sys.executable, "-S", "-c", code], tmp_path, {}, tmp_path / "log.txt")
-        process.on_exit(heard.append)
+        process.on_exit = heard.append
         await asyncio.wait_for(process.wait(), 10)
         process.close()
         return process.status, heard
@@ -365,8 +364,7 @@ MANAGER = """
 import asyncio, os, sys, time
 from pathlib import Path
 from midstride.runtime.reaper import Reaper
-from midstride.runtime.logs import tail
-from midstride.runtime.process import spawn
+from midstride.runtime.process import spawn, tail
 
 async def main(token, family):
     reaping = Reaper("MIDSTRIDE_TOKEN", token)

@@ -127,7 +127,7 @@ class ProcessBackend(abc.ABC):
 
     async def end(self, instance: str, grace: float) -> None:
         if (process := self._processes.get(instance)) is not None:
-            process.on_exit(None)
+            process.on_exit = None
             await process.end(grace)
             self._forget(instance, process)
         await self._died(instance)
@@ -141,7 +141,7 @@ class ProcessBackend(abc.ABC):
             self._forget(instance, process)
             self._exited(instance, status, process)
 
-        process.on_exit(exited)
+        process.on_exit = exited
         if self._shortening is None:
             self._shortening = asyncio.get_running_loop().create_task(self._shorten_logs())
 

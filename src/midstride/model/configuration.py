@@ -26,7 +26,7 @@ from midstride.model.component import (
     PortRef,
     Resource,
 )
-from midstride.model.contract import Contract
+from midstride.model.contract import Contract, Predicate
 
 K = TypeVar("K")
 V = TypeVar("V")
@@ -171,6 +171,14 @@ class Configuration:
         """What a live output guarantees in the current mode of its owner."""
         owner = self.component(output.instance).owner(output.port)
         return owner.modes[self.modes[FunctionalityRef(output.instance, owner.name)]].guarantee(output.port)
+
+    def rate(self, output: PortRef) -> float | None:
+        """The rate (Hz) that a live output guarantees now, if any."""
+        guarantee = self.guarantee(output)
+        return guarantee.rate if isinstance(guarantee, Predicate) else None
+
+    def topic(self, connector: str) -> str:
+        return self.context.connectors[connector].topic
 
     def users(self, input_port: PortRef) -> list[FunctionalityRef]:
         """The functionalities associated with a live input."""

@@ -12,6 +12,7 @@ import contextlib
 import hmac
 import uuid
 from collections import OrderedDict
+from dataclasses import dataclass
 from typing import Any, Final
 
 from midstride.codec.component import NamedComponentForm
@@ -37,24 +38,19 @@ CLOSE_TIMEOUT: Final = 1.0
 _FOREIGN_TOKEN: Final = "the token is not that of the system that the component belongs to"
 
 
+@dataclass
 class Agent:
-    """``token`` is the one that the process was started with, empty where it was started by hand."""
+    """``start_token`` is the one that the process was started with, empty where it was started by hand."""
 
-    def __init__(
-        self,
-        parts: DeclaredParts,
-        declaration: ComponentSpec,
-        host: Host,
-        token: str,
-        pid: int,
-        standalone: Attachments | None,
-    ) -> None:
-        self._declaration = declaration
-        self._host = host
-        self._token = token
-        self._start_token = token
-        self._pid = pid
-        self._standalone = standalone
+    parts: DeclaredParts
+    declaration: ComponentSpec
+    host: Host
+    start_token: str
+    pid: int
+    standalone: Attachments | None
+
+    def __post_init__(self) -> None:
+        self._token = self.start_token
         self._uuid = uuid.uuid4().hex
         self._revision = Revision()
         self._replies: OrderedDict[str, asyncio.Task[Reply]] = OrderedDict()
@@ -63,29 +59,28 @@ class Agent:
         self._welcomed = False
         self._ready = asyncio.Event()
         self._stopping = asyncio.Event()
+        name, token = self.host.instance, self.start_token
         greeting = frames.Greeting(
-            protocol=frames.PROTOCOL, instance=host.instance, uuid=self._uuid, pid=pid, start_token=token
+            protocol=frames.PROTOCOL, instance=name, uuid=self._uuid, pid=self.pid, start_token=token
         )
         self._server = CommandServer(greeting, self.serve)
         self._handlers = CommandHandlers(
-            parts, host, self._revision, self._degraded, self.report_state, lambda: self._token
+            self.parts, self.host, self._revision, self._degraded, self.report_state, lambda: self._token
         )
-
-    # -- start and end -----------------------------------------------------------------------------
 
     async def main(self) -> None:
         """Run from set-up to the end. Cancelled by a signal, it ends in order as well."""
         self._loop = asyncio.get_running_loop()
-        handlers, host = self._handlers, self._host
-        if host.transport is not None and self._standalone is None:
+        handlers, host = self._handlers, self.host
+        if host.transport is not None and self.standalone is None:
             await self._server.open(host.transport)
         heartbeat = asyncio.ensure_future(self._heartbeat())
         try:
             await host.on_data(handlers.set_up)
             try:
                 await host.on_data(handlers.begin)
-                if self._standalone is not None:
-                    await self._run_alone(self._standalone)
+                if self.standalone is not None:
+                    await self._run_alone(self.standalone)
                 self._register()
                 await self._stopping.wait()
             except asyncio.CancelledError:
@@ -102,18 +97,18 @@ class Agent:
         """Report what the component declares to every manager that connects."""
         self._ready.set()
         self.report_state()
-        declaration = NamedComponentForm.of(self._declaration)
-        self._server.register(frames.Registration(declaration=declaration, endpoints=self._host.extra_endpoints()))
-        if not self._start_token and self._standalone is None:
-            remappings = " ".join(f"{port}:=/{port}" for port in self._declaration.ports())
-            self._host.logger.info(
-                f"{self._host.instance} waits for a manager, degraded and unattached ({self._host.reachable}); "
+        declaration = NamedComponentForm.of(self.declaration)
+        self._server.register(frames.Registration(declaration=declaration, endpoints=self.host.extra_endpoints()))
+        if not self.start_token and self.standalone is None:
+            remappings = " ".join(f"{port}:=/{port}" for port in self.declaration.ports())
+            self.host.logger.info(
+                f"{self.host.instance} waits for a manager, degraded and unattached ({self.host.reachable}); "
                 f"to run it without a manager: {FLAG} {remappings}"
             )
 
     async def _heartbeat(self) -> None:
         while True:
-            await self._host.sleep(HEARTBEAT)
+            await self.host.sleep(HEARTBEAT)
             if self._ready.is_set():
                 self._report()
 
@@ -121,13 +116,11 @@ class Agent:
         for port, topics in attachments.items():
             for topic in topics:
                 await self._handlers.carry_out(commands.AttachCommand(port=port, topic=topic), None)
-        modes = best_modes(self._declaration, attachments)
+        modes = best_modes(self.declaration, attachments)
         because = "started standalone: the best mode for what is attached"
         await self._handlers.carry_out(commands.ModesCommand(modes=modes, because=because), None)
         listed = ", ".join(f"{name} in mode {mode}" for name, mode in modes.items())
-        self._host.logger.warning(f"{self._host.instance} runs without a manager: {listed}")
-
-    # -- commands ----------------------------------------------------------------------------------
+        self.host.logger.warning(f"{self.host.instance} runs without a manager: {listed}")
 
     async def serve(self, request: Request, token: str) -> Reply:
         """Carry out one request; an invalid one is refused with the reason."""
@@ -201,7 +194,7 @@ class Agent:
         except MidstrideError as error:
             return self._refusal(request, str(error))
         except Exception as error:
-            self._host.logger.error(f"`{command.name}` failed: {type(error).__name__}: {error}")
+            self.host.logger.error(f"`{command.name}` failed: {type(error).__name__}: {error}")
             return self._refusal(request, f"`{command.name}` failed: {type(error).__name__}: {error}")
         if command.kind == "changing":
             self._revision.bump()
@@ -219,32 +212,30 @@ class Agent:
         elif not self._is_ours(token):  # of two managers that welcome it at once the first wins
             raise CommandRefused(_FOREIGN_TOKEN)
         if not self._welcomed:
-            self._host.logger.info(f"{self._host.instance} is managed by {manager}")
+            self.host.logger.info(f"{self.host.instance} is managed by {manager}")
         self._welcomed = True
 
     async def _release(self, command: commands.ReleaseCommand) -> None:
-        if self._start_token:
+        if self.start_token:
             raise CommandRefused("its manager started it and must end it: `release` is for components started by hand")
         await self._handlers.release(command.timeout)
         self._token = ""
         self._welcomed = False
 
-    # -- state -------------------------------------------------------------------------------------
-
     def state(self) -> ComponentState:
         """Read without waiting for the data thread."""
-        return self._handlers.state(self._host.instance, self._uuid, self._pid, self._waiting())
+        return self._handlers.state(self.host.instance, self._uuid, self.pid, self._waiting())
 
     def _waiting(self) -> str | None:
-        if self._standalone is None and not self._welcomed:
+        if self.standalone is None and not self._welcomed:
             return "no manager has welcomed it yet"
-        if self._host.now() == 0:
+        if self.host.now() == 0:
             return "use_sim_time is on, and nothing has arrived on /clock yet: modes with a rate are not called"
         return None
 
     def report_state(self) -> None:
         """The state has changed: report it to every client and to the platform's own tools."""
-        self._host.publish_state(self._report())
+        self.host.publish_state(self._report())
 
     def _report(self) -> ComponentState:
         state = self.state()
@@ -259,5 +250,5 @@ class Agent:
             self._loop.call_soon_threadsafe(self._report_degraded, words)
 
     def _report_degraded(self, words: str) -> None:
-        self._host.logger.error(words)
+        self.host.logger.error(words)
         self.report_state()

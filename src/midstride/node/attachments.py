@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
 from midstride.errors import CommandRefused
-from midstride.node.host import Host, Publisher, Subscription
+from midstride.node.declaration import DeclaredParts
+from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import Input, InputLink, Output, OutputLink
 from midstride.wire import commands
@@ -25,21 +26,18 @@ SETTLE: Final = 0.05
 TICK: Final = 0.005
 
 
+@dataclass
 class Attachments:
     """The attachments of a component's ports. Raises CommandRefused for names that do not exist."""
 
-    def __init__(self, inputs: dict[str, Input], outputs: dict[str, Output], host: Host, data: DataExecutor) -> None:
-        self._inputs = inputs
-        self._outputs = outputs
-        self._host = host
-        self._data = data
-
-    # -- lookup ------------------------------------------------------------------------------------
+    parts: DeclaredParts
+    host: Host
+    data: DataExecutor
 
     def port(self, name: str) -> Input | Output:
-        found = self._outputs.get(name) or self._inputs.get(name)
+        found = self.parts.ports.get(name)
         if found is None:
-            listed = ", ".join([*self._outputs, *self._inputs]) or "none"
+            listed = ", ".join(self.parts.ports) or "none"
             raise CommandRefused(f"there is no port {name}; the ports are: {listed}")
         return found
 
@@ -62,60 +60,44 @@ class Attachments:
             raise CommandRefused(f"output {port} is not attached to {topic}")
         return found
 
-    # -- commands ----------------------------------------------------------------------------------
-
     async def attach(self, command: commands.AttachCommand) -> commands.Attached:
         topic, timeout = command.topic, command.timeout
         port = self.port(command.port)
         if port.link(topic) is not None:
             raise CommandRefused(f"{port.name} is already attached to {topic}")
-        opened = isinstance(port, Output) and command.gate == "open"
-        if isinstance(port, Output):
-            link = await self._data.run(lambda: self._publish(port, topic), timeout)
-            undo: Callable[[], None] = partial(self._unpublish, link)
-            endpoint: Publisher | Subscription = link.publisher
-        else:
-            inlet = await self._data.run(lambda: self._subscribe(port, topic), timeout)
-            assert inlet.subscription is not None
-            undo = partial(self._unsubscribe, port, inlet)
-            endpoint = inlet.subscription
+        link = await self.data.run(lambda: self._create(port, topic), timeout)
         try:
-            matched = await self._match(endpoint, command.peers, timeout)
+            matched = await self._match(link, command.peers, timeout)
             if matched < command.peers:
                 raise CommandRefused(
                     f"only {max(matched, 0)} of {command.peers} endpoints on {topic} were found within {timeout:g} s; "
                     "the others are missing, or have another type or incompatible QoS"
                 )
             if command.peers:
-                await self._host.sleep(SETTLE)
-            matched = await self._match(endpoint, command.everyone, command.patience)
+                await self.host.sleep(SETTLE)
+            matched = await self._match(link, command.everyone, command.patience)
             if command.everyone > command.peers:  # endpoints outside the system as well
-                await self._host.sleep(SETTLE)
-            if opened:
-                await self._data.run(lambda: self._open(link), timeout)
+                await self.host.sleep(SETTLE)
+            if isinstance(link, OutputLink) and command.gate == "open":
+                await self.data.run(partial(self._open, link), timeout)
         except CommandRefused:
             # Undone as soon as user code returns, however long that takes: a refused command must change nothing.
-            await within(self._host, self._host.on_data(undo), timeout)
+            await within(self.host, self.host.on_data(link.destroy), timeout)
             raise
         return commands.Attached(matched=matched)
 
     async def detach(self, command: commands.DetachCommand) -> commands.Detached:
-        topic, timeout = command.topic, command.timeout
-        port = self.port(command.port)
-        link = port.link(topic)
-        if link is None:
-            raise CommandRefused(f"{port.name} is not attached to {topic}")
+        link, timeout = self._attached(command.port, command.topic), command.timeout
         if isinstance(link, InputLink):
-            assert isinstance(port, Input)
-            await self._data.run(lambda: self._unsubscribe(port, link), timeout)
+            await self.data.run(link.destroy, timeout)
             return commands.Detached(acknowledged=None, last=None)
         was_open = link.gate == "open"
-        await self._data.run(lambda: link.set_gate(False), timeout)
-        acknowledged = await link.publisher.acknowledged(timeout)
+        await self.data.run(lambda: link.set_gate(False), timeout)
+        acknowledged = await link.endpoint.acknowledged(timeout)
         try:
-            await self._data.run(lambda: self._unpublish(link), timeout)
+            await self.data.run(link.destroy, timeout)
         except CommandRefused:
-            self._host.on_data(lambda: link.set_gate(was_open))
+            self.host.on_data(lambda: link.set_gate(was_open))
             raise
         return commands.Detached(acknowledged=acknowledged, last=link.count)
 
@@ -129,39 +111,55 @@ class Attachments:
             if command.latch:
                 link.write_last_gated()
 
-        await self._data.run(switch, command.timeout)
+        await self.data.run(switch, command.timeout)
         return commands.Done()
 
     async def await_write(self, command: commands.AwaitWriteCommand) -> commands.GatedWrites:
         link = self.link(command.port, command.topic)
-        deadline = self._host.steady() + int(command.timeout * 1e9)
-        while not link.gated and link.output.wrong_type is None and self._host.steady() < deadline:
+        deadline = self.host.steady() + int(command.timeout * 1e9)
+        while not link.gated and link.output.wrong_type is None and self.host.steady() < deadline:
             if link.output.owner.failed:
                 break  # it will not write
-            await self._host.sleep(TICK)
+            await self.host.sleep(TICK)
         if link.output.wrong_type is not None:
             with contextlib.suppress(CommandRefused):
-                await self._data.run(lambda: None, command.timeout)  # until the call that wrote it has degraded
+                await self.data.run(lambda: None, command.timeout)  # until the call that wrote it has degraded
         return commands.GatedWrites(gated=link.gated, wrong_type=link.output.wrong_type)
 
     async def await_match(self, command: commands.AwaitMatchCommand) -> commands.Attached:
-        link = self.port(command.port).link(command.topic)
-        if link is None:
-            raise CommandRefused(f"{command.port} is not attached to {command.topic}")
-        endpoint = link.subscription if isinstance(link, InputLink) else link.publisher
-        assert endpoint is not None
-        return commands.Attached(matched=max(0, await self._match(endpoint, command.peers, command.timeout)))
+        link = self._attached(command.port, command.topic)
+        return commands.Attached(matched=max(0, await self._match(link, command.peers, command.timeout)))
 
     async def close_all(self, timeout: float) -> None:
         """Destroy every endpoint once all readers have acknowledged, or after ``timeout`` (s)."""
-        links = [link for output in self._outputs.values() for link in output.links]
-        await asyncio.gather(*(link.publisher.acknowledged(timeout) for link in links))
-        await self._data.run(self._destroy_all, timeout)
+        links = [link for output in self.parts.outputs.values() for link in output.links]
+        await asyncio.gather(*(link.endpoint.acknowledged(timeout) for link in links))
+        await self.data.run(self._destroy_all, timeout)
+
+    def _attached(self, port: str, topic: str) -> OutputLink | InputLink:
+        """The attachment of a port to ``topic``. Raises CommandRefused where there is none."""
+        link = self.port(port).link(topic)
+        if link is None:
+            raise CommandRefused(f"{port} is not attached to {topic}")
+        return link
+
+    async def _match(self, link: OutputLink | InputLink, wanted: int, patience: float) -> int:
+        """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s)."""
+        deadline = self.host.steady() + int(patience * 1e9)
+        while (matched := link.endpoint.matched()) < wanted and self.host.steady() < deadline:
+            await self.host.sleep(TICK)
+        return matched
 
     # -- data thread -------------------------------------------------------------------------------
 
-    def _publish(self, port: Output, topic: str) -> OutputLink:
-        link = OutputLink(port, topic, self._host.create_publisher(topic, port.type, port.qos))
+    def _create(self, port: Output | Input, topic: str) -> OutputLink | InputLink:
+        if isinstance(port, Input):
+            inlet = InputLink(port, topic)
+            receive = port.receiver(inlet, self.host)
+            inlet.endpoint = self.host.create_subscription(topic, port.type, port.assumption.qos, receive)
+            port.links = (*port.links, inlet)
+            return inlet
+        link = OutputLink(port, topic, self.host.create_publisher(topic, port.type, port.qos))
         if port.last is not None and (port.latched or port.owner.driven == "none"):
             link.write_gated(port.last)  # a mode that writes once, on entry, may have written while unattached
         port.wrong_type = None
@@ -173,40 +171,7 @@ class Attachments:
         if link.output.latched:
             link.write_last_gated()
 
-    def _unpublish(self, link: OutputLink) -> None:
-        if link not in link.output.links:
-            return  # undone already
-        link.set_gate(False)
-        link.output.links = tuple(other for other in link.output.links if other is not link)
-        link.publisher.destroy()
-
-    def _subscribe(self, port: Input, topic: str) -> InputLink:
-        link = InputLink(topic)
-        receive = port.receiver(link, self._host)
-        port.links = (*port.links, link)
-        link.subscription = self._host.create_subscription(topic, port.type, port.assumption.qos, receive)
-        return link
-
-    def _unsubscribe(self, port: Input, link: InputLink) -> None:
-        if link not in port.links:
-            return
-        port.links = tuple(other for other in port.links if other is not link)
-        if link.subscription is not None:
-            link.subscription.destroy()
-        if not port.links:
-            port.forget()
-
     def _destroy_all(self) -> None:
-        for output in self._outputs.values():
-            for link in output.links:
-                self._unpublish(link)
-        for port in self._inputs.values():
-            for inlet in port.links:
-                self._unsubscribe(port, inlet)
-
-    async def _match(self, endpoint: Publisher | Subscription, wanted: int, patience: float) -> int:
-        """How many compatible endpoints it is matched with, once that is ``wanted`` or after ``patience`` (s)."""
-        deadline = self._host.steady() + int(patience * 1e9)
-        while (matched := endpoint.matched()) < wanted and self._host.steady() < deadline:
-            await self._host.sleep(TICK)
-        return matched
+        for port in self.parts.ports.values():
+            for link in port.links:
+                link.destroy()

@@ -10,6 +10,8 @@ import asyncio
 import contextlib
 import threading
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
@@ -21,7 +23,7 @@ from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
 from midstride.wire import commands
 from midstride.wire.commands import Command
-from midstride.wire.state import ComponentState, FunctionalityState, LinkState, WireValue
+from midstride.wire.state import ComponentState, LinkState, WireValue
 
 T = TypeVar("T")
 Handler = Callable[[Any], Awaitable[WireValue]]
@@ -48,29 +50,25 @@ class Revision:
             self.value += 1
 
 
+@dataclass
 class CommandHandlers:
     """``degraded`` is called on the data thread when a functionality degrades by itself, ``changed`` after a cut.
 
     ``token`` returns the token for connections to peers.
     """
 
-    def __init__(
-        self,
-        parts: DeclaredParts,
-        host: Host,
-        revision: Revision,
-        degraded: Callable[[FunctionalityRunner], None],
-        changed: Callable[[], None],
-        token: Callable[[], str],
-    ) -> None:
-        self._parts = parts
-        self._host = host
-        self._revision = revision
-        self._degraded = degraded
+    parts: DeclaredParts
+    host: Host
+    revision: Revision
+    degraded: Callable[[FunctionalityRunner], None]
+    changed: Callable[[], None]
+    token: Callable[[], str]
+
+    def __post_init__(self) -> None:
         self._runners: list[FunctionalityRunner] = []
-        self._data = DataExecutor(host, self._busy_words)
-        self._attachments = Attachments(parts.inputs, parts.outputs, host, self._data)
-        self._handovers = HandoverCommands(self._attachments, host, self._data, changed, token)
+        self._data = DataExecutor(self.host, self._busy_words)
+        self._attachments = Attachments(self.parts, self.host, self._data)
+        self._handovers = HandoverCommands(self._attachments, self.host, self._data, self.changed, self.token)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._attachments.detach,
@@ -101,16 +99,16 @@ class CommandHandlers:
 
     def set_up(self) -> None:
         """On the data thread, first of all: parameters and the author's set-up. If this raises, the start fails."""
-        for parameter in self._parts.parameters.values():
-            value = self._host.parameters.declare(parameter.name, parameter.value, parameter.change)
+        for parameter in self.parts.parameters.values():
+            value = self.host.parameters.declare(parameter.name, parameter.value, parameter.change)
             parameter.begin_with(value)
-        if self._parts.callbacks.setup is not None:
-            self._parts.callbacks.setup(self._host.ros_node)
+        if self.parts.callbacks.setup is not None:
+            self.parts.callbacks.setup(self.host.ros_node)
 
     def begin(self) -> None:
         """On the data thread: start every functionality in its last mode."""
-        for functionality in self._parts.functionalities.values():
-            runner = FunctionalityRunner(functionality, self._host, self._degraded)
+        for functionality in self.parts.functionalities.values():
+            runner = FunctionalityRunner(functionality, self.host, self.degraded)
             functionality.start(runner.current_mode)
             for port in functionality.outputs:
                 port.owner = runner
@@ -129,18 +127,18 @@ class CommandHandlers:
     async def end(self) -> None:
         """Stop calls, run the author's `on_stop`, destroy endpoints; each in bounded time, whatever fails."""
         self._handovers.close()
-        timeout = self._parts.callbacks.stop_timeout
+        timeout = self.parts.callbacks.stop_timeout
         try:
             await self._data.run(self._stop_calls, timeout)
             await self._idle(timeout)
         except CommandRefused as error:
-            self._host.logger.error(f"{self._host.instance} ends, but {error}")
-        if self._parts.callbacks.stop is not None:
+            self.host.logger.error(f"{self.host.instance} ends, but {error}")
+        if self.parts.callbacks.stop is not None:
             try:
-                if not await self._data.drive(self._parts.callbacks.stop, timeout):
-                    self._host.logger.error(f"on_stop did not return within {timeout:g} s")
+                if not await self._data.drive(self.parts.callbacks.stop, timeout):
+                    self.host.logger.error(f"on_stop did not return within {timeout:g} s")
             except CAUGHT as error:
-                self._host.logger.error(f"on_stop raised: {format_error(error)}")
+                self.host.logger.error(f"on_stop raised: {format_error(error)}")
         with contextlib.suppress(CommandRefused, BackendError):
             await self._attachments.close_all(0.5)
 
@@ -150,83 +148,69 @@ class CommandHandlers:
 
     async def _idle(self, timeout: float) -> None:
         """Wait until no async call runs. Raises CommandRefused after ``timeout``."""
-        deadline = self._host.steady() + int(timeout * 1e9)
+        deadline = self.host.steady() + int(timeout * 1e9)
         while any(runner.asynchronous for runner in self._runners):
-            if self._host.steady() >= deadline:
+            if self.host.steady() >= deadline:
                 raise CommandRefused(f"user code did not return within {timeout:g} s{self._busy_words()}")
-            await self._host.sleep(0.01)
+            await self.host.sleep(0.01)
 
     # -- state -------------------------------------------------------------------------------------
 
     def state(self, instance: str, uuid: str, pid: int, waiting: str | None) -> ComponentState:
         """The component's state, read without waiting for the data thread."""
-        now = self._host.steady()
-        functionalities = {}
-        for runner in self._runners:
-            busy = runner.busy
-            functionalities[runner.name] = FunctionalityState(
-                mode=runner.mode.name,
-                since=(now - runner.since) / 1e9,
-                because=runner.because,
-                busy=None if busy is None else (now - busy) / 1e9,
-            )
-        ports: dict[str, dict[str, LinkState]] = {}
-        for output in self._parts.outputs.values():
-            ports[output.name] = {
-                link.topic: LinkState(gate=link.gate, count=link.count, gated=link.gated) for link in output.links
+        ports = {
+            port.name: {
+                link.topic: LinkState(gate=link.gate, count=link.count, gated=link.gated) for link in port.links
             }
-        for port in self._parts.inputs.values():
-            ports[port.name] = {link.topic: LinkState(gate=None, count=link.count) for link in port.links}
+            for port in self.parts.ports.values()
+        }
         return ComponentState(
             instance=instance,
             uuid=uuid,
             pid=pid,
-            revision=self._revision.value,
-            functionalities=functionalities,
+            revision=self.revision.value,
+            functionalities={runner.name: runner.state() for runner in self._runners},
             ports=ports,
-            parameters={parameter.name: parameter.value for parameter in self._parts.parameters.values()},
-            stopping=self._parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
+            parameters={parameter.name: parameter.value for parameter in self.parts.parameters.values()},
+            stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
-            simulated_time=self._host.simulated_time,
+            simulated_time=self.host.simulated_time,
         )
 
     def _busy_words(self) -> str:
-        now = self._host.steady()
-        since = [(runner.name, busy) for runner in self._runners if (busy := runner.busy) is not None]
-        listed = ", ".join(f"{name} for {(now - busy) / 1e9:.1f} s" for name, busy in since)
-        return f" (busy: {listed})" if listed else ""
+        busy = [(runner.name, seconds) for runner in self._runners if (seconds := runner.state().busy) is not None]
+        return f" (busy: {', '.join(f'{name} for {seconds:.1f} s' for name, seconds in busy)})" if busy else ""
 
     # -- modes -------------------------------------------------------------------------------------
 
-    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.ModesBefore:
-        targets = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
-        loop, settled = asyncio.get_running_loop(), asyncio.Event()
+    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.Before:
+        indices = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
+        targets = {runner: indices[runner.name] for runner in self._runners if runner.name in indices}
+        settled = asyncio.Event()
+        on_settled = partial(asyncio.get_running_loop().call_soon_threadsafe, settled.set)
 
         def guard() -> str | None:
-            if expected is not None and expected != self._revision.value:
+            if expected is not None and expected != self.revision.value:
                 return "a functionality has degraded by itself meanwhile: observe the component again, then retry"
             return None
 
-        def on_settled() -> None:
-            loop.call_soon_threadsafe(settled.set)
-
-        switch = ModeSwitch(targets, self._runners, command.because, guard, on_settled)
-        attempt = asyncio.ensure_future(self._host.on_data(switch.attempt))
+        switch = ModeSwitch(targets, command.because, guard, on_settled)
+        attempt = asyncio.ensure_future(self.host.on_data(switch.attempt))
         attempt.add_done_callback(self._log_failure)
-        if await within(self._host, settled.wait(), command.timeout) is None and switch.claim.take():
-            self._host.on_data(switch.release)
+        if await within(self.host, settled.wait(), command.timeout) is None and switch.claim.take():
+            self.host.on_data(switch.release)
             raise CommandRefused(
-                f"the change of {', '.join(targets)} was withdrawn: "
+                f"the change of {', '.join(indices)} was withdrawn: "
                 f"user code did not return within {command.timeout:g} s{self._busy_words()}"
             )
         await settled.wait()
         if switch.refused is not None:
             raise CommandRefused(switch.refused)
-        return commands.ModesBefore(before=switch.before or {})
+        return commands.Before(before=switch.before)
 
     def _log_failure(self, work: asyncio.Future[Any]) -> None:
         if not work.cancelled() and (error := work.exception()) is not None:
-            self._host.logger.error(f"changing modes failed: {type(error).__name__}: {error}")
+            self.host.logger.error(f"changing modes failed: {type(error).__name__}: {error}")
 
     def _mode_index(self, functionality: str, mode: object) -> int:
         runner = next((runner for runner in self._runners if runner.name == functionality), None)
@@ -240,19 +224,19 @@ class CommandHandlers:
 
     # -- parameters and state ----------------------------------------------------------------------
 
-    async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.ParametersBefore:
-        declared = self._parts.parameters
+    async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.Before:
+        declared = self.parts.parameters
         for name in command.parameters:
             if name not in declared:
                 raise CommandRefused(
                     f"there is no parameter {name}; the parameters are: {', '.join(declared) or 'none'}"
                 )
         before = {name: declared[name].value for name in command.parameters}
-        await self._data.run(lambda: self._host.parameters.set(command.parameters), command.timeout)
-        return commands.ParametersBefore(before=before)
+        await self._data.run(lambda: self.host.parameters.set(command.parameters), command.timeout)
+        return commands.Before(before=before)
 
     async def _export_state(self, command: commands.ExportStateCommand) -> commands.ExportedState:
-        export = self._parts.callbacks.export_state
+        export = self.parts.callbacks.export_state
         if export is None:
             return commands.ExportedState(state=None)
         state = await self._run_callback(export, "on_export_state", command.timeout)
@@ -261,7 +245,7 @@ class CommandHandlers:
         return commands.ExportedState(state=bytes(state))
 
     async def _import_state(self, command: commands.ImportStateCommand) -> commands.Done:
-        hook = self._parts.callbacks.import_state
+        hook = self.parts.callbacks.import_state
         if hook is None:
             raise CommandRefused("the component cannot import state: it has no on_import_state")
         await self._run_callback(lambda: hook(command.state), "on_import_state", command.timeout)
@@ -278,8 +262,6 @@ class CommandHandlers:
 
         return await self._data.run(guarded, timeout)
 
-    # -- measuring ---------------------------------------------------------------------------------
-
     async def _record(self, command: commands.RecordCommand) -> commands.RecordingSwitched:
         ports = [self._attachments.input(name) for name in command.inputs]
 
@@ -288,14 +270,14 @@ class CommandHandlers:
                 port.record(command.on)
 
         await self._data.run(switch, command.timeout)
-        return commands.RecordingSwitched(now=self._host.steady())
+        return commands.RecordingSwitched(now=self.host.steady())
 
     async def _records(self, command: commands.RecordsCommand) -> commands.Records:
         port = self._attachments.input(command.input)
         receipts = await self._data.run(lambda: list(port.receipts), command.timeout)
         rows = []
         for received, native in receipts:
-            info = self._host.read_info(native)
+            info = self.host.read_info(native)
             rows.append(commands.Receipt(received, info.source, info.number, info.publisher))
         identity = bool(rows) and all(row.publisher is not None for row in rows)
-        return commands.Records(rows=rows, publisher_identity=identity, now=self._host.steady())
+        return commands.Records(rows=rows, publisher_identity=identity, now=self.host.steady())

@@ -8,26 +8,17 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from midstride.errors import NodeError
 from midstride.model import component as model
 from midstride.model.component import ParameterValue
-from midstride.model.contract import QoS
+from midstride.model.contract import Predicate, QoS
+from midstride.node import contracts
 from midstride.node.agent import Agent
 from midstride.node.clock import ComponentClock
-from midstride.node.contracts import (
-    Where,
-    check_name,
-    check_qos,
-    check_rate,
-    check_seconds,
-    check_type,
-    check_weight,
-    field_constraints,
-    predicate,
-)
+from midstride.node.contracts import Where
 from midstride.node.declaration import DeclaredParts, declare
 from midstride.node.functionality import Functionality
 from midstride.node.modes import listed
@@ -37,6 +28,7 @@ from midstride.node.process_context import find, host_factory
 from midstride.node.standalone import remappings
 
 F = TypeVar("F", bound=Callable[..., Any])
+P = TypeVar("P", Input, Output)
 
 
 class Component:
@@ -48,7 +40,7 @@ class Component:
     """
 
     def __init__(self, name: str) -> None:
-        self.name = check_name(name, "Component()")
+        self.name = contracts.check_name(name, "Component()")
         self.instance = name
         self.clock = ComponentClock()
         self._parts = DeclaredParts()
@@ -71,9 +63,10 @@ class Component:
         fields: ``{"width": at_least(640), "encoding": {"rgb8", "bgr8"}}``. Raises NodeError.
         """
         where_ = f"input {self._new_port(name)}"
-        message_type = check_type(type, where_)
-        fields = field_constraints(where, message_type, where_)
-        assumption = predicate(message_type, check_rate(rate, where_), check_qos(qos, where_), fields)
+        message_type = contracts.check_type(type, where_)
+        fields = contracts.field_constraints(where, message_type, where_)
+        hertz, profile = contracts.check_rate(rate, where_), contracts.check_qos(qos, where_)
+        assumption = Predicate(contracts.type_name(message_type), hertz, profile, fields)
         self._parts.inputs[name] = Input(name, message_type, assumption)
         return self._parts.inputs[name]
 
@@ -84,7 +77,7 @@ class Component:
         input, are the same in all of them (docs/semantics.md section 2, M3). Raises NodeError.
         """
         where = f"output {self._new_port(name)}"
-        self._parts.outputs[name] = Output(name, check_type(type, where), check_qos(qos, where))
+        self._parts.outputs[name] = Output(name, contracts.check_type(type, where), contracts.check_qos(qos, where))
         return self._parts.outputs[name]
 
     def create_functionality(
@@ -97,12 +90,12 @@ class Component:
         Raises NodeError.
         """
         self._declaring(f"functionality {name}")
-        where = f"functionality {check_name(name, 'create_functionality()')}"
+        where = f"functionality {contracts.check_name(name, 'create_functionality()')}"
         if name in self._parts.functionalities:
             raise NodeError(f"{where} exists already; give this one another name")
-        importance = check_weight(weight, where)
-        own_inputs = self._own(where, inputs, self._parts.inputs.values(), Input, "inputs")
-        own_outputs = self._own(where, outputs, self._parts.outputs.values(), Output, "outputs")
+        importance = contracts.check_weight(weight, where)
+        own_inputs = self._own(where, inputs, self._parts.inputs, "inputs")
+        own_outputs = self._own(where, outputs, self._parts.outputs, "outputs")
         for port in own_outputs:
             for other in self._parts.functionalities.values():
                 if port in other.outputs:
@@ -164,7 +157,7 @@ class Component:
         logged. Raises NodeError.
         """
         self._parts.callbacks.stop = self._callback("on_stop", fn)
-        self._parts.callbacks.stop_timeout = check_seconds(timeout, "on_stop(timeout=)")
+        self._parts.callbacks.stop_timeout = contracts.check_seconds(timeout, "on_stop(timeout=)")
         return fn
 
     # -- running -----------------------------------------------------------------------------------
@@ -195,25 +188,22 @@ class Component:
         agent = Agent(self._parts, declaration, host, context.token, pid, standalone)
         host.run(agent.main)
 
-    # -- checking ----------------------------------------------------------------------------------
-
     def _declaring(self, what: str) -> None:
         if self._started:
             raise NodeError(f"{what}: component {self.name} has been started; declare everything before start()")
 
     def _new_port(self, name: object) -> str:
-        port = check_name(name, "a port's name")
+        port = contracts.check_name(name, "a port's name")
         self._declaring(f"port {port}")
-        if port in {*self._parts.inputs, *self._parts.outputs}:
+        if port in self._parts.ports:
             raise NodeError(f"port {port} exists already; give this one another name")
         return port
 
-    def _own(self, where: str, ports: object, own: Iterable[Any], kind: type[Any], what: str) -> tuple[Any, ...]:
+    def _own(self, where: str, ports: object, declared: Mapping[str, P], what: str) -> tuple[P, ...]:
         found = tuple(listed(ports, where, what))
-        known = list(own)
         for port in found:
-            if not isinstance(port, kind) or port not in known:
-                made = "create_input" if kind is Input else "create_output"
+            if not any(port is own for own in declared.values()):
+                made = f"create_{what.removesuffix('s')}"
                 raise NodeError(
                     f"{where}: {what}= has {port!r}, which is not a port of this component; write what {made} returned"
                 )

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeAlias, TypeGuard, get_args
 
 from midstride.errors import NodeError
-from midstride.model.contract import DEFAULT_QOS, Interval, OneOf, Predicate, QoS, ValueSet
+from midstride.model.contract import DEFAULT_QOS, Interval, OneOf, QoS, ValueSet
 
 # What may be written for a set of values: the set itself, its members, or its only member.
 Where: TypeAlias = Mapping[str, Any]
@@ -136,10 +136,6 @@ def field_constraints(where: Where | None, type_: type | None, context: str) -> 
             _check_field(path, type_, context)
         found.append((path, _value_set(values, f"{context}, where {path}")))
     return tuple(found)
-
-
-def predicate(type_: type, rate: float | None, qos: QoS, fields: tuple[tuple[str, ValueSet], ...]) -> Predicate:
-    return Predicate(type_name(type_), rate, qos, fields)
 
 
 def _value_set(values: Any, context: str) -> ValueSet:

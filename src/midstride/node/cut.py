@@ -11,6 +11,7 @@ the data thread; :mod:`midstride.node.cut_protocol` runs on the control thread.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 from midstride.node.host import Host
@@ -48,18 +49,24 @@ def source_of(info: Any, host: Host) -> int:
     return host.now() if source is None else source
 
 
+@dataclass(eq=False)
 class _Side(GatePolicy):
     """What both sides share."""
 
-    def __init__(self, links: Sequence[OutputLink], at: int, host: Host) -> None:
-        self.links = tuple(links)
-        self.at = at
-        self.written: dict[OutputLink, Written] = {}
-        self._host = host
-        self._runners = list(dict.fromkeys(link.output.owner for link in links))
+    links: Sequence[OutputLink]
+    at: int
+    host: Host
+    written: dict[OutputLink, Written] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        self._runners = list(dict.fromkeys(link.output.owner for link in self.links))
+
+    @property
+    def driven_by_messages(self) -> bool:
+        return any(runner.driven == "message" for runner in self._runners)
 
     def wrote(self, link: OutputLink) -> None:
-        self.written[link] = (link.count, self._host.now())
+        self.written[link] = (link.count, self.host.now())
 
     def _set_gates(self, open_: bool) -> None:
         """Final for this cut. A link that another command has taken out of it, or destroyed, is left alone."""
@@ -76,12 +83,13 @@ class _Side(GatePolicy):
 class OutgoingCut(_Side):
     """The old side."""
 
-    def __init__(self, links: Sequence[OutputLink], at: int, host: Host) -> None:
-        super().__init__(links, at, host)
-        self.over = False
-        # When the first message newer than T arrived (steady, ns): from then on a message-driven side should write.
-        self.newer_at: int | None = None
-        self._last_input = host.steady()
+    over = False
+    # When the first message newer than T arrived (steady, ns): from then on a message-driven side should write.
+    newer_at: int | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self._last_input = self.host.steady()
 
     def arm(self) -> None:
         for link in self.links:
@@ -90,12 +98,8 @@ class OutgoingCut(_Side):
         for runner in self._runners:
             runner.watch = self._on_input
 
-    @property
-    def driven_by_messages(self) -> bool:
-        return any(runner.driven == "message" for runner in self._runners)
-
     def passes(self, link: OutputLink) -> bool:
-        return not belongs_after(link.output.owner, self.at, self._host)
+        return not belongs_after(link.output.owner, self.at, self.host)
 
     def shows(self, link: OutputLink) -> GateState:
         return "open"
@@ -103,7 +107,7 @@ class OutgoingCut(_Side):
     def passed(self) -> bool:
         """Whether everything that belongs before T has been written here. Then the gates close."""
         if not self.over and all(self._runner_passed(runner) for runner in self._runners):
-            self.over = self._host.now() >= self.at
+            self.over = self.host.now() >= self.at
             if self.over:
                 self._set_gates(False)
         return self.over
@@ -111,11 +115,14 @@ class OutgoingCut(_Side):
     def reopen(self) -> None:
         """Write again: the new side has not taken over in time, or the cut is cancelled."""
         self.over = True
-        self._unwatch()
+        self.relieved()
         self._set_attached(True)
 
     def relieved(self) -> None:
-        self._unwatch()
+        """The new side has taken over, or this one has given up the cut: inputs need not be watched any more."""
+        for runner in self._runners:
+            if runner.watch == self._on_input:
+                runner.watch = None
 
     def last(self) -> dict[str, LastWrite | None]:
         """Each output's last number, and when it was written, where that was since the cut was agreed."""
@@ -125,24 +132,19 @@ class OutgoingCut(_Side):
             found[str(link)] = LastWrite(number=number, source=source) if number else None
         return found
 
-    def _unwatch(self) -> None:
-        for runner in self._runners:
-            if runner.watch == self._on_input:
-                runner.watch = None
-
     def _on_input(self, info: Any) -> None:
-        self._last_input = self._host.steady()
-        if self.newer_at is None and source_of(info, self._host) > self.at:
+        self._last_input = self.host.steady()
+        if self.newer_at is None and source_of(info, self.host) > self.at:
             self.newer_at = self._last_input
 
     def _runner_passed(self, runner: OutputOwner) -> bool:
-        if runner.busy is not None and not belongs_after(runner, self.at, self._host):
+        if runner.busy is not None and not belongs_after(runner, self.at, self.host):
             return False  # an async call from before T may still write
-        late = self._host.now() - self.at
+        late = self.host.now() - self.at
         if runner.driven == "message":
             # A newer message on one input says nothing about other inputs and publishers: what they published before
             # T may still be in transit.
-            quiet = self._host.steady() - self._last_input
+            quiet = self.host.steady() - self._last_input
             return late > GRACE * 1e9 and (self.newer_at is not None or quiet > GRACE * 1e9)
         rate = runner.rate
         if rate is None:
@@ -152,12 +154,11 @@ class OutgoingCut(_Side):
         return reached or late > max(GRACE, 2 * rate.period) * 1e9  # a grid that has stopped writes nothing
 
 
+@dataclass(eq=False)
 class IncomingCut(_Side):
     """The new side. ``written`` holds each link's first write."""
 
-    def __init__(self, links: Sequence[OutputLink], at: int, host: Host, latches: Sequence[OutputLink]) -> None:
-        super().__init__(links, at, host)
-        self._latches = tuple(latches)
+    latches: Sequence[OutputLink]
 
     def arm(self, epoch: int | None) -> None:
         for link in self.links:
@@ -167,14 +168,14 @@ class IncomingCut(_Side):
                 runner.rate.regrid(epoch)
 
     def passes(self, link: OutputLink) -> bool:
-        return belongs_after(link.output.owner, self.at, self._host, slot=1)
+        return belongs_after(link.output.owner, self.at, self.host, slot=1)
 
     def shows(self, link: OutputLink) -> GateState:
         return "open" if link in self.written else "closed"
 
     def latch(self) -> None:
         """For late joiners, publish the last gated message of each output that has written nothing since T."""
-        for link in self._latches:
+        for link in self.latches:
             if link.cut is self and link not in self.written and link.write_last_gated():
                 self.wrote(link)
 
@@ -191,4 +192,4 @@ class IncomingCut(_Side):
         return found
 
     def wrote(self, link: OutputLink) -> None:
-        self.written.setdefault(link, (link.count, self._host.now()))
+        self.written.setdefault(link, (link.count, self.host.now()))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable
+from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.errors import BackendError
@@ -23,17 +24,15 @@ REPORT_ATTEMPTS: Final = 20
 # How often a side that waits for T looks at the clock, and at what has happened meanwhile (s).
 LONGEST_WAIT: Final = 0.01
 
-Changed = Callable[[], None]
 
-
+@dataclass
 class _CutTask:
     """What both sides share: an outcome, and cancellation."""
 
-    def __init__(self, host: Host, changed: Changed) -> None:
-        self.outcome: CutOutcome | None = None
-        self.finished = asyncio.Event()
-        self._host = host
-        self._changed = changed
+    host: Host
+    changed: Callable[[], None]
+    outcome: CutOutcome | None = field(default=None, init=False)
+    finished: asyncio.Event = field(default_factory=asyncio.Event, init=False)
 
     def _going(self) -> bool:
         """Whether there is no outcome yet; a cancellation may come at any await."""
@@ -45,46 +44,43 @@ class _CutTask:
 
     async def _until(self, at: int) -> None:
         """Wait until ``at`` on the ROS clock, which may not run like the steady one; less long if this side fails."""
-        while self._going() and not self._failed() and (left := (at - self._host.now()) / 1e9) > 0:
-            await self._host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
+        while self._going() and not self._failed() and (left := (at - self.host.now()) / 1e9) > 0:
+            await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
 
     async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
         """Set the outcome first, since the peer may ask at any moment; then the gates; then wake those that wait."""
         self.outcome = outcome
-        await self._host.on_data(gates)
+        await self.host.on_data(gates)
         self.finished.set()
-        self._changed()
+        self.changed()
 
 
+@dataclass
 class CutOutTask(_CutTask):
     """The old side: writes up to T, and resumes where `taken` does not arrive in time."""
 
-    def __init__(self, host: Host, changed: Changed, side: OutgoingCut, resume_after: float) -> None:
-        super().__init__(host, changed)
-        self.side = side
-        self._resume_after = resume_after
-        self._taken = False
+    side: OutgoingCut
+    resume_after: float
+    _taken: bool = field(default=False, init=False)
 
     async def run(self) -> None:
         await self._until(self.side.at)
-        passed_at = self._host.steady()
+        passed_at = self.host.steady()
         while self._going():
-            passed = self.side.over or await self._host.on_data(self.side.passed)
+            passed = self.side.over or await self.host.on_data(self.side.passed)
             if not self._going():
                 return
             if passed and self._taken:
                 await self._end("done", self.side.relieved)
-            elif self._silent_for(passed_at) > self._resume_after and not self._taken:
+            elif self._silent_for(passed_at) > self.resume_after and not self._taken:
                 await self._end("resumed", self.side.reopen)
             else:
-                await self._host.sleep(TICK)
+                await self.host.sleep(TICK)
 
     def _silent_for(self, passed_at: int) -> float:
         """For how long the new side should have written (s); where messages drive it, since one arrived."""
-        since: int | None = passed_at
-        if self.side.driven_by_messages:
-            since = self.side.newer_at
-        return 0.0 if since is None else (self._host.steady() - since) / 1e9
+        since = self.side.newer_at if self.side.driven_by_messages else passed_at
+        return 0.0 if since is None else (self.host.steady() - since) / 1e9
 
     async def taken(self, failed: bool) -> bool:
         """The new side has written, or has failed. Returns whether this one writes again."""
@@ -102,49 +98,39 @@ class CutOutTask(_CutTask):
         return CutResult(outcome=self.outcome or "waiting", last=self.side.last())
 
 
+@dataclass
 class CutInTask(_CutTask):
     """The new side: writes from T on, and reports its first write to its peer."""
 
-    def __init__(
-        self,
-        host: Host,
-        changed: Changed,
-        side: IncomingCut,
-        report: Callable[[float, bool], Awaitable[bool]],
-        rate_driven: bool,
-    ) -> None:
-        super().__init__(host, changed)
-        self.side = side
-        self._report = report
-        self._rate_driven = rate_driven
+    side: IncomingCut
+    # Reports the first write, or a failure, to the old side within so many seconds; returns whether that has resumed.
+    report: Callable[[float, bool], Awaitable[bool]]
 
     async def run(self) -> None:
+        latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
         await self._until(self.side.at)
-        waited_from = self._host.steady()
-        latched = self._rate_driven
+        waited_from = self.host.steady()
         while self._going() and not self.side.written and not self._failed():
             # A message in transit at T may still make the new side write; nothing else will.
-            if not latched and (self._host.steady() - waited_from) / 1e9 > self._latch_after():
+            waited = (self.host.steady() - waited_from) / 1e9
+            if not latched and waited > (GRACE if self.side.driven_by_messages else 0.0):
                 latched = True
-                await self._host.on_data(self.side.latch)
+                await self.host.on_data(self.side.latch)
             else:
-                await self._host.sleep(TICK)
+                await self.host.sleep(TICK)
         failed = self._failed()
         if self._going() and (await self._resumed(failed) or failed):
             await self._end("cancelled", self.side.close)
         if self._going():
             self.outcome = "done"
             self.finished.set()
-            self._changed()
-            await self._host.sleep(GRACE)  # messages from before T may still be in transit to here
-            await self._host.on_data(self.side.conclude)
+            self.changed()
+            await self.host.sleep(GRACE)  # messages from before T may still be in transit to here
+            await self.host.on_data(self.side.conclude)
 
     def _failed(self) -> bool:
         """Whether the author's code has raised before the first write."""
         return not self.side.written and any(link.output.owner.failed for link in self.side.links)
-
-    def _latch_after(self) -> float:
-        return GRACE if any(link.output.owner.driven == "message" for link in self.side.links) else 0.0
 
     async def _resumed(self, failed: bool) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
@@ -152,9 +138,9 @@ class CutInTask(_CutTask):
             if not self._going():
                 return False
             try:
-                return await self._report(REPORT_TIMEOUT, failed)
+                return await self.report(REPORT_TIMEOUT, failed)
             except BackendError:
-                await self._host.sleep(REPORT_TIMEOUT / 5)
+                await self.host.sleep(REPORT_TIMEOUT / 5)
         return False
 
     async def cancel(self) -> None:

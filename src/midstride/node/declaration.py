@@ -12,7 +12,7 @@ from immutables import Map
 from midstride.errors import NodeError
 from midstride.model import component as model
 from midstride.model.contract import NOTHING, Predicate, explain, satisfies
-from midstride.node.contracts import Guarantee, predicate
+from midstride.node.contracts import Guarantee, type_name
 from midstride.node.functionality import Functionality
 from midstride.node.modes import DeclaredMode
 from midstride.node.parameters import Parameter
@@ -39,6 +39,10 @@ class DeclaredParts:
     functionalities: dict[str, Functionality] = field(default_factory=dict)
     parameters: dict[str, Parameter] = field(default_factory=dict)
     callbacks: Callbacks = field(default_factory=Callbacks)
+
+    @property
+    def ports(self) -> dict[str, Output | Input]:
+        return {**self.outputs, **self.inputs}
 
 
 def declare(name: str, parts: DeclaredParts) -> model.ComponentSpec:
@@ -81,7 +85,7 @@ def _mode(mode: DeclaredMode) -> model.Mode:
         # A rate-driven mode guarantees its rate; a message-driven one guarantees only what is stated.
         stated = mode.guarantees.get(port, Guarantee(None, ()))
         rate = mode.rate if stated.rate is None else stated.rate
-        guarantees[port.name] = predicate(port.type, rate, port.qos, stated.where)
+        guarantees[port.name] = Predicate(type_name(port.type), rate, port.qos, stated.where)
     assumptions = tuple(
         model.InputAlternatives(tuple(port.name for port in alternatives)) for alternatives in mode.assumptions
     )

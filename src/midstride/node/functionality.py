@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from midstride.errors import NodeError
 from midstride.node.modes import Approximate, DeclaredMode, Function, ModeFunction, Promise, declare_mode
@@ -48,12 +49,11 @@ class Functionality:
     ) -> None:
         """The best mode.
 
-        With ``rate`` (Hz), ``fn()`` is called at that rate, and that is the guarantee of its
-        ``outputs``. Without, ``fn(message)`` is called for every message of its one input; with
-        several, ``fn`` maps inputs to functions, or ``sync=approximate(…)`` calls it with one
-        message of each. Without either, ``fn()`` is called once, on entry. An ``async`` function
-        counts as running until it returns; it may await what the platform supports: rclpy's futures on ROS 2,
-        asyncio's on ROS 1.
+        With ``rate`` (Hz), ``fn()`` is called at that rate, and that is the guarantee of its ``outputs``. Without,
+        ``fn(message)`` is called for every message of its one input; with several, ``fn`` maps inputs to functions, or
+        ``sync=approximate(…)`` calls it with one message of each. Without either, ``fn()`` is called once, on entry. An
+        ``async`` function counts as running until it returns; it may await what the platform supports: rclpy's futures
+        on ROS 2, asyncio's on ROS 1.
 
         ``inputs`` names what the mode assumes; ``any_of(left, right)`` for alternatives. ``outputs`` are those it
         writes: an output that is not among them is guaranteed nothing. ``guarantees`` states rates (Hz) or fields of
@@ -129,19 +129,10 @@ class Functionality:
             f'set_mode("name", …)'
         )
 
-    def _declare(
-        self,
-        name: str,
-        fn: ModeFunction,
-        rate: float | None,
-        inputs: Sequence[Input | AnyOf],
-        outputs: Sequence[Output],
-        guarantees: Mapping[Output, Promise] | None,
-        sync: Approximate | None,
-    ) -> DeclaredMode:
+    def _declare(self, name: str, *arguments: Any) -> DeclaredMode:
         where = f"functionality {self.name}"
         self._changeable(f"a mode of {where}")
-        mode = declare_mode(where, name, fn, rate, inputs, outputs, guarantees, sync, (self.inputs, self.outputs))
+        mode = declare_mode(where, (self.inputs, self.outputs), name, *arguments)
         declared = [self._normal, *self._between, self._degraded]
         if any(other is not None and other.name == mode.name for other in declared):
             raise NodeError(f"{where} already has a mode {mode.name}; give this one another name")

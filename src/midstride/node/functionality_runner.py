@@ -10,25 +10,20 @@ import inspect
 import traceback
 from collections import deque
 from collections.abc import Callable, Coroutine
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from midstride.node.functionality import Functionality
 from midstride.node.host import Host
 from midstride.node.modes import DeclaredMode, Function
-from midstride.node.ports import Driven
+from midstride.node.ports import Driven, OutputOwner
 from midstride.node.trigger import OnRate, Trigger, trigger_of
+from midstride.wire.state import FunctionalityState
 
 # What user code may raise without taking the node down; sys.exit() in a callback is one of its errors.
 CAUGHT: Final = (Exception, SystemExit)
 
 
-class PendingSwitch(Protocol):
-    """A mode switch that waits for an async call to end (midstride.node.mode_switch)."""
-
-    def attempt(self) -> None: ...
-
-
-class FunctionalityRunner:
+class FunctionalityRunner(OutputOwner):
     """Runs one functionality. ``report`` is called when it has degraded by itself."""
 
     def __init__(self, functionality: Functionality, host: Host, report: Callable[[FunctionalityRunner], None]) -> None:
@@ -38,17 +33,8 @@ class FunctionalityRunner:
         self.index = len(self.chain) - 1
         self.because = "started: nothing has been attached yet"
         self.since = host.steady()
-        self.busy: int | None = None
-        # Whether it is in its mode because user code raised.
-        self.failed = False
         # Whether a call may start. Only an async call, or a switch that waits for one, makes it False.
         self.ready = True
-        # What places the current call in time: the first and the last slot that it accounts for, or the info of the
-        # messages that it answers.
-        self.slots: tuple[int, int] | None = None
-        self.info: Any = None
-        # During a cut, called with the info of every message that reaches the functionality.
-        self.watch: Callable[[Any], None] | None = None
         self._host = host
         self._steady = host.steady
         self._report = report
@@ -56,11 +42,10 @@ class FunctionalityRunner:
         # Whether an async call is under way; the data thread is free meanwhile.
         self.asynchronous = False
         self._error: BaseException | None = None
-        self._switch: PendingSwitch | None = None
+        # Attempts the mode switch that waits for the async call to end (midstride.node.mode_switch).
+        self._switch: Callable[[], None] | None = None
         depths = [port.assumption.qos.effective().depth or 1 for port in functionality.inputs]
         self._postponed: deque[tuple[Function, tuple[Any, ...], Any]] = deque(maxlen=max(depths, default=1))
-
-    # -- reading -----------------------------------------------------------------------------------
 
     @property
     def mode(self) -> DeclaredMode:
@@ -68,6 +53,15 @@ class FunctionalityRunner:
 
     def current_mode(self) -> str:
         return self.mode.name
+
+    def state(self) -> FunctionalityState:
+        now, busy = self._steady(), self.busy
+        return FunctionalityState(
+            mode=self.mode.name,
+            since=(now - self.since) / 1e9,
+            because=self.because,
+            busy=None if busy is None else (now - busy) / 1e9,
+        )
 
     @property
     def driven(self) -> Driven:
@@ -81,8 +75,6 @@ class FunctionalityRunner:
     def rate(self) -> OnRate | None:
         """The time grid it runs on, where its mode has one."""
         return self._trigger if isinstance(self._trigger, OnRate) else None
-
-    # -- modes -------------------------------------------------------------------------------------
 
     def stop_calls(self) -> None:
         """Start no further call of the current mode."""
@@ -106,19 +98,17 @@ class FunctionalityRunner:
         except Exception as error:  # the platform's: those of user code are caught where it is called
             self._fail(error)
 
-    def block(self, switch: PendingSwitch) -> None:
-        """Start no further call until :meth:`unblock`; ``switch`` is attempted when the call under way ends."""
+    def block(self, switch: Callable[[], None]) -> None:
+        """Start no further call until :meth:`unblock`; ``switch`` is called when the call under way ends."""
         self._switch = switch
         self.ready = False
 
-    def unblock(self, switch: PendingSwitch) -> None:
-        """``switch`` has happened, or will not: calls may start again."""
-        if self._switch is switch:
+    def unblock(self, switch: Callable[[], None]) -> None:
+        """The switch has happened, or will not: calls may start again."""
+        if self._switch == switch:
             self._switch = None
             self.ready = not self.asynchronous
             self._catch_up()
-
-    # -- calls -------------------------------------------------------------------------------------
 
     def call(self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any) -> None:
         """Call user code. The caller has checked ``ready``."""
@@ -156,7 +146,6 @@ class FunctionalityRunner:
             self._error = error
 
     def _returned(self) -> None:
-        """An async call has ended."""
         self.asynchronous = False
         error, self._error = self._error, None
         self._ended()
@@ -164,7 +153,7 @@ class FunctionalityRunner:
         if error is not None:
             self._fail(error)
         if self._switch is not None:
-            self._switch.attempt()
+            self._switch()
         else:
             self._catch_up()
 
@@ -172,8 +161,6 @@ class FunctionalityRunner:
         while self._postponed and self.ready:
             function, arguments, info = self._postponed.popleft()
             self.call(function, arguments, None, info)
-
-    # -- failing -----------------------------------------------------------------------------------
 
     def _fail(self, error: BaseException) -> None:
         """User code has raised: go to the last mode at once, with the traceback as the reason."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
@@ -25,26 +26,19 @@ MEET_ATTEMPT: Final = 0.5
 REMEMBERED: Final = 50
 
 
+@dataclass
 class HandoverCommands:
     """``changed`` is called when a cut is over; ``token`` gives the token with which peers are called."""
 
-    def __init__(
-        self,
-        attachments: Attachments,
-        host: Host,
-        data: DataExecutor,
-        changed: Callable[[], None],
-        token: Callable[[], str],
-    ) -> None:
-        self._attachments = attachments
-        self._host = host
-        self._data = data
-        self._changed = changed
-        self._token = token
-        # Both sides of a cut may be here: one output of a component can hand over to another.
-        self._sides: dict[str, list[CutOutTask | CutInTask]] = {}
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._channels: dict[str, Channel] = {}
+    attachments: Attachments
+    host: Host
+    data: DataExecutor
+    changed: Callable[[], None]
+    token: Callable[[], str]
+    # Both sides of a cut may be here: one output of a component can hand over to another.
+    _sides: dict[str, list[CutOutTask | CutInTask]] = field(default_factory=dict)
+    _tasks: set[asyncio.Task[None]] = field(default_factory=set)
+    _channels: dict[str, Channel] = field(default_factory=dict)
 
     def close(self) -> None:
         """The component ends: stop all cuts."""
@@ -58,43 +52,39 @@ class HandoverCommands:
             channel.close()
         self._channels.clear()
 
-    # -- before ------------------------------------------------------------------------------------
-
     async def grid(self, command: commands.GridCommand) -> commands.Grid:
-        owner = self._attachments.output(command.port).owner
+        owner = self.attachments.output(command.port).owner
         rate, topic = owner.rate, command.topic
         return commands.Grid(
             trigger=owner.driven,
             epoch=None if rate is None else rate.slot,
             period=None if rate is None else rate.period,
-            now=self._host.now(),
-            readers=None if topic is None else self._attachments.link(command.port, topic).publisher.matched(),
+            now=self.host.now(),
+            readers=None if topic is None else self.attachments.link(command.port, topic).endpoint.matched(),
         )
 
     async def meet(self, command: commands.MeetCommand) -> commands.Done:
         """Connect to the peer and ping it; the connection is kept for the report of the first write."""
-        deadline = self._host.steady() + int(command.timeout * 1e9)
+        deadline = self.host.steady() + int(command.timeout * 1e9)
         while True:
             try:
                 reply = await self._call(command.address, commands.PingCommand(), MEET_ATTEMPT)
                 break
             except BackendError as error:
-                if self._host.steady() >= deadline:
+                if self.host.steady() >= deadline:
                     raise CommandRefused(
                         f"{command.peer} did not answer within {command.timeout:g} s: {error}"
                     ) from None
-                await self._host.sleep(0.02)
+                await self.host.sleep(0.02)
         if not reply.ok:
             raise CommandRefused(f"{command.peer} refused a ping: {reply.refused}")
         return commands.Done()
 
-    # -- the cut -----------------------------------------------------------------------------------
-
     async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
         links = self._links_of(command.cut, command.swaps, CutOutTask, gate="open")
-        side = OutgoingCut(links, command.at, self._host)
+        side = OutgoingCut(links, command.at, self.host)
         await self._arm(command.at, side.arm)
-        self._begin(command.cut, CutOutTask(self._host, self._changed, side, command.resume_after))
+        self._begin(command.cut, CutOutTask(self.host, self.changed, side, command.resume_after))
         return commands.Done()
 
     async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
@@ -102,17 +92,15 @@ class HandoverCommands:
         if failed := [str(link) for link in links if link.output.owner.failed]:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
-        side = IncomingCut(links, command.at, self._host, latches)
+        side = IncomingCut(links, command.at, self.host, latches)
         await self._arm(command.at, lambda: side.arm(command.epoch))
-        rate_driven = all(link.output.owner.rate is not None for link in links)
 
         async def report(timeout: float, failed: bool) -> bool:
-            """Report the first write, or a failure, to the old side; whether that has resumed by then."""
             taken = commands.CutTakenCommand(cut=command.cut, failed=failed)
             reply = await self._call(command.address, taken, timeout)
             return not reply.ok or result_of(reply, taken).resumed
 
-        self._begin(command.cut, CutInTask(self._host, self._changed, side, report, rate_driven))
+        self._begin(command.cut, CutInTask(self.host, self.changed, side, report))
         return commands.Done()
 
     async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
@@ -125,11 +113,10 @@ class HandoverCommands:
         if not sides:
             raise CommandRefused(f"there is no cut {command.cut}")
         over = asyncio.gather(*(side.finished.wait() for side in sides))
-        await within(self._host, over, command.timeout)
+        await within(self.host, over, command.timeout)
         results = [side.result() for side in sides]
         # Where both sides are here, the cut is done once both are.
-        open_outcomes: list[commands.CutOutcome] = [result.outcome for result in results if result.outcome != "done"]
-        outcome: commands.CutOutcome = open_outcomes[0] if open_outcomes else "done"
+        outcome: commands.CutOutcome = next((each.outcome for each in results if each.outcome != "done"), "done")
         last = {name: write for result in results for name, write in result.last.items()}
         first = {name: write for result in results for name, write in result.first.items()}
         return commands.CutResult(outcome=outcome, last=last, first=first)
@@ -140,15 +127,13 @@ class HandoverCommands:
         resumed = [await side.taken(command.failed) for side in old]
         return commands.Relieved(resumed=any(resumed) if old else True)
 
-    # -- parts -------------------------------------------------------------------------------------
-
     def _links_of(self, cut: str, swaps: Sequence[commands.CutSwap], kind: type, gate: GateState) -> list[OutputLink]:
         """The attachments that take part in a cut. Raises CommandRefused where one cannot."""
         if any(isinstance(side, kind) for side in self._sides.get(cut, [])):
             raise CommandRefused(f"cut {cut} has been agreed already")
         links = []
         for swap in swaps:
-            link = self._attachments.link(swap.port, swap.topic)
+            link = self.attachments.link(swap.port, swap.topic)
             if link.cut is not None:
                 raise CommandRefused(f"{link} is part of another cut under way")
             if link.gate != gate:
@@ -160,16 +145,16 @@ class HandoverCommands:
 
     async def _arm(self, at: int, arm: Callable[[], None]) -> None:
         """Prepare the data thread for the cut, before its moment or not at all."""
-        left = (at - self._host.now()) / 1e9
+        left = (at - self.host.now()) / 1e9
 
         def in_time() -> None:
-            if self._host.now() >= at:
+            if self.host.now() >= at:
                 raise CommandRefused("the agreed moment of the cut has passed already")
             arm()
 
         if left <= 0:
             raise CommandRefused(f"the agreed moment of the cut passed {-left:.3f} s ago")
-        await self._data.run(in_time, left)
+        await self.data.run(in_time, left)
 
     def _begin(self, cut: str, side: CutOutTask | CutInTask) -> None:
         self._sides.setdefault(cut, []).append(side)
@@ -183,7 +168,7 @@ class HandoverCommands:
     def _ended(self, task: asyncio.Task[None]) -> None:
         self._tasks.discard(task)
         if not task.cancelled() and (error := task.exception()) is not None:
-            self._host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
+            self.host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
 
     async def _call(
         self, address: str, command: Command[commands.Done] | Command[commands.Relieved], timeout: float
@@ -191,9 +176,9 @@ class HandoverCommands:
         """Raises CallTimeout or Unreachable."""
         channel = self._channels.get(address)
         if channel is None or channel.closed.is_set():
-            if self._host.transport is None:
+            if self.host.transport is None:
                 raise Unreachable("this component runs without a control socket, so it has no peers")
-            made = await Channel.open(self._host.transport, address, self._token(), timeout=timeout)
+            made = await Channel.open(self.host.transport, address, self.token(), timeout=timeout)
             self._channels = {peer: other for peer, other in self._channels.items() if not other.closed.is_set()}
             channel = self._channels.setdefault(address, made)
             if channel is not made:  # another cut has connected to the same peer meanwhile

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Awaitable, Callable, Coroutine
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from midstride.model.contract import QoS
 from midstride.wire.state import ComponentState, Endpoint
@@ -41,14 +41,12 @@ class Publisher(Protocol):
 
     def matched(self) -> int:
         """How many *compatible* subscriptions are matched; -1 before the platform knows it. On the control thread."""
-        ...
 
     async def acknowledged(self, timeout: float) -> bool | None:
         """Whether every matched reliable reader has received everything; None where that is unknown.
 
         Awaited on the control thread; blocks neither thread.
         """
-        ...
 
     def destroy(self) -> None: ...
 
@@ -58,7 +56,6 @@ class Subscription(Protocol):
 
     def matched(self) -> int:
         """How many compatible publishers are matched; -1 before the platform knows it. On the control thread."""
-        ...
 
     def destroy(self) -> None: ...
 
@@ -71,7 +68,6 @@ class Timer(Protocol):
 
     def regrid(self, epoch: int) -> None:
         """Continue along the grid through ``epoch`` (ns), from its next slot after now."""
-        ...
 
     def cancel(self) -> None: ...
 
@@ -81,14 +77,12 @@ class NodeParameters(Protocol):
 
     def declare(self, name: str, default: Any, on_change: Callable[[Any], None] | None) -> Any:
         """Declare a parameter, and return its value."""
-        ...
 
     def set(self, values: dict[str, Any]) -> None:
         """Set declared parameters, all of them or none. Raises CommandRefused with the reason.
 
         ``on_change`` may raise: then nothing is set, and its error is the reason.
         """
-        ...
 
 
 class Host(Protocol):
@@ -102,16 +96,13 @@ class Host(Protocol):
 
     def now(self) -> int:
         """The ROS clock, ns; 0 while nothing has arrived on a ``/clock`` that drives it. Cheap: on the data path."""
-        ...
 
     @property
     def simulated_time(self) -> bool:
         """Whether ``/clock`` drives the ROS clock."""
-        ...
 
     def steady(self) -> int:
         """The steady clock, ns: for time-outs, heartbeats and times of receipt. Cheap: on the data path."""
-        ...
 
     @property
     def logger(self) -> Any: ...
@@ -119,7 +110,6 @@ class Host(Protocol):
     @property
     def ros_node(self) -> Any:
         """The ROS node of the data thread, for the author's own use; None in the simulator."""
-        ...
 
     # -- data thread -----------------------------------------------------------------------------
 
@@ -128,18 +118,15 @@ class Host(Protocol):
 
         It is queued when ``on_data`` is called, in order, whether or not the result is awaited.
         """
-        ...
 
     def run_coroutine(self, coroutine: Coroutine[Any, Any, None], done: Callable[[], None]) -> None:
         """Drive an async mode function. Called on the data thread, where ``done`` is called as well.
 
         ``coroutine`` must not raise.
         """
-        ...
 
     def pause(self, seconds: float) -> Awaitable[None]:
         """Something to await inside such a coroutine: done after ``seconds`` on the ROS clock."""
-        ...
 
     def create_publisher(self, topic: str, type_: type, qos: QoS) -> Publisher: ...
 
@@ -150,7 +137,6 @@ class Host(Protocol):
 
         :meth:`read_info` reads it: a message costs nothing for what is not needed.
         """
-        ...
 
     def read_info(self, info: Any) -> MessageInfo: ...
 
@@ -159,21 +145,17 @@ class Host(Protocol):
 
         A late call accounts for the slots that were missed as well. ``epoch`` None: the first call comes at once.
         """
-        ...
 
     # -- control thread --------------------------------------------------------------------------
 
     async def sleep(self, seconds: float) -> None:
         """On the steady clock."""
-        ...
 
     def publish_state(self, state: ComponentState) -> None:
         """Show the state to the platform's own tools, read only (ROS 2: parameters; ROS 1: a latched topic)."""
-        ...
 
     def extra_endpoints(self) -> list[Endpoint]:
         """Endpoints of the ROS node that are neither ports nor ROS's own, after the author's set-up."""
-        ...
 
     def run(self, main: Callable[[], Awaitable[None]]) -> None:
         """Join the platform, run ``main`` on the control thread, and return when it does.
@@ -181,10 +163,7 @@ class Host(Protocol):
         What ``main`` raises is raised here. Signal handlers are set here only: SIGTERM and SIGINT cancel
         ``main``, which then ends in order.
         """
-        ...
 
 
-class HostFactory(Protocol):
-    """Makes the host of a component; called in ``Component.start``."""
-
-    def __call__(self, name: str, namespace: str) -> Host: ...
+# Makes the host of a component of this name and namespace; called in ``Component.start``.
+HostFactory: TypeAlias = Callable[[str, str], Host]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import threading
-from collections.abc import Awaitable, Callable, Coroutine, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Coroutine
+from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from midstride.errors import CommandRefused
@@ -31,36 +32,31 @@ async def within(host: Host, awaitable: Awaitable[T], seconds: float) -> asyncio
         timer.cancel()
     if work.done():
         return work
-    work.add_done_callback(_retrieve)
+    # Retrieved, so that asyncio does not log the exception of what is no longer awaited.
+    work.add_done_callback(lambda ended: ended.cancelled() or ended.exception())
     return None
-
-
-def _retrieve(work: asyncio.Future[Any]) -> None:
-    """Retrieve the exception of work that is no longer awaited, so that asyncio does not log it."""
-    if not work.cancelled():
-        work.exception()
 
 
 class FirstClaim:
     """Whether something happens (data thread) or is withdrawn (control thread): the first to claim it decides."""
 
     def __init__(self) -> None:
-        self.taken = False
-        self._lock = threading.Lock()
+        self._lock = threading.Lock()  # never released
 
     def take(self) -> bool:
         """Returns whether the caller is the first."""
-        with self._lock:
-            first, self.taken = not self.taken, True
-            return first
+        return self._lock.acquire(blocking=False)
+
+    def taken(self) -> bool:
+        return self._lock.locked()
 
 
+@dataclass
 class DataExecutor:
-    """Runs functions on the data thread for the control thread, in bounded time."""
+    """Runs functions on the data thread for the control thread, in bounded time; ``busy`` says what keeps it busy."""
 
-    def __init__(self, host: Host, busy: Callable[[], str]) -> None:
-        self._host = host
-        self._busy = busy
+    host: Host
+    busy: Callable[[], str]
 
     async def run(self, function: Callable[[], T], timeout: float) -> T:
         """The result of ``function``, run between two calls of user code.
@@ -68,12 +64,12 @@ class DataExecutor:
         Raises CommandRefused where the data thread is not free within ``timeout``; then it does not run later either.
         """
         claim = FirstClaim()
-        work = asyncio.ensure_future(self._host.on_data(lambda: function() if claim.take() else None))
-        if await within(self._host, work, timeout) is None:
+        work = asyncio.ensure_future(self.host.on_data(lambda: function() if claim.take() else None))
+        if await within(self.host, work, timeout) is None:
             if claim.take():
-                raise CommandRefused(f"user code did not return within {timeout:g} s{self._busy()}")
-            if await within(self._host, work, timeout) is None:
-                raise CommandRefused(f"it has started, but did not end within another {timeout:g} s{self._busy()}")
+                raise CommandRefused(f"user code did not return within {timeout:g} s{self.busy()}")
+            if await within(self.host, work, timeout) is None:
+                raise CommandRefused(f"it has started, but did not end within another {timeout:g} s{self.busy()}")
         result: T = work.result()  # type: ignore[assignment]  # it was not withdrawn, so it has run
         return result
 
@@ -89,6 +85,10 @@ class DataExecutor:
             except Exception as error:
                 raised.append(error)
 
+        def on_end() -> None:
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(ended.set)
+
         claim = FirstClaim()
 
         def begin() -> bool:
@@ -97,25 +97,21 @@ class DataExecutor:
             result = function()
             if not asyncio.iscoroutine(result):
                 return True
-            self._host.run_coroutine(guarded(result), lambda: _call(loop, ended.set))
+            self.host.run_coroutine(guarded(result), on_end)
             return False
 
-        work = await within(self._host, self._host.on_data(begin), timeout)
+        work = await within(self.host, self.host.on_data(begin), timeout)
         if work is None:
             claim.take()
             return False
-        if not work.result() and await within(self._host, ended.wait(), timeout) is None:
+        if not work.result() and await within(self.host, ended.wait(), timeout) is None:
             return False
         if raised:
             raise raised[0]
         return True
 
 
-def _call(loop: asyncio.AbstractEventLoop, function: Callable[[], Any]) -> None:
-    if not loop.is_closed():
-        loop.call_soon_threadsafe(function)
-
-
+@dataclass
 class ModeSwitch:
     """One mode change of a group of functionalities: all at once, between two calls of each, or not at all.
 
@@ -123,55 +119,46 @@ class ModeSwitch:
     thread once the change has happened or is refused, before the new modes' first calls.
     """
 
-    def __init__(
-        self,
-        targets: Mapping[str, int],
-        runners: Sequence[FunctionalityRunner],
-        because: str,
-        guard: Callable[[], str | None],
-        settled: Callable[[], None],
-    ) -> None:
-        self.before: dict[str, str] | None = None
-        self.refused: str | None = None
-        self._targets = dict(targets)
-        self._runners = [runner for runner in runners if runner.name in targets]
-        self._because = because
-        self._guard = guard
-        self._settled = settled
-        self.claim = FirstClaim()
+    targets: dict[FunctionalityRunner, int]
+    because: str
+    guard: Callable[[], str | None]
+    settled: Callable[[], object]
+    before: dict[str, str] = field(default_factory=dict)
+    refused: str | None = None
+    claim: FirstClaim = field(default_factory=FirstClaim)
 
     def attempt(self) -> None:
         """On the data thread: switch, unless an async call is under way; then this is called again at its end."""
-        if self.claim.taken:
+        if self.claim.taken():
             return
-        if any(runner.asynchronous for runner in self._runners):
-            for runner in self._runners:
-                runner.block(self)
+        if any(runner.asynchronous for runner in self.targets):
+            for runner in self.targets:
+                runner.block(self.attempt)
             return
         if not self.claim.take():  # the control thread has just withdrawn it
             return
         try:
-            self.refused = self._guard()
+            self.refused = self.guard()
             if self.refused is None:
                 self._switch()
         except Exception as error:  # ours, or the platform's: the control thread waits for the outcome
             self.refused = f"the change failed half-way: {type(error).__name__}: {error}"
             raise
         finally:
-            self._settled()
+            self.settled()
             self.release()
 
     def _switch(self) -> None:
-        moved = [r for r in self._runners if r.index != self._targets[r.name]]
-        self.before = {runner.name: runner.mode.name for runner in self._runners}
-        for runner in moved:
+        moved = {runner: index for runner, index in self.targets.items() if runner.index != index}
+        self.before = {runner.name: runner.mode.name for runner in self.targets}
+        for runner, index in moved.items():
             runner.stop_calls()
-            runner.enter_mode(self._targets[runner.name], self._because)
-        self._settled()
+            runner.enter_mode(index, self.because)
+        self.settled()
         for runner in moved:
             runner.start_calls()
 
     def release(self) -> None:
         """On the data thread, once it has happened or is withdrawn: calls may start again."""
-        for runner in self._runners:
-            runner.unblock(self)
+        for runner in self.targets:
+            runner.unblock(self.attempt)

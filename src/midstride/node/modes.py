@@ -58,14 +58,14 @@ class DeclaredMode:
 
 def declare_mode(
     where: str,
+    associated: tuple[Sequence[Input], Sequence[Output]],
     name: object,
     function: object,
     rate: object,
-    inputs: Sequence[Input | AnyOf],
-    outputs: Iterable[Output],
-    guarantees: Mapping[Output, Promise] | None,
+    inputs: object,
+    outputs: object,
+    guarantees: object,
     sync: object,
-    associated: tuple[Sequence[Input], Sequence[Output]],
 ) -> DeclaredMode:
     """Check what an author declared for a mode. Raises NodeError with what to write instead.
 
@@ -136,9 +136,7 @@ def _callable(where: str, function: object, arguments: int, called: str) -> Func
     return function
 
 
-def _assumptions(
-    where: str, inputs: Sequence[Input | AnyOf], associated: Sequence[Input]
-) -> tuple[tuple[Input, ...], ...]:
+def _assumptions(where: str, inputs: object, associated: Sequence[Input]) -> tuple[tuple[Input, ...], ...]:
     found: list[tuple[Input, ...]] = []
     for entry in listed(inputs, where, "inputs"):
         if isinstance(entry, AnyOf):
@@ -153,7 +151,7 @@ def _assumptions(
     return tuple(found)
 
 
-def _outputs(where: str, outputs: Iterable[Output], associated: Sequence[Output]) -> tuple[Output, ...]:
+def _outputs(where: str, outputs: object, associated: Sequence[Output]) -> tuple[Output, ...]:
     found = listed(outputs, where, "outputs")
     for port in found:
         if not isinstance(port, Output):

@@ -39,31 +39,26 @@ class GatePolicy(Protocol):
 class TimeGrid(Protocol):
     """The slots of a rate-driven mode: ``period`` (s), and the slot of its last call (ns)."""
 
-    @property
-    def period(self) -> float: ...
-
-    @property
-    def slot(self) -> int | None: ...
+    period: float
+    slot: int | None
 
     def regrid(self, epoch: int) -> None:
         """Continue along the grid through ``epoch`` (ns)."""
-        ...
 
 
 class OutputOwner(Protocol):
     """The running functionality that an output belongs to, as far as its attachments need to know it."""
 
-    # What places the current call in time: the slots that it accounts for, or the info of what it answers.
-    slots: tuple[int, int] | None
-    info: Any
-    busy: int | None
-    # During a cut, called with every message that reaches the functionality.
-    watch: Callable[[Any], None] | None
-
-    @property
-    def failed(self) -> bool:
-        """Whether it is in its mode because user code raised."""
-        ...
+    # Since when a call has been running (steady ns).
+    busy: int | None = None
+    # What places that call in time: the first and the last slot that it accounts for, or the info of the messages that
+    # it answers.
+    slots: tuple[int, int] | None = None
+    info: Any = None
+    # During a cut, called with the info of every message that reaches the functionality.
+    watch: Callable[[Any], None] | None = None
+    # Whether it is in its mode because user code raised.
+    failed: bool = False
 
     @property
     def driven(self) -> Driven: ...
@@ -78,12 +73,12 @@ class OutputLink:
     ``count`` is the number of published messages, as the middleware counts them; ``gated`` that of the others.
     """
 
-    __slots__ = ("count", "cut", "gated", "last_gated", "open", "output", "publish", "publisher", "topic")
+    __slots__ = ("count", "cut", "endpoint", "gated", "last_gated", "open", "output", "publish", "topic")
 
     def __init__(self, output: Output, topic: str, publisher: Publisher) -> None:
         self.output = output
         self.topic = topic
-        self.publisher = publisher
+        self.endpoint = publisher
         self.publish = publisher.publish
         self.open = False
         self.count = 0
@@ -115,6 +110,10 @@ class OutputLink:
         self.cut = None
         self.open = open_
 
+    def destroy(self) -> None:
+        self.set_gate(False)
+        self.output.remove(self)
+
     @property
     def gate(self) -> GateState:
         if self.cut is not None:
@@ -126,14 +125,20 @@ class OutputLink:
 
 
 class InputLink:
-    """One attachment of an input: a subscription, and the number of messages received on it."""
+    """One attachment of an input: a subscription without a gate, and the number of messages received on it."""
 
-    __slots__ = ("count", "subscription", "topic")
+    __slots__ = ("count", "endpoint", "input", "topic")
+    endpoint: Subscription
+    gate: Final = None
+    gated: Final = 0
 
-    def __init__(self, topic: str) -> None:
+    def __init__(self, input: Input, topic: str) -> None:
+        self.input = input
         self.topic = topic
         self.count = 0
-        self.subscription: Subscription | None = None
+
+    def destroy(self) -> None:
+        self.input.remove(self)
 
 
 L = TypeVar("L", OutputLink, InputLink)
@@ -151,6 +156,12 @@ class _Port(Generic[L]):
 
     def link(self, topic: str) -> L | None:
         return next((link for link in self.links if link.topic == topic), None)
+
+    def remove(self, link: L) -> None:
+        """Remove an attachment and destroy its endpoint; does nothing if that has been done."""
+        if link in self.links:
+            self.links = tuple(other for other in self.links if other is not link)
+            link.endpoint.destroy()
 
 
 class Output(_Port[OutputLink]):
@@ -180,7 +191,8 @@ class Output(_Port[OutputLink]):
         section 7).
         """
         if message.__class__ is not self.type and not isinstance(message, self.type):
-            self._refuse(message)
+            self.wrong_type = f"output {self.name} takes {type_name(self.type)}, not {type(message).__name__}"
+            raise NodeError(f"{self.wrong_type}; write {self.name}.write({self.type.__name__}(…))")
         links = self.links
         if self.latched or not links:
             self.last = message
@@ -192,11 +204,6 @@ class Output(_Port[OutputLink]):
                 link.count += 1
             else:
                 link.write_gated(message)
-
-    def _refuse(self, message: Any) -> None:
-        wrong = f"output {self.name} takes {type_name(self.type)}, not {type(message).__name__}"
-        self.wrong_type = wrong
-        raise NodeError(f"{wrong}; write {self.name}.write({self.type.__name__}(…))")
 
     def __repr__(self) -> str:
         return f"<output {self.name}: {type_name(self.type)}>"
@@ -237,10 +244,10 @@ class Input(_Port[InputLink]):
 
         return receive
 
-    def forget(self) -> None:
-        """Drop the latest message: the input is not attached any more."""
-        self.latest = None
-        self._received_at = None
+    def remove(self, link: InputLink) -> None:
+        super().remove(link)
+        if not self.links:
+            self.latest = self._received_at = None
 
     def record(self, on: bool) -> None:
         """Keep every receipt from now on, or only the last few; earlier ones are kept."""

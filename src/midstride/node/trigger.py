@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 from midstride.node.host import Host, Timer
 from midstride.node.modes import DeclaredMode, Function
@@ -19,23 +19,13 @@ class Caller(Protocol):
     """Calls user code: the running functionality, as far as a trigger needs to know it."""
 
     watch: Callable[[Any], None] | None
-
-    @property
-    def ready(self) -> bool:
-        """Whether a call may start."""
-        ...
+    ready: bool  # whether a call may start
 
     def call(
         self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any
     ) -> None: ...
 
     def postpone(self, function: Function, arguments: tuple[Any, ...], info: Any) -> None: ...
-
-
-class Trigger(Protocol):
-    def begin(self) -> None: ...
-
-    def end(self) -> None: ...
 
 
 class InfoSet(tuple[Any, ...]):
@@ -176,6 +166,9 @@ class OnSet(_Listening):
                 waiting.popleft()
         messages, infos = tuple(message for _, message, _ in chosen), InfoSet(info for _, _, info in chosen)
         self._call(self._function, messages, infos)
+
+
+Trigger: TypeAlias = OnEntry | OnRate | OnMessage | OnSet
 
 
 def trigger_of(mode: DeclaredMode, runner: Caller, host: Host) -> Trigger:

@@ -21,15 +21,8 @@ from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, LiveHando
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.running_system import RunningSystem
-from midstride.wire.commands import (
-    AttachCommand,
-    Command,
-    DetachCommand,
-    ExportStateCommand,
-    ImportStateCommand,
-    ModesCommand,
-    SetParametersCommand,
-)
+from midstride.wire import commands
+from midstride.wire.commands import Command
 
 R = TypeVar("R")
 
@@ -55,6 +48,10 @@ class ActionDriver:
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
+
+    @property
+    def configuration(self) -> Configuration:
+        return self.system.configuration
 
     async def perform(self, action: Action, because: str) -> None:
         """Carry out ``action``, whose precondition holds. Raises MidstrideError.
@@ -95,7 +92,7 @@ class ActionDriver:
             case Handover():
                 await self._hand_over(action)
             case SetParameters(instance, parameters):
-                await self.client.change(instance, SetParametersCommand(parameters=dict(parameters)))
+                await self.client.change(instance, commands.SetParametersCommand(parameters=dict(parameters)))
             # The others need no command where a process has exited, or where a port keeps its endpoint because it is
             # attached to another connector of the same topic.
             case Remove(instance) if instance not in self.system.crashed:
@@ -114,17 +111,14 @@ class ActionDriver:
 
         Components know topics, not connectors.
         """
-        others = self.system.configuration.attached_to(port)
-        return any(other != connector and self._topic(other) == self._topic(connector) for other in others)
-
-    def _topic(self, connector: str) -> str:
-        return self.system.configuration.context.connectors[connector].topic
+        topic, others = self.configuration.topic(connector), self.configuration.attached_to(port)
+        return any(other != connector and self.configuration.topic(other) == topic for other in others)
 
     async def _remove(self, action: Remove) -> None:
-        instance = self.system.configuration.instances[action.instance]
+        instance = self.configuration.instances[action.instance]
         if not self.rolling_back:  # else this change created it, and the instance that returns has its own state
             try:
-                exported = await self.client.read(action.instance, ExportStateCommand())
+                exported = await self.client.read(action.instance, commands.ExportStateCommand())
                 if exported.state is not None:
                     self._exported[instance.role] = exported.state
             except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
@@ -137,29 +131,29 @@ class ActionDriver:
 
     async def _import_state(self, instance: str, state: bytes) -> None:
         try:
-            await self.client.change(instance, ImportStateCommand(state=state))
+            await self.client.change(instance, commands.ImportStateCommand(state=state))
         except MidstrideError as error:
             if not self.rolling_back:
                 raise
             self.events.add("note", f"{instance} did not restore its state: {error}")
 
     async def _attach(self, action: Attach) -> None:
-        port, topic, configuration = action.port, self._topic(action.connector), self.system.configuration
+        port, topic, configuration = action.port, self.configuration.topic(action.connector), self.configuration
         output = configuration.is_output(port)
         others = (configuration.subscribers_on if output else configuration.publishers_on)(action.connector)
         peers = sum(not self._is_gone(other.instance) for other in others)
-        attach = AttachCommand(port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT)
-        detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        attach = commands.AttachCommand(port=port.port, topic=topic, peers=peers, timeout=ATTACH_TIMEOUT)
+        detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
         await self._or_undo(port.instance, attach, detach)
 
     async def _detach(self, action: Detach) -> None:
-        port, topic = action.port, self._topic(action.connector)
-        detach = DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
-        attach = AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        port, topic = action.port, self.configuration.topic(action.connector)
+        detach = commands.DetachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
+        attach = commands.AttachCommand(port=port.port, topic=topic, timeout=DETACH_TIMEOUT)
         reply = await self._or_undo(port.instance, detach, attach)
         if reply.last:
             self.last_numbers[port] = reply.last
-        if reply.acknowledged is None and self.system.configuration.is_output(port):
+        if reply.acknowledged is None and self.configuration.is_output(port):
             self.events.add("note", f"{port}: unknown whether its last messages on {topic} arrived")
 
     async def _or_undo(self, instance: str, command: Command[R], undo: Command[Any]) -> R:
@@ -172,12 +166,12 @@ class ActionDriver:
 
     async def _set_modes(self, action: Degrade | Upgrade, because: str) -> None:
         """The functionalities of each instance at once, the instances one after the other."""
-        changed: list[tuple[str, ModesCommand]] = []
+        changed: list[tuple[str, commands.ModesCommand]] = []
         try:
             for instance, modes in by_instance(action.modes).items():
                 if isinstance(action, Degrade) and self._is_gone(instance):
                     continue
-                before = {ref: self.system.configuration.modes[ref] for ref in modes}
+                before = {ref: self.configuration.modes[ref] for ref in modes}
                 changed.append((instance, self._modes_command(before, "roll-back")))
                 await self.client.change(instance, self._modes_command(modes, because))
         except Exception:
@@ -193,15 +187,14 @@ class ActionDriver:
         if not self._is_gone(instance):
             await self.client.change(instance, self._modes_command(modes, because))
 
-    def _modes_command(self, modes: Mapping[FunctionalityRef, int], because: str) -> ModesCommand:
+    def _modes_command(self, modes: Mapping[FunctionalityRef, int], because: str) -> commands.ModesCommand:
         names = {
-            ref.functionality: self.system.configuration.functionality(ref).modes[index].name
-            for ref, index in modes.items()
+            ref.functionality: self.configuration.functionality(ref).modes[index].name for ref, index in modes.items()
         }
-        return ModesCommand(modes=names, because=because, timeout=self.drain_timeout)
+        return commands.ModesCommand(modes=names, because=because, timeout=self.drain_timeout)
 
     async def _hand_over(self, action: Handover) -> None:
-        configuration = self.system.configuration
+        configuration = self.configuration
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in action.swaps}):
             same_role = configuration.instances[old].role == configuration.instances[new].role
             if old != new and same_role:  # else nothing is replaced
@@ -214,7 +207,7 @@ class ActionDriver:
 
     async def _transfer_state(self, old: str, new: str) -> None:
         try:
-            exported = await self.client.read(old, ExportStateCommand())
+            exported = await self.client.read(old, commands.ExportStateCommand())
         except MidstrideError as error:
             if not self.rolling_back and not self._is_gone(old):
                 raise

@@ -1,21 +1,22 @@
 """The cut of a hand-over: the moment from which the new publisher publishes instead of the old one.
 
-It is a slot of the old publisher's time grid, agreed in advance (docs/semantics.md section 7).
+It is a slot of the old publisher's time grid, agreed in advance (docs/semantics.md section 7). Before that, both sides
+must follow the same clock, and the subscribers must have found the new publisher.
 """
 
 from __future__ import annotations
 
 import math
 import uuid
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Final
 
+from midstride.errors import CallTimeout, StepFailed, Unreachable
 from midstride.model.action import Swap
 from midstride.model.configuration import Configuration
-from midstride.model.contract import Predicate
 from midstride.runtime.component_client import ComponentClient
-from midstride.wire.commands import CutInCommand, CutOutCommand, CutSwap, GridCommand, Trigger
+from midstride.wire.commands import AwaitMatchCommand, CutInCommand, CutOutCommand, CutSwap, GridCommand, Trigger
 
 # The old side resumes if the new side has not reported its first write for this many periods,
 RESUME_PERIODS: Final = 10
@@ -23,6 +24,8 @@ RESUME_PERIODS: Final = 10
 SHORTEST_RESUME: Final = 0.1
 # The same if no rate defines a period (s).
 RESUME_WITHOUT_RATE: Final = 2.0
+# How long a subscriber may take to find the new publishers (s).
+FIND_TIMEOUT: Final = 5.0
 
 
 @dataclass(slots=True)
@@ -49,28 +52,25 @@ class Cut:
 
     def _declared_period(self) -> float | None:
         """The longest of the periods that the cut's topics require; None if one states no rate."""
-        rates = []
-        for swap in self.swaps:
-            guarantee = self.configuration.guarantee(swap.old)
-            own = guarantee.rate if isinstance(guarantee, Predicate) else None
-            rates.append(self.configuration.context.connectors[swap.connector].guarantee.rate or own)
+        connectors = self.configuration.context.connectors
+        rates = [connectors[swap.connector].guarantee.rate or self.configuration.rate(swap.old) for swap in self.swaps]
         return None if None in rates else max(1 / rate for rate in rates if rate)
 
     def outgoing(self) -> CutOutCommand:
         """The cut as the old side is sent it."""
-        swaps = [CutSwap(port=swap.old.port, topic=self._topic(swap)) for swap in self.swaps]
+        swaps = [CutSwap(port=swap.old.port, topic=self.configuration.topic(swap.connector)) for swap in self.swaps]
         return CutOutCommand(cut=self.id, swaps=swaps, at=self.at, resume_after=self.resume_after())
 
     def incoming(self, address: str) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
         # An output without a rate or a driving message is written once, so the cut repeats its last message.
         latch = self.trigger == "none"
-        swaps = [CutSwap(port=swap.new.port, topic=self._topic(swap), latch=latch) for swap in self.swaps]
+        swaps = [
+            CutSwap(port=swap.new.port, topic=self.configuration.topic(swap.connector), latch=latch)
+            for swap in self.swaps
+        ]
         epoch = self.at if self.trigger == "rate" else None
         return CutInCommand(cut=self.id, swaps=swaps, at=self.at, epoch=epoch, peer=self.old, address=address)
-
-    def _topic(self, swap: Swap) -> str:
-        return self.configuration.context.connectors[swap.connector].topic
 
 
 async def agree_cuts(
@@ -94,3 +94,45 @@ async def agree_cuts(
             step = cut.period * 1e9
             cut.at = cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
     return list(cuts.values())
+
+
+async def require_found(
+    client: ComponentClient,
+    configuration: Configuration,
+    swaps: Iterable[Swap],
+    connector: str,
+    is_gone: Callable[[str], bool],
+) -> None:
+    """Raises StepFailed unless the subscribers of ``connector`` have found the new publishers.
+
+    That the publishers have found them is not enough: a subscriber whose middleware does not discover endpoints any
+    more would receive nothing after the cut.
+    """
+    attached = {*configuration.publishers_on(connector), *(swap.new for swap in swaps if swap.connector == connector)}
+    living = sum(not is_gone(port.instance) for port in attached)
+    topic = configuration.topic(connector)
+    for port in sorted(configuration.subscribers_on(connector)):
+        await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=living, timeout=FIND_TIMEOUT)
+        try:
+            matched = (await client.read(port.instance, await_match)).matched
+        except (CallTimeout, Unreachable):
+            continue  # a fault that is reported by itself
+        if matched < living:
+            raise StepFailed(
+                f"{port} has found only {matched} of {living} publishers on {topic} within {FIND_TIMEOUT:g} s "
+                "and would receive nothing after the hand-over; its middleware may have stopped discovering endpoints: "
+                f"replace {port.instance} first"
+            )
+
+
+async def require_same_clock(client: ComponentClient, old: str, new: str) -> None:
+    """Raises StepFailed unless both sides follow the same clock, and it has a time: they agree on a moment of it."""
+    state = await client.peek(old)
+    if state.simulated_time != (await client.peek(new)).simulated_time:
+        simulated, other = (old, new) if state.simulated_time else (new, old)
+        raise StepFailed(
+            f"{simulated} follows /clock (use_sim_time) and {other} the clock of the system, so they cannot agree on a "
+            "moment for the hand-over; set use_sim_time to the same value for both"
+        )
+    if state.waiting is not None:
+        raise StepFailed(f"{old} cannot hand over: {state.waiting}")

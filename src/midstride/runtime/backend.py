@@ -66,35 +66,27 @@ class Backend(Protocol):
 
     async def open(self, on_exit: Callable[[Exited], None]) -> None:
         """Join the platform. ``on_exit`` is called on the manager's loop for each component that exits unexpectedly."""
-        ...
 
     async def close(self) -> None:
         """Leave the platform; components keep running."""
-        ...
 
     async def start(self, launch: Launch) -> Handle:
         """Start a component's process; it listens on its control address later. Raises StartFailed."""
-        ...
 
     async def adopt(self, handle: Handle) -> bool:
         """Take over a component that an earlier manager started. False if it is no longer running."""
-        ...
 
     async def end(self, instance: str, grace: float) -> None:
         """Terminate a started component, and kill it after ``grace`` seconds. Returns once it has exited.
 
         What the graph still shows of it is ignored from then on, even if its process had exited before.
         """
-        ...
 
     def disconnected(self, instance: str) -> None:
         """A component that was started by hand has exited, as its control connection shows."""
-        ...
 
     async def endpoints(self) -> Endpoints:
         """The nodes, and the endpoints on each topic, as the middleware sees them."""
-        ...
 
     async def lingering_readers(self, topic: str) -> int:
         """How many subscriptions on ``topic`` the middleware still counts whose process is known to be dead."""
-        ...

@@ -26,7 +26,6 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
-from midstride.runtime.observed_configuration import ObservedConfiguration, observe
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recording import Recording
 from midstride.runtime.reports import Outcome, OutcomeKind
@@ -55,8 +54,6 @@ class ChangeSession:
     executor: Callable[[], Executor]
     measuring: bool = False
 
-    # -- planning ----------------------------------------------------------------------------------
-
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
         specification, configuration = self.system.specification, self.system.configuration
@@ -79,12 +76,9 @@ class ChangeSession:
         self._verified(verdict)
         if not verdict.holds:
             return self._refuse(verdict.words, verdict)
-        step_verifier = StepVerifier(self.verifier, tuple(plan.configurations()), self._observe, self._verified)
-        outcome = await self.carry_out(plan, target, step_verifier)
-        return structs.replace(outcome, verdict=verdict)
-
-    def _observe(self, configuration: Configuration) -> ObservedConfiguration:
-        return observe(configuration, self.client, self.system.crashed)
+        configurations = tuple(plan.configurations())
+        step_verifier = StepVerifier(self.verifier, configurations, self.client, self.system.crashed, self._verified)
+        return structs.replace(await self.carry_out(plan, target, step_verifier), verdict=verdict)
 
     def _verified(self, verdict: Verdict) -> None:
         self.events.add("verified", str(verdict), verdict=verdict)
@@ -92,8 +86,6 @@ class ChangeSession:
     def _refuse(self, because: str, verdict: Verdict | UnsetType = UNSET) -> Outcome:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
         return Outcome(outcome="refused", because=because, verdict=verdict)
-
-    # -- carrying out ------------------------------------------------------------------------------
 
     async def carry_out(self, plan: Plan, target: Specification, verifier: StepVerifier | None = None) -> Outcome:
         """Carry out ``plan``, measure, and report."""

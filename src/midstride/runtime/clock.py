@@ -13,11 +13,9 @@ class Clock(Protocol):
 
     def steady(self) -> float:
         """Monotonic time in seconds, from an arbitrary start."""
-        ...
 
     def ros_now(self) -> int:
         """ROS time in nanoseconds."""
-        ...
 
     def idle(self) -> float:
         """How long the processors have been idle, in total (s)."""
@@ -25,7 +23,6 @@ class Clock(Protocol):
 
     async def sleep(self, seconds: float) -> None:
         """Sleep on the monotonic clock."""
-        ...
 
 
 class SystemClock:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import asyncio
 import uuid
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CallTimeout, CommandRefused, ProtocolError, Unreachable
@@ -60,6 +60,7 @@ class LatestState:
     at: float
 
 
+@dataclass
 class ComponentClient:
     """Sends commands to components, each change with the revision that the component is expected to be at.
 
@@ -67,33 +68,22 @@ class ComponentClient:
     for each reported state and each disconnection. Not thread-safe: use it on one event loop.
     """
 
-    def __init__(
-        self,
-        transport: Transport,
-        clock: Clock,
-        token: str,
-        on_event: Callable[[ComponentEvent], None] = lambda _: None,
-    ) -> None:
-        self.token = token
-        self.on_event = on_event
-        self._transport = transport
-        self._clock = clock
-        self._prefix = uuid.uuid4().hex[:12]
-        self._count = 0
-        self._revisions: dict[str, int] = {}
-        self._channels: dict[str, Channel] = {}
-        self._connecting: dict[str, asyncio.Lock] = {}
-        self._latest: dict[str, LatestState] = {}
-        self._lost: set[str] = set()
-        self._reopening: dict[str, asyncio.Task[None]] = {}
-        self._reopened_at: dict[str, float] = {}
-        self._registrations: dict[str, asyncio.Future[Registration]] = {}
-
-    # -- connections -------------------------------------------------------------------------------
+    transport: Transport
+    clock: Clock
+    token: str
+    on_event: Callable[[ComponentEvent], None] = lambda _: None
+    _revisions: dict[str, int] = field(default_factory=dict)
+    _channels: dict[str, Channel] = field(default_factory=dict)
+    _connecting: dict[str, asyncio.Lock] = field(default_factory=dict)
+    _latest: dict[str, LatestState] = field(default_factory=dict)
+    _lost: set[str] = field(default_factory=set)
+    _reopening: dict[str, asyncio.Task[None]] = field(default_factory=dict)
+    _reopened_at: dict[str, float] = field(default_factory=dict)
+    _registrations: dict[str, asyncio.Future[Registration]] = field(default_factory=dict)
 
     def address(self, instance: str) -> str:
         """Where the component listens, for its peer of a hand-over."""
-        return self._transport.address(instance)
+        return self.transport.address(instance)
 
     async def connect(self, instance: str) -> Greeting:
         """Connect as soon as the component listens; returns its greeting. It waits without limit: cancel it.
@@ -105,7 +95,7 @@ class ComponentClient:
             try:
                 return (await self._channel(instance)).greeting
             except (Unreachable, CallTimeout):
-                await self._clock.sleep(pause)
+                await self.clock.sleep(pause)
                 pause = min(1.2 * pause, CONNECT_INTERVAL_LONGEST)
 
     async def registered(self, instance: str) -> tuple[Greeting, Registration]:
@@ -125,8 +115,8 @@ class ComponentClient:
                 return known
             self._registrations[instance] = asyncio.get_running_loop().create_future()
             channel = await Channel.open(
-                self._transport,
-                self._transport.address(instance),
+                self.transport,
+                self.address(instance),
                 self.token,
                 timeout=ANSWER_TIMEOUT,
                 report=lambda frame: self._on_report(instance, frame),
@@ -142,7 +132,7 @@ class ComponentClient:
             if not registration.done():
                 registration.set_result(frame)
             return
-        self._latest[instance] = LatestState(frame.state, self._clock.steady())
+        self._latest[instance] = LatestState(frame.state, self.clock.steady())
         self.on_event(frame.state)
 
     def _on_closed(self, instance: str, channel: Channel) -> None:
@@ -158,8 +148,8 @@ class ComponentClient:
         exited = reported = False
         while not exited:
             earliest = self._reopened_at.get(instance, -REOPEN_INTERVAL) + REOPEN_INTERVAL
-            await self._clock.sleep(max(0.0, earliest - self._clock.steady()))
-            self._reopened_at[instance] = self._clock.steady()
+            await self.clock.sleep(max(0.0, earliest - self.clock.steady()))
+            self._reopened_at[instance] = self.clock.steady()
             try:
                 if (await self._channel(instance)).greeting.uuid == closed.greeting.uuid:
                     return
@@ -192,7 +182,7 @@ class ComponentClient:
     def _is_silent(self, instance: str) -> bool:
         """Whether a component that is connected has not reported for over ``SILENCE``."""
         latest = self._latest.get(instance)
-        return latest is not None and self._clock.steady() - latest.at > SILENCE
+        return latest is not None and self.clock.steady() - latest.at > SILENCE
 
     def disconnect(self, instance: str) -> None:
         """Close the connection: the component was released or has exited. ``on_event`` is not called."""
@@ -218,8 +208,6 @@ class ComponentClient:
         for instance in {*self._channels, *self._reopening}:
             self.disconnect(instance)
 
-    # -- commands ----------------------------------------------------------------------------------
-
     async def read(self, instance: str, command: Command[R]) -> R:
         """Send a command that changes nothing.
 
@@ -235,7 +223,7 @@ class ComponentClient:
 
     async def observe(self, instance: str) -> ComponentState:
         """The component's state. Later changes expect its revision."""
-        state = await self.read(instance, ObserveCommand(timeout=0.0))
+        state = await self.peek(instance)
         self._revisions[instance] = state.revision
         return state
 
@@ -270,9 +258,8 @@ class ComponentClient:
         self._revisions.pop(instance, None)
 
     async def _send(self, instance: str, command: Command[R], revision: int | None) -> R:
-        self._count += 1
         try:
-            reply = await self._request(instance, command, f"{self._prefix}-{self._count}", revision)
+            reply = await self._request(instance, command, revision)
         except CallTimeout:
             self.forget(instance)  # the command may or may not have been carried out
             waited = command.timeout + ANSWER_TIMEOUT
@@ -290,9 +277,9 @@ class ComponentClient:
             self.forget(instance)  # its state is not the expected one
             raise CommandRefused(f"{instance} refused `{command.name}`: {error}") from None
 
-    async def _request(self, instance: str, command: Command[R], id: str, revision: int | None) -> Reply:
+    async def _request(self, instance: str, command: Command[R], revision: int | None) -> Reply:
         """Send a request, and once more under the same id if no reply comes: it is carried out only once."""
-        timeout = command.timeout + ANSWER_TIMEOUT
+        id, timeout = uuid.uuid4().hex, command.timeout + ANSWER_TIMEOUT
         try:
             channel = await self._channel(instance)
             return await channel.request(command, revision=revision, timeout=timeout, id=id)

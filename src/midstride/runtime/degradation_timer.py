@@ -6,6 +6,7 @@ of the last one counts.
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Callable, Iterable
 
 from midstride.model.component import FunctionalityRef
@@ -28,19 +29,14 @@ class DegradationTimer:
         self._since = steady()
         lowered = dict.fromkeys(change.start.instances[ref.instance].role for ref in change.lowered)
         self._below = set(self._levels.fallen(change.start, lowered))
-        self._seconds: dict[FunctionalityRef, float] = dict.fromkeys(self._below, 0.0)
+        self._seconds: defaultdict[FunctionalityRef, float] = defaultdict(float)
 
     def moved(self, configuration: Configuration, instances: Iterable[str]) -> None:
         """A step has led to ``configuration``, now, and has changed ``instances``."""
         self._count()
         for role in {self._change.role_of(instance) for instance in instances}:
-            below = self._levels.below(configuration, role)
-            for counted in self._levels.counted(role):
-                if counted.ref in below:
-                    self._below.add(counted.ref)
-                    self._seconds.setdefault(counted.ref, 0.0)
-                else:
-                    self._below.discard(counted.ref)
+            self._below -= {counted.ref for counted in self._levels.counted(role)}
+            self._below |= self._levels.below(configuration, role).keys()
 
     def _count(self) -> None:
         now = self._steady()

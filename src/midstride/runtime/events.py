@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from collections import deque
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from typing import Any
 
 from midstride.runtime.reports import Event
@@ -14,16 +14,15 @@ from midstride.runtime.reports import Event
 class EventLog:
     """The latest events of one manager."""
 
-    def __init__(self, limit: int = 10_000, wall: Callable[[], float] = time.time) -> None:
-        self._events: deque[Event] = deque(maxlen=limit)
+    def __init__(self) -> None:
+        self._events: deque[Event] = deque(maxlen=10_000)
         self._count = 0
-        self._wall = wall
         self._wakers: set[asyncio.Event] = set()
 
     def add(self, kind: str, words: str, **details: Any) -> Event:
         """A new event; ``details`` are further fields of :class:`Event`."""
         self._count += 1
-        event = Event(n=self._count, at=self._wall(), kind=kind, words=words, **details)
+        event = Event(n=self._count, at=time.time(), kind=kind, words=words, **details)
         self._events.append(event)
         for waker in self._wakers:
             waker.set()

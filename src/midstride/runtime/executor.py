@@ -7,7 +7,6 @@ partial effects are undone, then the steps before it in reverse order (docs/sema
 from __future__ import annotations
 
 import asyncio
-import itertools
 import logging
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -60,8 +59,7 @@ class Executor:
         """
         done: Done = []
         for index, action in enumerate(actions):
-            step = forms[index] if index < len(forms) else UNSET
-            position: Any = {"index": index, "of": len(actions), "step": step}
+            position: Any = {"index": index, "of": len(actions), "step": forms[index] if forms else UNSET}
             what = action.describe(self.system.configuration)
             self.driver.events.add("step", f"{index + 1}/{len(actions)} {what}", **position)
             try:
@@ -80,9 +78,9 @@ class Executor:
                 problem = await self._roll_back(done)
                 if isinstance(error, asyncio.CancelledError):
                     raise
-                outcome = "rolled_back" if problem is None else "failed"
-                because = f"{what}: {why}" + ("" if problem is None else f"; and the roll-back failed: {problem}")
-                raise StepFailed(because, outcome) from error
+                if problem is None:
+                    raise StepFailed(f"{what}: {why}", "rolled_back") from error
+                raise StepFailed(f"{what}: {why}; and the roll-back failed: {problem}", "failed") from error
             self.driver.events.add("step_done", f"{index + 1}/{len(actions)} done", **position)
         await self._stop_starting()
 
@@ -198,8 +196,9 @@ class Executor:
     async def _start_ahead(self, actions: Iterable[Action]) -> None:
         """Start the processes of the next consecutive creations, so that they load in parallel, as the machine can."""
         launcher = self.driver.launcher
-        for action in itertools.takewhile(lambda action: isinstance(action, Create), actions):
-            assert isinstance(action, Create)
+        for action in actions:
+            if not isinstance(action, Create):
+                return
             await room_for_a_start(self.driver.backend.clock, launcher.starting)
             try:
                 await self._start(action)
@@ -216,7 +215,8 @@ class Executor:
 
     async def _stop_starting(self) -> None:
         if self._ahead is not None:
-            self._ahead.cancel()
+            async with self._one_start:  # not between the start of a process and its record
+                self._ahead.cancel()
             await asyncio.wait({self._ahead})
             self._ahead = None
 

@@ -17,21 +17,10 @@ from midstride.errors import CommandRefused, MidstrideError, StepFailed, Unreach
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
-from midstride.model.contract import Predicate
-from midstride.runtime.agreed_cut import Cut, agree_cuts
+from midstride.runtime.agreed_cut import Cut, agree_cuts, require_found, require_same_clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
-from midstride.runtime.handover_conditions import require_found, require_same_clock
-from midstride.wire.commands import (
-    AttachCommand,
-    AwaitCutCommand,
-    AwaitWriteCommand,
-    CancelCutCommand,
-    DetachCommand,
-    GateCommand,
-    GridCommand,
-    MeetCommand,
-)
+from midstride.wire import commands
 
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
 # of these, the next one is tried.
@@ -131,10 +120,10 @@ class LiveHandover:
         for swap in waiting:
             await self._await_probation(swap)
         for swap in waiting:
-            grid = await self.client.read(swap.new.instance, GridCommand(port=swap.new.port))
+            grid = await self.client.read(swap.new.instance, commands.GridCommand(port=swap.new.port))
             # What is written once was written behind the gate.
             latch = grid.trigger == "none"
-            opening = GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open", latch=latch)
+            opening = commands.GateCommand(port=swap.new.port, topic=self._topic(swap), gate="open", latch=latch)
             await self.client.change(swap.new.instance, opening)
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
             self.events.add("note", f"{old} exited during the hand-over, and {new} took over at once")
@@ -156,14 +145,14 @@ class LiveHandover:
                 await self.client.peek(instance)
             except Unreachable:
                 await asyncio.sleep(EXIT_INTERVAL)
+                continue
             except MidstrideError:
-                return False
-            else:
-                return False
+                pass
+            return False
         return self.is_gone(instance)
 
     def _topic(self, swap: Swap) -> str:
-        return self.configuration.context.connectors[swap.connector].topic
+        return self.configuration.topic(swap.connector)
 
     async def _attach_gated(self, swap: Swap) -> None:
         """Attach the new publisher with a closed gate, and wait until it is matched with the subscribers of the model.
@@ -183,14 +172,14 @@ class LiveHandover:
     async def _readers(self, swap: Swap) -> int:
         """How many living readers the old publisher has."""
         topic = self._topic(swap)
-        grid = await self.client.read(swap.old.instance, GridCommand(port=swap.old.port, topic=topic))
+        grid = await self.client.read(swap.old.instance, commands.GridCommand(port=swap.old.port, topic=topic))
         return (grid.readers or 0) - await self.lingering_readers(topic)
 
     async def _attach(self, swap: Swap, readers: int) -> int:
         """Attach the new publisher with a closed gate; how many readers it is matched with."""
         topic = self._topic(swap)
         subscribers = self.configuration.subscribers_on(swap.connector)
-        attach = AttachCommand(
+        attach = commands.AttachCommand(
             port=swap.new.port,
             topic=topic,
             gate="closed",
@@ -205,10 +194,9 @@ class LiveHandover:
         return matched
 
     async def _await_probation(self, swap: Swap) -> None:
-        guarantee = self.configuration.guarantee(swap.new)
-        rate = guarantee.rate if isinstance(guarantee, Predicate) else None
+        rate = self.configuration.rate(swap.new)
         timeout = PROBATION + (10 / rate if rate else 0.0)
-        await_write = AwaitWriteCommand(port=swap.new.port, topic=self._topic(swap), timeout=timeout)
+        await_write = commands.AwaitWriteCommand(port=swap.new.port, topic=self._topic(swap), timeout=timeout)
         seen = await self.client.read(swap.new.instance, await_write)
         if seen.wrong_type:
             raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
@@ -225,7 +213,7 @@ class LiveHandover:
         for _ in range(MEET_ATTEMPTS):
             await self.client.peek(old)
             try:
-                meet = MeetCommand(peer=old, address=self.client.address(old), timeout=MEET_TIMEOUT)
+                meet = commands.MeetCommand(peer=old, address=self.client.address(old), timeout=MEET_TIMEOUT)
                 await self.client.change(new, meet)
                 return
             except CommandRefused as error:
@@ -262,13 +250,13 @@ class LiveHandover:
                 last[swap.old] = None if write is None else write.number
         return last
 
-    def _await_cut(self, cut: Cut) -> AwaitCutCommand:
-        return AwaitCutCommand(cut=cut.id, timeout=LEADS[-1] + cut.resume_after() + 2.0)
+    def _await_cut(self, cut: Cut) -> commands.AwaitCutCommand:
+        return commands.AwaitCutCommand(cut=cut.id, timeout=LEADS[-1] + cut.resume_after() + 2.0)
 
     async def _cancel(self, cuts: Iterable[Cut]) -> None:
         for cut in cuts:
             for side in (cut.new, cut.old):
-                await self.client.undo(side, CancelCutCommand(cut=cut.id))
+                await self.client.undo(side, commands.CancelCutCommand(cut=cut.id))
 
     async def _undo(self) -> None:
         """Reopen the gates of the old publishers and detach the new ones, as far as they can be reached."""
@@ -276,5 +264,5 @@ class LiveHandover:
         for swap in self._begun:
             await self.client.undo(swap.new.instance, self._detachment(swap.new, swap))
 
-    def _detachment(self, port: PortRef, swap: Swap) -> DetachCommand:
-        return DetachCommand(port=port.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)
+    def _detachment(self, port: PortRef, swap: Swap) -> commands.DetachCommand:
+        return commands.DetachCommand(port=port.port, topic=self._topic(swap), timeout=DETACH_TIMEOUT)

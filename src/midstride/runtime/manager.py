@@ -203,21 +203,13 @@ class Manager:
         if self._current is not None:
             running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
         return status.status(
-            self.system,
-            self._client,
-            self._monitor,
-            ending=self._launcher.ending,
-            pids={name: handle.pid for name, handle in self._launcher.handles.items()},
-            backend=self._backend.name,
-            running=running,
-            unwritten=self._store.unwritten,
+            self.system, self._client, self._monitor, self._launcher, self._backend.name, running, self._store.unwritten
         )
 
     async def live(self) -> LiveConfiguration:
         """The configuration as its components report it; ``silent`` are those that have reported nothing lately."""
-        found = observe(self.configuration, self._client, self.system.crashed)
-        form = ConfigurationForm.of(found.configuration)
-        return LiveConfiguration(revision=self.revision, silent=list(found.silent), configuration=form)
+        found, silent = observe(self.configuration, self._client, self.system.crashed)
+        return LiveConfiguration(revision=self.revision, silent=silent, configuration=ConfigurationForm.of(found))
 
     async def peek(self, instance: str) -> ComponentState:
         """The current state of one component, requested from it. Raises CallTimeout or Unreachable."""

@@ -27,6 +27,8 @@ _ANSWERED: Final = 0.8
 # An answer may be written after this many later inputs.
 _LATE: Final = 5
 
+_Publishers = dict[str, list[Receipt]]  # the rows of each
+
 
 class SwapReport(Form, frozen=True, omit_defaults=False, forbid_unknown_fields=False):
     """The figures of one subscriber of one swapped topic. ``period`` and ``gap`` in seconds; None if unknown."""
@@ -71,11 +73,11 @@ def report(seen: Observation) -> SwapReport:
     period = seen.guaranteed_period
     rows = _window(seen.rows, seen.begun, seen.ended, period or seen.grid_period)
     gap = _gap(rows, seen.begun, seen.ended) if period else None
-    sides = _sides(rows, seen.begun, seen.last_number)
+    by_publisher = _by_publisher(rows, seen.begun, seen.last_number)
     missed = duplicates = None
     grid = seen.grid_period or period
     tail = seen.ended - WINDOW_PERIODS / 2 * (grid or 0.0) * 1e9
-    by_side = None if sides is None else _swapped(rows, sides, seen, tail)
+    by_side = None if by_publisher is None else _swapped(by_publisher, seen, tail)
     if grid and not rows:
         missed = math.floor((seen.ended - seen.begun) / (grid * 1e9))
     elif grid and by_side is not None:
@@ -88,7 +90,7 @@ def report(seen: Observation) -> SwapReport:
         gap=None if gap is None else round(gap, 6),
         gap_periods=None if gap is None or not period else round(gap / period, 3),
         missed=missed,
-        lost=_lost(rows, sides, by_side, seen),
+        lost=_lost(by_publisher, by_side, seen),
         duplicates=duplicates,
     )
 
@@ -105,15 +107,17 @@ def _gap(rows: Sequence[Receipt], begun: int, ended: int) -> float:
     return max(later - earlier for earlier, later in itertools.pairwise(times)) / 1e9
 
 
-def _sides(rows: Sequence[Receipt], begun: int, last_number: int | None) -> list[str] | None:
-    """The publisher of each row, distinguished by identity or else by sequence numbers."""
+def _by_publisher(rows: Sequence[Receipt], begun: int, last_number: int | None) -> _Publishers | None:
+    """The rows of each publisher, distinguished by identity or else by sequence numbers; None if neither is known."""
+    found: _Publishers = {}
     if all(row.publisher is not None for row in rows):
-        return [str(row.publisher) for row in rows]
+        for row in rows:
+            found.setdefault(str(row.publisher), []).append(row)
+        return found
     if any(row.number is None for row in rows):
         return None
     # Without identities: the numbers of a publisher increase; a row that continues no sequence starts another.
     tails: dict[str, int] = {}
-    sides: list[str] = []
     for row in rows:
         number = row.number
         assert number is not None
@@ -127,32 +131,25 @@ def _sides(rows: Sequence[Receipt], begun: int, last_number: int | None) -> list
         if not exact and nearest and row.received > begun and number <= 2:
             name = f"#{len(tails)}"  # a new sequence, not a jump in the old one
         tails[name] = number
-        sides.append(name)
-    return sides
+        found.setdefault(name, []).append(row)
+    return found
 
 
-def _swapped(
-    rows: Sequence[Receipt], sides: list[str], seen: Observation, tail: float
-) -> dict[str, list[Receipt]] | None:
+def _swapped(by_publisher: _Publishers, seen: Observation, tail: float) -> _Publishers | None:
     """The rows of the publishers that took part in the swap (others would hide holes); None if they are not known.
 
     These are the ones that appeared or disappeared, and all if none did. An old publisher that resumed did neither.
     """
-    by_side: dict[str, list[Receipt]] = {}
-    for row, side in zip(rows, sides, strict=True):
-        by_side.setdefault(side, []).append(row)
-    moved = {name: own for name, own in by_side.items() if own[0].received > seen.begun or own[-1].received < tail}
+    moved = {name: own for name, own in by_publisher.items() if own[0].received > seen.begun or own[-1].received < tail}
     if not moved:
-        return by_side
+        return by_publisher
     if seen.resumed and all(own[0].received > seen.begun for own in moved.values()):
-        stayed = {name: own for name, own in by_side.items() if name not in moved}
+        stayed = {name: own for name, own in by_publisher.items() if name not in moved}
         return moved | stayed if len(stayed) == 1 else None
     return moved
 
 
-def _slots(
-    rows: Sequence[Receipt], by_side: dict[str, list[Receipt]], period: float, ended: int
-) -> tuple[int | None, int | None]:
+def _slots(rows: Sequence[Receipt], by_side: _Publishers, period: float, ended: int) -> tuple[int | None, int | None]:
     """Empty slots of the old publisher's grid by source time, and slots with messages of two publishers."""
     if any(row.source is None for row in rows):
         return None, None
@@ -209,7 +206,7 @@ def _assign(sources: Sequence[int], origin: float, step: float) -> Iterable[int]
     return [slot + shift for slot in slots]
 
 
-def _answers(by_side: dict[str, list[Receipt]], inputs: Sequence[int]) -> tuple[int, int] | None:
+def _answers(by_side: _Publishers, inputs: Sequence[int]) -> tuple[int, int] | None:
     """The number of inputs without an answer, and of inputs that two publishers answered.
 
     None if the publishers do not answer each input with one message, so that the inputs are not their grid. The last
@@ -251,16 +248,11 @@ def _shift_late_answers(answers: dict[str, list[int]]) -> None:
         old[:] = [slot - 1 if slot > free[-1] else slot for slot in old]
 
 
-def _lost(
-    rows: Sequence[Receipt], sides: list[str] | None, by_side: dict[str, list[Receipt]] | None, seen: Observation
-) -> int | None:
+def _lost(by_publisher: _Publishers | None, by_side: _Publishers | None, seen: Observation) -> int | None:
     """The holes in each publisher's sequence, and the old publisher's last messages that were not received."""
-    if sides is None or not rows or any(row.number is None for row in rows):
+    if not by_publisher or any(row.number is None for own in by_publisher.values() for row in own):
         return None
-    numbers: dict[str, set[int]] = {}
-    for row, side in zip(rows, sides, strict=True):
-        assert row.number is not None
-        numbers.setdefault(side, set()).add(row.number)
+    numbers = {name: {row.number for row in own if row.number is not None} for name, own in by_publisher.items()}
     lost = sum(max(own) - min(own) + 1 - len(own) for own in numbers.values())
     if seen.last_number is not None:
         if by_side is None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Container
-from dataclasses import dataclass
 
 from midstride.model.component import ComponentSpec, FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
@@ -11,18 +10,13 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.wire.state import ComponentState
 
 
-@dataclass(frozen=True, slots=True)
-class ObservedConfiguration:
-    """The configuration as reported; instances in ``silent`` have reported nothing lately and are as in the model."""
-
-    configuration: Configuration
-    silent: tuple[str, ...]
-
-
 def observe(
-    configuration: Configuration, client: ComponentClient, exited: Container[str] = ()
-) -> ObservedConfiguration:
-    """``configuration`` with the modes and attachments that its components report, without those in ``exited``."""
+    configuration: Configuration, client: ComponentClient, exited: Container[str]
+) -> tuple[Configuration, list[str]]:
+    """``configuration`` with the modes and attachments that its components report, without those in ``exited``.
+
+    The second value names the silent ones, which have reported nothing lately: they are as in ``configuration``.
+    """
     silent = []
     for name in sorted(configuration.instances):
         if name in exited:
@@ -31,19 +25,16 @@ def observe(
             silent.append(name)
         else:
             configuration = _as_reported(configuration, name, state)
-    return ObservedConfiguration(configuration, tuple(silent))
+    return configuration, silent
 
 
 def own_degradations(
     configuration: Configuration, client: ComponentClient, exited: Container[str]
 ) -> dict[FunctionalityRef, int]:
     """The functionalities that report a worse mode than the model has, except those of ``exited``."""
-    degraded: dict[FunctionalityRef, int] = {}
-    for name in sorted(configuration.instances):
-        latest = client.latest(name)
-        if latest is not None and name not in exited:
-            degraded.update(own_degradations_in(configuration, latest.state))
-    return degraded
+    latest = [client.latest(name) for name in sorted(configuration.instances) if name not in exited]
+    found = [own_degradations_in(configuration, each.state) for each in latest if each is not None]
+    return {ref: index for degraded in found for ref, index in degraded.items()}
 
 
 def own_degradations_in(configuration: Configuration, state: ComponentState) -> dict[FunctionalityRef, int]:
@@ -73,7 +64,7 @@ def _as_reported(configuration: Configuration, name: str, state: ComponentState)
     }
     known = set()
     for port, connector in configuration.attached_ports(name):
-        pair = (port, configuration.context.connectors[connector].topic)
+        pair = (port, configuration.topic(connector))
         known.add(pair)
         if pair not in reported:
             configuration = configuration.without_attachment(port, connector)

@@ -4,6 +4,10 @@ Since each process leads a session and a process group, a signal also reaches it
 `ros2 run`), and Ctrl-C in the manager's terminal does not reach it. A pidfd reports its exit at once. This also
 works for a process that an earlier manager started, except that its exit status is then unknown. When the leader
 exits unexpectedly, the rest of its group is killed.
+
+A component appends to its log itself for as long as it runs. The logs are in the workspace, often in memory
+(``XDG_RUNTIME_DIR``): without a limit they would fill it after some days, and a component that cannot write to its log
+fails.
 """
 
 from __future__ import annotations
@@ -18,15 +22,7 @@ from pathlib import Path
 from typing import Final
 
 from midstride.errors import BackendError, StartFailed
-from midstride.runtime.logs import shorten, tail
-from midstride.runtime.reaper import (
-    ProcessInfo,
-    environment_value,
-    group_members,
-    process_info,
-    processes,
-    signal_group,
-)
+from midstride.runtime import reaper
 from midstride.runtime.timeouts import within
 from midstride.wire.environment import ENV_INSTANCE, ENV_TOKEN
 
@@ -48,13 +44,13 @@ class Process:
         self.started = started
         self.log = log
         self.status: int | None = None  # negative for a signal, None while it runs and if unknown
+        self.on_exit: Callable[[int | None], object] | None = None  # called with the status when it has exited
         self._log_begins = log_begins
         self._child = child
         self._exited = asyncio.Event()
         self._ending = False
-        self._on_exit: Callable[[int | None], None] | None = None
         self._fd = os.pidfd_open(pid)
-        info = process_info(pid)
+        info = reaper.process_info(pid)
         if info is None or info.started != started:
             os.close(self._fd)
             raise ProcessLookupError(f"process {pid} is not the one that was started")
@@ -75,10 +71,6 @@ class Process:
         if self.log is not None and shorten(self.log, longest, kept):
             self._log_begins = 0
 
-    def on_exit(self, callback: Callable[[int | None], None] | None) -> None:
-        """Call ``callback(status)`` when the process has exited; replaces the previous callback."""
-        self._on_exit = callback
-
     async def wait(self) -> int | None:
         await self._exited.wait()
         return self.status
@@ -94,10 +86,10 @@ class Process:
                 self.status = result.si_status if result.si_code == os.CLD_EXITED else -result.si_status
         if not self._ending and self._group == self.pid:
             # A shell that is killed must not leave the component that it ran.
-            signal_group(self._group, signal.SIGKILL)
+            reaper.signal_group(self._group, signal.SIGKILL)
         self._exited.set()
-        if self._on_exit is not None:
-            self._on_exit(self.status)
+        if self.on_exit is not None:
+            self.on_exit(self.status)
 
     async def end(self, grace: float) -> None:
         """End the process and its group: with SIGTERM, and after ``grace`` seconds with SIGKILL.
@@ -127,12 +119,12 @@ class Process:
 
     def _remaining(self) -> list[int]:
         if self._group == self.pid:
-            return group_members(self._group)
+            return reaper.group_members(self._group)
         return [self.pid] if self.running else []
 
     def _signal(self, number: signal.Signals) -> None:
         if self._group == self.pid:
-            signal_group(self._group, number)
+            reaper.signal_group(self._group, number)
         elif self.running:
             signal.pidfd_send_signal(self._fd, number)
 
@@ -166,12 +158,12 @@ def spawn(arguments: Sequence[str], directory: Path, environment: Mapping[str, s
             raise StartFailed(f"cannot start `{command}`: the folder {directory} does not exist") from None
         raise StartFailed(f"cannot start `{command}`: {getattr(error, 'strerror', None) or error}") from None
     child.returncode = 0  # the pidfd reaps it: Popen must not
-    info = process_info(child.pid)
+    info = reaper.process_info(child.pid)
     assert info is not None, "a child stays in /proc until it is reaped"
     try:
         return Process(child.pid, info.started, child=True, log=log, log_begins=begins)
     except OSError as error:  # no file descriptor left: a process that cannot be watched must not run
-        signal_group(child.pid, signal.SIGKILL)
+        reaper.signal_group(child.pid, signal.SIGKILL)
         os.waitpid(child.pid, 0)
         raise StartFailed(f"cannot watch `{' '.join(arguments)}`: {error.strerror or error}") from None
 
@@ -181,8 +173,8 @@ def find(pid: int, started: float, variable: str, value: str, log: Path | None =
 
     It is identified by its number, its start time (s since boot) and ``variable`` in its environment.
     """
-    info = process_info(pid)
-    if info is None or not info.alive or info.started != started or environment_value(pid, variable) != value:
+    info = reaper.process_info(pid)
+    if info is None or not info.alive or info.started != started or reaper.environment_value(pid, variable) != value:
         return None
     try:
         return Process(pid, started, child=False, log=log)
@@ -198,24 +190,59 @@ async def end_orphans(token: str, known: Container[str], grace: float) -> list[s
     children of a known component have that component's name in their environment, and are left alone. Raises
     BackendError if the kernel does not remove a killed process.
     """
-    orphans: dict[str, list[ProcessInfo]] = {}
-    for process in processes():
-        if process.alive and environment_value(process.pid, ENV_TOKEN) == token:
-            name = environment_value(process.pid, ENV_INSTANCE)
+    orphans: dict[str, list[reaper.ProcessInfo]] = {}
+    for process in reaper.processes():
+        if process.alive and reaper.environment_value(process.pid, ENV_TOKEN) == token:
+            name = reaper.environment_value(process.pid, ENV_INSTANCE)
             if name is not None and name not in known:
                 orphans.setdefault(name, []).append(process)
     await asyncio.gather(*(_end(process, token, grace) for found in orphans.values() for process in _leaders(found)))
     return sorted(orphans)
 
 
-def _leaders(found: list[ProcessInfo]) -> list[ProcessInfo]:
+def _leaders(found: list[reaper.ProcessInfo]) -> list[reaper.ProcessInfo]:
     """The group leaders, with which their groups end, and the processes whose leader is not among ``found``."""
     leaders = {process.pid for process in found if process.pid == process.group}
     return [process for process in found if process.pid == process.group or process.group not in leaders]
 
 
-async def _end(orphan: ProcessInfo, token: str, grace: float) -> None:
+async def _end(orphan: reaper.ProcessInfo, token: str, grace: float) -> None:
     process = find(orphan.pid, orphan.started, ENV_TOKEN, token)
     if process is not None:
         with closing(process):
             await process.end(grace)
+
+
+def tail(log: Path | None, length: int = 4000, since: int = 0) -> str:
+    """The last ``length`` bytes of a log, in whole lines, and nothing before the byte ``since``."""
+    if log is None:
+        return ""
+    try:
+        with open(log, "rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(since, size - length))
+            text = file.read().decode(errors="replace")
+    except OSError:
+        return ""
+    return text if size - since <= length else text.partition("\n")[2]
+
+
+def shorten(log: Path, longest: int, kept: int) -> bool:
+    """Truncate a log longer than ``longest`` bytes to its last ``kept`` bytes, in whole lines; returns whether it did.
+
+    The component continues at the new end, since it opened the log for appending. A line that it writes during the
+    truncation may be lost.
+    """
+    try:
+        size = log.stat().st_size
+        if size <= longest:
+            return False
+        with open(log, "r+b") as file:
+            file.seek(max(0, size - kept))
+            end = file.read().partition(b"\n")[2]
+            file.truncate(0)
+        with open(log, "ab") as file:
+            file.write(end)
+    except OSError:
+        return False
+    return True

@@ -143,6 +143,8 @@ class Reaper:
             cwd="/",
             start_new_session=True,
         )
+        assert self._process.stdin is not None
+        self._pipe = self._process.stdin
 
     @property
     def pid(self) -> int:
@@ -156,17 +158,15 @@ class Reaper:
         self._write(f"-{group}\n")
 
     def _write(self, line: str) -> None:
-        pipe = self._process.stdin
-        if pipe is not None and not pipe.closed:
+        if not self._pipe.closed:
             with suppress(BrokenPipeError):  # the reaper was killed: the manager continues without it
-                pipe.write(line.encode())
-                pipe.flush()
+                self._pipe.write(line.encode())
+                self._pipe.flush()
 
     def close(self) -> None:
         """End what remains, and return when it has ended."""
-        if self._process.stdin is not None and not self._process.stdin.closed:
-            with suppress(BrokenPipeError):
-                self._process.stdin.close()
+        with suppress(BrokenPipeError):
+            self._pipe.close()
         self._process.wait()
 
     def __enter__(self) -> Reaper:

@@ -61,8 +61,6 @@ class Reconciler:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
 
-    # -- events ------------------------------------------------------------------------------------
-
     def on_exit(self, event: Exited) -> None:
         """A process has exited without being asked to."""
         self.launcher.exited(event)
@@ -93,8 +91,6 @@ class Reconciler:
         status = "" if event.status is None else f" (status {event.status})"
         self.events.add("exited", f"{event.instance} exited unexpectedly{status}", log=event.log_tail)
         self._reconcile_soon()
-
-    # -- reconciling -------------------------------------------------------------------------------
 
     @contextlib.asynccontextmanager
     async def around(self) -> AsyncIterator[None]:
@@ -133,34 +129,31 @@ class Reconciler:
     async def reconcile(self) -> None:
         """Update the model to the actual state, and degrade functionalities whose assumptions no longer hold."""
         async with self._reconciling:
-            await self._reconcile()
-
-    async def _reconcile(self) -> None:
-        configuration = self.system.configuration
-        crashed = self.system.take_crashed()
-        for name in crashed:
-            self.launcher.handles.pop(name, None)
-            self.client.disconnect(name)
-            self.store.remove_instance(name)
-        degraded = own_degradations(configuration, self.client, crashed)
-        if not crashed and not degraded and not self._pending:
-            return
-        because = [f"{name} exited unexpectedly" for name in crashed]
-        for name in {ref.instance for ref in degraded}:
-            self.client.accept(name)
-        for ref, index in sorted(degraded.items()):
-            words = f"{ref} entered mode {configuration.functionality(ref).modes[index].name}"
-            if ref not in self._pending:  # else a command that timed out has been carried out after all
-                words += " unexpectedly"
-                self.degraded.add(ref)
-            self.events.add("degraded", words, functionality=str(ref))
-            because.append(words)
-        after, to_lower = respond(configuration, crashed, degraded, self._pending)
-        self.system.moved(after)
-        reason = "; ".join(because) or "its input was lost before it could be degraded"
-        failed = await self.executor().lower(to_lower, reason)
-        self._pending = set(failed)
-        self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
+            configuration = self.system.configuration
+            crashed = self.system.take_crashed()
+            for name in crashed:
+                self.launcher.handles.pop(name, None)
+                self.client.disconnect(name)
+                self.store.remove_instance(name)
+            degraded = own_degradations(configuration, self.client, crashed)
+            if not crashed and not degraded and not self._pending:
+                return
+            because = [f"{name} exited unexpectedly" for name in crashed]
+            for name in {ref.instance for ref in degraded}:
+                self.client.accept(name)
+            for ref, index in sorted(degraded.items()):
+                words = f"{ref} entered mode {configuration.functionality(ref).modes[index].name}"
+                if ref not in self._pending:  # else a command that timed out has been carried out after all
+                    words += " unexpectedly"
+                    self.degraded.add(ref)
+                self.events.add("degraded", words, functionality=str(ref))
+                because.append(words)
+            after, to_lower = respond(configuration, crashed, degraded, self._pending)
+            self.system.moved(after)
+            reason = "; ".join(because) or "its input was lost before it could be degraded"
+            failed = await self.executor().lower(to_lower, reason)
+            self._pending = set(failed)
+            self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 
 
 def respond(

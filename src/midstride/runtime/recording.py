@@ -54,8 +54,6 @@ def exchanges(configuration: Configuration, actions: Iterable[Action]) -> list[E
                     for name, old in detached
                     if name == connector and old.port == port.port and roles[old.instance] == roles[port.instance]
                 )
-            case _:
-                pass
     return found
 
 
@@ -87,7 +85,7 @@ class Recording:
         removed = {action.instance for action in actions if isinstance(action, Remove)}
         for exchange in exchanges(configuration, actions):
             old = exchange.old
-            topic = configuration.context.connectors[exchange.connector].topic
+            topic = configuration.topic(exchange.connector)
             guarantee = configuration.component(old.instance).owner(old.port).modes[0].guarantee(old.port)
             period = 1 / guarantee.rate if isinstance(guarantee, Predicate) and guarantee.rate else None
             try:
@@ -130,27 +128,27 @@ class Recording:
     async def finish(self, last_numbers: dict[PortRef, int | None], *, resumed: bool = False) -> list[SwapReport]:
         """Keep recording for a while, then compute the figures. :meth:`stop` must be called afterwards.
 
-        ``resumed``: the plan was rolled back, so the old publishers publish again.
-
-        If cancelled, it reports unknown figures instead of raising: the plan is done, and its outcome must be reported.
+        ``resumed``: the plan was rolled back, so the old publishers publish again. If cancelled, it reports unknown
+        figures instead of raising: the plan is done, and its outcome must be reported.
         """
         if not self.recorded:
             return self.unknown
         periods = [each.observation.guaranteed_period for each in self.recorded]
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
         begun, before, after = self.clock.steady(), dict[PortRef, int](), dict[PortRef, int]()
-        records: dict[PortRef, Records | None] = {}
+        records: dict[PortRef, Records] = {}
         try:
             before = await self._published(resumed)
             await self.clock.sleep(min(max(tails), LONGEST_TAIL))
             after = await self._published(resumed)
             # The subscribers first: then the driving inputs have received every message that was answered.
             for port in dict.fromkeys([*(each.input for each in self.recorded), *self._driving_inputs.values()]):
-                records[port] = await self._records(port)
+                with contextlib.suppress(MidstrideError):
+                    records[port] = await self.client.read(port.instance, RecordsCommand(input=port.port))
         except asyncio.CancelledError:
             records.clear()
         watched = self.clock.steady() - begun
-        inputs = {old: records.get(port) for old, port in self._driving_inputs.items()}
+        inputs = {old: records[port] for old, port in self._driving_inputs.items() if port in records}
         reports = []
         for each in self.recorded:
             seen, old, found = each.observation, each.exchange.old, records.get(each.input)
@@ -177,12 +175,6 @@ class Recording:
             with contextlib.suppress(MidstrideError, KeyError):
                 counts[old] = (await self.client.peek(port.instance)).ports[port.port][topic].count
         return counts
-
-    async def _records(self, port: PortRef) -> Records | None:
-        try:
-            return await self.client.read(port.instance, RecordsCommand(input=port.port))
-        except MidstrideError:
-            return None
 
     async def stop(self, live: Container[str]) -> None:
         """Stop recording at the instances in ``live``."""

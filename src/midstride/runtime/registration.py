@@ -15,7 +15,19 @@ from midstride.wire.state import Endpoint
 
 def mismatches(declared: ComponentSpec, registered: ComponentSpec) -> list[str]:
     """Every way in which ``registered`` violates the declaration; empty iff it matches."""
-    return list(_mismatches(declared, registered))
+    found = [
+        *_names("input", declared.input_order, registered.input_order),
+        *_names("output", declared.outputs, registered.outputs),
+        *_names("functionality", declared.functionality_order, registered.functionality_order),
+    ]
+    for name in declared.input_order:
+        needed, ours = declared.inputs[name], registered.inputs.get(name)
+        if ours is not None and (clauses := explain(needed, ours)):
+            found.append(f"input {name} assumes {ours}, more than the declared {needed} ({', '.join(clauses)})")
+    for functionality in declared:
+        if (theirs := registered.functionalities.get(functionality.name)) is not None:
+            found += _functionality(declared, functionality, theirs)
+    return found
 
 
 def unexpected_endpoints(declared: ComponentSpec, role: str, endpoints: Sequence[Endpoint]) -> list[str]:
@@ -35,23 +47,6 @@ def _resolved(name: str, role: str) -> str:
     if name.startswith("~"):
         return f"{node}/{name.lstrip('~/')}"
     return name if name.startswith("/") else f"{node.rpartition('/')[0]}/{name}"
-
-
-def _mismatches(declared: ComponentSpec, registered: ComponentSpec) -> Iterator[str]:
-    yield from _names("input", declared.input_order, registered.input_order)
-    yield from _names("output", declared.outputs, registered.outputs)
-    yield from _names("functionality", declared.functionality_order, registered.functionality_order)
-    for name in declared.input_order:
-        ours = registered.inputs.get(name)
-        if ours is None:
-            continue
-        needed = declared.inputs[name]
-        if clauses := explain(needed, ours):
-            yield f"input {name} assumes {ours}, more than the declared {needed} ({', '.join(clauses)})"
-    for functionality in declared:
-        registered_one = registered.functionalities.get(functionality.name)
-        if registered_one is not None:
-            yield from _functionality(declared, functionality, registered_one)
 
 
 def _names(kind: str, declared: Sequence[str], registered: Sequence[str]) -> Iterator[str]:

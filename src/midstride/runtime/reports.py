@@ -37,9 +37,6 @@ class SilenceFault(Report, frozen=True, kw_only=True):
     words: str
 
 
-# -- changes -----------------------------------------------------------------------------------------------------
-
-
 class UpReport(Report, frozen=True):
     """The system is up, with these instances."""
 
@@ -72,9 +69,6 @@ class PlannedChange(PlanForm, frozen=True, kw_only=True):
     """A plan, and the revision of the configuration that it was made for: `expected` of a change."""
 
     revision: int
-
-
-# -- what is live ------------------------------------------------------------------------------------------------
 
 
 class Service(Report, frozen=True):
@@ -179,9 +173,6 @@ class Why(Report, frozen=True, kw_only=True):
     because: str | None
     chain: list[str]
     inputs: Annotated[dict[str, bool], Meta(description="whether each input is satisfied")]
-
-
-# -- events ------------------------------------------------------------------------------------------------------
 
 
 class Event(Form, frozen=True, kw_only=True, forbid_unknown_fields=False):

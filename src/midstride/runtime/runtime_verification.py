@@ -8,7 +8,7 @@ with these, and Alloy runs again only if it is none of them.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from dataclasses import dataclass
 from threading import Event
 from typing import Final
@@ -16,8 +16,8 @@ from typing import Final
 from midstride.errors import VerificationError
 from midstride.model.configuration import Configuration
 from midstride.plan.plan import Plan
-from midstride.runtime.component_client import SILENCE
-from midstride.runtime.observed_configuration import ObservedConfiguration
+from midstride.runtime.component_client import SILENCE, ComponentClient
+from midstride.runtime.observed_configuration import observe
 from midstride.verify.checking import AlloyOptions, verify_configuration, verify_plan
 from midstride.verify.verdict import Verdict
 
@@ -46,24 +46,25 @@ class Verifier:
 
 @dataclass(slots=True)
 class StepVerifier:
-    """Verifies the live configuration after each step of a plan that has been verified."""
+    """Verifies the live configuration after each step of a plan; ``judged`` are those that were verified with it."""
 
     verifier: Verifier
     judged: tuple[Configuration, ...]
-    observe: Callable[[Configuration], ObservedConfiguration]
+    client: ComponentClient
+    exited: Container[str]
     report: Callable[[Verdict], object]
 
     async def look(self, configuration: Configuration) -> None:
         """Raises VerificationError if the live configuration is unknown, or is not known to be valid."""
-        found = self.observe(configuration)
-        if found.silent:
-            silent = ", ".join(found.silent)
+        found, silent = observe(configuration, self.client, self.exited)
+        if silent:
             raise VerificationError(
-                f"the live configuration is unknown: {silent} has reported nothing for more than {SILENCE:g} s"
+                f"the live configuration is unknown: {', '.join(silent)} has reported nothing for more than "
+                f"{SILENCE:g} s"
             )
-        if found.configuration in self.judged:
+        if found in self.judged:
             return
-        verdict = await self.verifier.configuration(found.configuration)
+        verdict = await self.verifier.configuration(found)
         self.report(verdict)
         if not verdict.holds:
             raise VerificationError(verdict.words)

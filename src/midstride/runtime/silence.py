@@ -13,7 +13,6 @@ from typing import Final
 
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
-from midstride.model.contract import Predicate
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import SILENCE, ComponentClient
 from midstride.runtime.events import EventLog
@@ -114,7 +113,7 @@ class SilenceMonitor:
             yield SilenceFault(kind="not_answering", instance=instance, seconds=seconds, words=words)
             return
         for port, connector in configuration.attached_ports(instance):
-            topic = configuration.context.connectors[connector].topic
+            topic = configuration.topic(connector)
             link = self._links.get(topic, {}).get(port)
             if link is None:
                 continue
@@ -127,11 +126,10 @@ class SilenceMonitor:
         self, configuration: Configuration, state: ComponentState, port: PortRef, topic: str, since: float
     ) -> Iterator[SilenceFault]:
         ref = FunctionalityRef(port.instance, configuration.component(port.instance).owner(port.port).name)
-        guarantee, reported = configuration.guarantee(port), state.functionalities[ref.functionality]
+        rate, reported = configuration.rate(port), state.functionalities[ref.functionality]
         if reported.mode != configuration.mode(ref).name:
             return  # a mode that has just been left guarantees nothing
         seconds = min(self.clock.steady() - since, reported.since)
-        rate = guarantee.rate if isinstance(guarantee, Predicate) else None
         if rate and seconds > max(PORT_SILENCE, SILENT_PERIODS / rate):
             words = f"{port} publishes nothing on {topic}, although mode {reported.mode} guarantees {rate:g} Hz"
             yield _port_fault("not_publishing", port, topic, seconds, words)

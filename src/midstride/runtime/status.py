@@ -2,23 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
-
 from midstride.errors import PlanRefused
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
+from midstride.runtime import reports
 from midstride.runtime.component_client import ComponentClient
-from midstride.runtime.reports import (
-    AttachmentStatus,
-    ComponentStatus,
-    CrashedInstance,
-    FunctionalityStatus,
-    RunningCommand,
-    Status,
-    TopicStatus,
-    Why,
-)
+from midstride.runtime.launcher import Launcher
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.silence import SilenceMonitor
 from midstride.wire.state import ComponentState, FunctionalityState, GateState
@@ -28,35 +18,38 @@ def status(
     system: RunningSystem,
     client: ComponentClient,
     monitor: SilenceMonitor,
-    *,
-    ending: Container[str],
-    pids: Mapping[str, int | None],
+    launcher: Launcher,
     backend: str,
-    running: RunningCommand | None,
+    running: reports.RunningCommand | None,
     unwritten: str | None,
-) -> Status:
-    """The answer to ``midstride status``.
-
-    ``ending`` are the instances that have been asked to end; ``pids`` has the processes of those that report nothing.
-    """
-    configuration = system.configuration
+) -> reports.Status:
+    """The answer to ``midstride status``."""
+    configuration, evaluator = system.configuration, Evaluator(system.configuration)
     found, silences = violations(configuration), monitor.faults(configuration)
     components = [
-        _component(configuration, instance, client.responsive(name), pids.get(name), name in ending)
+        _component(configuration, instance, client.responsive(name), launcher)
         for name, instance in sorted(configuration.instances.items())
     ]
-    return Status(
+    return reports.Status(
         # A component that waits for the clock of a simulation does not do what its modes guarantee.
         valid=not found and not silences and all(each.as_modelled and each.waiting is None for each in components),
         violations=[str(violation) for violation in found],
         components=components,
         crashed=[
-            CrashedInstance(name=name, status=exited.status, log=exited.log_tail)
+            reports.CrashedInstance(name=name, status=exited.status, log=exited.log_tail)
             for name, exited in sorted({**system.missing, **system.crashed}.items())
             if name not in configuration.instances
         ],
         silences=silences,
-        topics=_topics(configuration),
+        topics=[
+            reports.TopicStatus(
+                name=name,
+                satisfied=evaluator.connector_satisfied(name),
+                publishers=[str(port) for port in sorted(configuration.publishers_on(name))],
+                subscribers=[str(port) for port in sorted(configuration.subscribers_on(name))],
+            )
+            for name in sorted(configuration.context.connectors)
+        ],
         system=system.specification.name,
         backend=backend,
         revision=system.revision,
@@ -65,57 +58,42 @@ def status(
     )
 
 
-def _topics(configuration: Configuration) -> list[TopicStatus]:
-    evaluator = Evaluator(configuration)
-    return [
-        TopicStatus(
-            name=name,
-            satisfied=evaluator.connector_satisfied(name),
-            publishers=[str(port) for port in sorted(configuration.publishers_on(name))],
-            subscribers=[str(port) for port in sorted(configuration.subscribers_on(name))],
-        )
-        for name in sorted(configuration.context.connectors)
-    ]
-
-
 def _component(
-    configuration: Configuration, instance: Instance, state: ComponentState | None, pid: int | None, ending: bool
-) -> ComponentStatus:
+    configuration: Configuration, instance: Instance, state: ComponentState | None, launcher: Launcher
+) -> reports.ComponentStatus:
+    process = state or launcher.handles.get(instance.name)
     reported = {} if state is None else state.functionalities
     functionalities = [
         _functionality(configuration, ref, reported.get(ref.functionality)) for ref in instance.functionality_refs()
     ]
-    return ComponentStatus(
+    return reports.ComponentStatus(
         name=instance.name,
         role=instance.role,
         component=instance.component.name,
-        pid=pid if state is None else state.pid,
+        pid=None if process is None else process.pid,
         reachable=state is not None,
-        ending=ending,
+        ending=instance.name in launcher.ending,
         waiting=None if state is None else state.waiting,
         as_modelled=all(each.mode == each.modelled for each in functionalities),
         functionalities=functionalities,
         attachments=[
-            AttachmentStatus(port=str(port), connector=connector, gate=_gate(configuration, state, port, connector))
+            reports.AttachmentStatus(str(port), connector, _gate(state, port, configuration.topic(connector)))
             for port, connector in configuration.attached_ports(instance.name)
         ],
     )
 
 
-def _gate(
-    configuration: Configuration, state: ComponentState | None, port: PortRef, connector: str
-) -> GateState | None:
-    topics = {} if state is None else state.ports.get(port.port, {})
-    link = topics.get(configuration.context.connectors[connector].topic)
+def _gate(state: ComponentState | None, port: PortRef, topic: str) -> GateState | None:
+    link = None if state is None else state.ports.get(port.port, {}).get(topic)
     return None if link is None else link.gate
 
 
 def _functionality(
     configuration: Configuration, ref: FunctionalityRef, state: FunctionalityState | None
-) -> FunctionalityStatus:
+) -> reports.FunctionalityStatus:
     modelled = configuration.mode(ref).name
     mode = modelled if state is None else state.mode
-    return FunctionalityStatus(
+    return reports.FunctionalityStatus(
         name=str(ref),
         mode=mode,
         modelled=modelled,
@@ -126,7 +104,7 @@ def _functionality(
     )
 
 
-def why(configuration: Configuration, client: ComponentClient, functionality: str) -> Why:
+def why(configuration: Configuration, client: ComponentClient, functionality: str) -> reports.Why:
     """Why ``functionality`` (of a role or an instance) is in its mode. Raises PlanRefused for an unknown one."""
     asked = FunctionalityRef.parse(functionality)
     every = [ref for instance in configuration.instances.values() for ref in instance.functionality_refs()]
@@ -143,20 +121,19 @@ def why(configuration: Configuration, client: ComponentClient, functionality: st
     reported = _functionality(configuration, ref, None if state is None else state.functionalities[ref.functionality])
     evaluator = Evaluator(configuration)
     inputs = [PortRef(ref.instance, name) for name in configuration.functionality(ref).inputs]
-    return Why(
+    return reports.Why(
         functionality=str(ref),
         mode=reported.mode,
         normal=reported.normal,
         because=reported.because,
-        chain=_reasons(configuration, ref),
+        chain=_reasons(configuration, evaluator, ref),
         inputs={str(port): evaluator.input_satisfied(port) for port in inputs},
     )
 
 
-def _reasons(configuration: Configuration, ref: FunctionalityRef) -> list[str]:
+def _reasons(configuration: Configuration, evaluator: Evaluator, ref: FunctionalityRef) -> list[str]:
     """For each better mode than the current one: which of its assumptions are not satisfied."""
-    evaluator, functionality = Evaluator(configuration), configuration.functionality(ref)
-    reasons = []
+    functionality, reasons = configuration.functionality(ref), []
     for mode in functionality.modes[: configuration.modes[ref]]:
         missing = [a for a in mode.assumptions if not evaluator.assumption_satisfied(ref, functionality, a)]
         reasons += [f"not {mode.name}: it {evaluator.why_assumption_unsatisfied(ref, a)}" for a in missing]

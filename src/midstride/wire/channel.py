@@ -6,7 +6,8 @@ import asyncio
 import contextlib
 import uuid
 from collections.abc import Callable, Coroutine
-from typing import Any, TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeVar, cast
 
 import msgspec
 
@@ -21,6 +22,7 @@ T = TypeVar("T")
 Report = frames.Registration | frames.StateChanged
 
 
+@dataclass(eq=False)
 class Channel:
     """One connection to one component. ``report`` is called with each of its reports, ``ended`` once when it is gone.
 
@@ -28,19 +30,14 @@ class Channel:
     where nothing listens any more. To be used on one event loop.
     """
 
-    def __init__(
-        self,
-        connection: Connection,
-        greeting: frames.Greeting,
-        report: Callable[[Report], None],
-        ended: Callable[[], None],
-    ) -> None:
-        self.greeting = greeting
-        self.direct = connection.peer in (None, greeting.pid)
+    connection: Connection
+    greeting: frames.Greeting
+    report: Callable[[Report], None]
+    ended: Callable[[], None]
+
+    def __post_init__(self) -> None:
+        self.direct = self.connection.peer in (None, self.greeting.pid)
         self.closed = asyncio.Event()
-        self._connection = connection
-        self._report = report
-        self._ended = ended
         self._waiting: dict[str, asyncio.Future[Reply]] = {}
         self._reading = asyncio.get_running_loop().create_task(self._read())
 
@@ -61,7 +58,7 @@ class Channel:
         """
         connection = await transport.connect(address)
         try:
-            greeting = await _within(
+            greeting = await in_time(
                 timeout, _greet(connection, address, token), f"{address} did not greet within {timeout:g} s"
             )
         except BaseException:
@@ -82,13 +79,13 @@ class Channel:
         name = self.greeting.instance
         if self.closed.is_set():
             raise Unreachable(f"{name} has closed its control connection")
-        return await _within(timeout, self._exchange(request), f"{name} did not answer within {timeout:g} s")
+        return await in_time(timeout, self._exchange(request), f"{name} did not answer within {timeout:g} s")
 
     async def _exchange(self, request: frames.Request) -> Reply:
         waiting: asyncio.Future[Reply] = asyncio.get_running_loop().create_future()
         self._waiting[request.id] = waiting
         try:
-            await self._connection.send(frames.encode(request))
+            await self.connection.send(frames.encode(request))
             return await waiting
         finally:
             if self._waiting.get(request.id) is waiting:  # not that of a repetition
@@ -98,15 +95,15 @@ class Channel:
 
     def close(self) -> None:
         """Close the connection; neither ``report`` nor ``ended`` is called any more."""
-        self._report = lambda _: None
-        self._ended = lambda: None
+        self.report = lambda _: None
+        self.ended = lambda: None
         self._reading.cancel()
         self._end("the connection was closed at this end")
 
     async def _read(self) -> None:
         words = "it has closed its control connection"
         try:
-            while (line := await self._connection.receive()) is not None:
+            while (line := await self.connection.receive()) is not None:
                 self._take(line)
         except ProtocolError as error:
             words = str(error)
@@ -115,7 +112,7 @@ class Channel:
             asyncio.get_running_loop().call_exception_handler(
                 {"message": f"handling a report of {self.greeting.instance} failed", "exception": error}
             )
-        ended = self._ended
+        ended = self.ended
         self._end(words)
         ended()
 
@@ -126,14 +123,14 @@ class Channel:
             if waiting is not None and not waiting.done():
                 waiting.set_result(frame)
         elif isinstance(frame, (frames.Registration, frames.StateChanged)):
-            self._report(frame)
+            self.report(frame)
 
     def _end(self, words: str) -> None:
         if self.closed.is_set():
             return
         self.closed.set()
         with contextlib.suppress(Exception):
-            self._connection.close()
+            self.connection.close()
         for waiting in self._waiting.values():
             if not waiting.done():
                 waiting.set_exception(Unreachable(f"{self.greeting.instance} is gone: {words}"))
@@ -149,7 +146,7 @@ async def _greet(connection: Connection, address: str, token: str) -> frames.Gre
     return frames.decode_greeting(line)
 
 
-async def _within(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T:
+async def in_time(timeout: float, work: Coroutine[Any, Any, T], words: str) -> T:
     """What ``work`` returns. Raises CallTimeout with ``words`` after ``timeout`` seconds, and ends it."""
     task = asyncio.get_running_loop().create_task(work)
     try:
@@ -166,8 +163,6 @@ def result_of(reply: Reply, command: Command[R]) -> R:
     if reply.refused is not None:
         raise CommandRefused(reply.refused)
     try:
-        result: Any = msgspec.json.decode(reply.result, type=command.reply)
+        return cast(R, msgspec.json.decode(reply.result, type=command.reply))
     except frames.INVALID as error:
         raise ProtocolError(f"the reply to `{command.name}` is malformed: {error}") from None
-    found: R = result
-    return found

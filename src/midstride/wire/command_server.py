@@ -8,8 +8,9 @@ from collections import deque
 from collections.abc import Awaitable, Callable
 from typing import Final
 
-from midstride.errors import ProtocolError, Unreachable
+from midstride.errors import CallTimeout, ProtocolError, Unreachable
 from midstride.wire import frames
+from midstride.wire.channel import in_time
 from midstride.wire.frames import Reply, Request
 from midstride.wire.transport import Connection, StopListening, Transport
 
@@ -119,24 +120,14 @@ class CommandServer:
         self._connections[connection] = task
         try:
             await connection.send(frames.encode(self._greeting))
-            hello = await self._hello(connection)
-            if hello is not None:
+            hello = await in_time(HELLO_TIMEOUT, self._receive(connection), "the client did not greet")
+            if isinstance(hello, frames.Hello) and hello.protocol == frames.PROTOCOL:  # ours names the right version
                 await self._serve_client(_Client(connection), hello.token)
-        except (Unreachable, ProtocolError):
+        except (CallTimeout, Unreachable, ProtocolError):
             pass  # the client is gone, or what connected is not a client
         finally:
             del self._connections[connection]
             connection.close()
-
-    async def _hello(self, connection: Connection) -> frames.Hello | None:
-        """The client's greeting; None where it is missing, or of another version (ours names the right one)."""
-        receiving = asyncio.ensure_future(self._receive(connection))
-        try:
-            await asyncio.wait({receiving}, timeout=HELLO_TIMEOUT)
-            hello = receiving.result() if receiving.done() else None
-        finally:
-            receiving.cancel()
-        return hello if isinstance(hello, frames.Hello) and hello.protocol == frames.PROTOCOL else None
 
     async def _serve_client(self, client: _Client, token: str) -> None:
         for known in (self._registration, self._state):

@@ -104,14 +104,8 @@ class Detached(WireValue, frozen=True, kw_only=True):
     last: int | None
 
 
-class ModesBefore(WireValue, frozen=True, kw_only=True):
-    """The modes before the change, by functionality."""
-
-    before: dict[str, str]
-
-
-class ParametersBefore(WireValue, frozen=True, kw_only=True):
-    """The values before the change, by name."""
+class Before(WireValue, frozen=True, kw_only=True):
+    """What was changed, as it was before: modes by functionality, or values by parameter."""
 
     before: dict[str, Any]
 
@@ -235,14 +229,14 @@ class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
     topic: str
 
 
-class ModesCommand(Command[ModesBefore], frozen=True, kw_only=True, tag="modes"):
+class ModesCommand(Command[Before], frozen=True, kw_only=True, tag="modes"):
     """Change modes between two calls of user code; refused, and withdrawn, if a call does not return in time."""
 
     modes: dict[str, str]
     because: str = "the manager requested it"
 
 
-class SetParametersCommand(Command[ParametersBefore], frozen=True, kw_only=True, tag="set"):
+class SetParametersCommand(Command[Before], frozen=True, kw_only=True, tag="set"):
     """Set changeable parameters, all of them or none."""
 
     parameters: dict[str, Any]

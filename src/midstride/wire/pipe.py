@@ -19,15 +19,15 @@ class PipeEnd:
     """
 
     peer: int | None = None
+    other: PipeEnd
 
     def __init__(self) -> None:
-        self.other: PipeEnd | None = None
         self.closed = False
         self._frames: deque[bytes | None] = deque()  # None: the other end has closed
         self._arrived = asyncio.Event()
 
     async def send(self, frame: bytes) -> None:
-        if self.closed or self.other is None or self.other.closed:
+        if self.closed or self.other.closed:
             raise Unreachable("the control connection is closed")
         self._transmit(frame)
 
@@ -52,8 +52,7 @@ class PipeEnd:
             self._transmit(None)
 
     def _transmit(self, frame: bytes | None) -> None:
-        if self.other is not None:
-            self.other.arrive(frame)
+        self.other.arrive(frame)
 
 
 def pipe() -> tuple[PipeEnd, PipeEnd]:

@@ -16,15 +16,12 @@ class Connection(Protocol):
         Where another program forwards the connection (SSH), it is that program, whose end says nothing about the
         component.
         """
-        ...
 
     async def send(self, frame: bytes) -> None:
         """Raises Unreachable where the other end is gone."""
-        ...
 
     async def receive(self) -> bytes | None:
         """The next frame; None once the other end is gone. Raises ProtocolError for a frame that is too long."""
-        ...
 
     def close(self) -> None: ...
 
@@ -39,16 +36,12 @@ class Transport(Protocol):
 
     async def listen(self, instance: str, serve: Serve) -> StopListening:
         """Have ``serve`` called with each connection to ``instance``. Raises NodeError where the name is taken."""
-        ...
 
     async def connect(self, address: str) -> Connection:
         """Raises Unreachable where nothing listens at ``address``."""
-        ...
 
     def address(self, instance: str) -> str:
         """The address of a component of this system, whether it listens or not."""
-        ...
 
     def present(self) -> dict[str, str]:
         """The components that have an address now, possibly dead ones among them: instance -> address."""
-        ...

@@ -16,8 +16,7 @@ from typing import Final
 from midstride.backends.ros1 import launching, rpc
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed
-from midstride.runtime.logs import tail
-from midstride.runtime.process import find, spawn
+from midstride.runtime.process import find, spawn, tail
 from midstride.runtime.reaper import Reaper, process_info
 
 ENV_STARTED: Final = "MIDSTRIDE_ROS1_MASTER"

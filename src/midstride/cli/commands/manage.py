@@ -14,9 +14,8 @@ from midstride.cli.files import load
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.launcher import STOP_GRACE
-from midstride.runtime.logs import shorten
 from midstride.runtime.manager import Manager
-from midstride.runtime.process import end_orphans
+from midstride.runtime.process import end_orphans, shorten
 from midstride.runtime.reaper import process_info
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
