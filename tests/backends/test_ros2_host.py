@@ -355,6 +355,9 @@ def test_a_second_component_of_the_same_name_says_so_and_ends(tmp_path: Path, st
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             await r.start("talker", TALKER)
+            from midstride.backends.ros2.nodes import LOOK_AFTER
+
+            await asyncio.sleep(LOOK_AFTER)  # of two that join together, either may give way
             environment, words = without_midstride(), "a node /talker is running already"
             if started_by != "hand":
                 environment |= {ENV_TOKEN: r.token, ENV_CONTROL: str(tmp_path / "another")}

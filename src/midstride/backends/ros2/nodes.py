@@ -23,9 +23,11 @@ from midstride.backends.ros2 import names
 from midstride.backends.ros2.parameter_services import ParameterServices
 from midstride.errors import NodeError
 
-# A node that a manager started looks for another one of its name after it has joined; one that was started by hand
-# looks before (s). So of two, the one that was started by hand gives way.
-LOOK: Final = 0.5
+# A node that was started by hand looks for another one of its name before it joins (s); each looks after it has joined.
+# So of two, the one that was started by hand gives way.
+LOOK_BEFORE: Final = 0.5
+# A node's name that was lost on its way is sent again every 3 s (Fast DDS's heartbeat of `ros_discovery_info`).
+LOOK_AFTER: Final = 4.0
 # How long the threads may take to end (s).
 _JOIN: Final = 2.0
 
@@ -91,7 +93,7 @@ class ComponentNodes:
         )
         self._full_name = names.full(name, namespace)
         try:
-            self._check_alone(others=0, seconds=0.0 if managed else LOOK)
+            self._check_alone(others=0, seconds=0.0 if managed else LOOK_BEFORE)
         except NodeError:
             self._leave_ros()
             raise
@@ -104,7 +106,7 @@ class ComponentNodes:
             parameter_overrides=[Parameter(name, value=value) for name, value in parameters.items()],
         )
         self._full_name = self.data.get_fully_qualified_name()
-        self._checked_until = time.monotonic() + LOOK
+        self._checked_until = time.monotonic() + LOOK_AFTER
         self._data_thread = ExecutorThread("midstride-data", self._context, failed)
         self._control_thread = ExecutorThread("midstride-control", self._context, failed)
         self.data_executor = self._data_thread.executor
