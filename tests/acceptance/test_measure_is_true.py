@@ -140,8 +140,9 @@ def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Pa
 
     with ended():
         swap = run(main())
-    assert swap.missed is not None and swap.missed >= 14
-    assert swap.gap_periods is not None and swap.gap_periods >= 14
+    # 15 periods; the last slot may be written late, which is not missed, and messages before and after be received late.
+    assert swap.missed is not None and swap.missed >= 12
+    assert swap.gap_periods is not None and swap.gap_periods >= 13
 
 
 async def planted(folder: Path, order: tuple[str, ...]) -> SwapReport:
