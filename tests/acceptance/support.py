@@ -83,6 +83,7 @@ class Recorder:
         deadline = time.monotonic() + seconds
         while not self._path.exists():
             assert time.monotonic() < deadline, "the recorder hears nothing"
+            assert self._process.poll() is None, "the recorder has ended"
             time.sleep(0.02)
 
     def kill(self) -> None:

@@ -140,7 +140,7 @@ def test_a_new_publisher_stopped_just_after_the_cut_shows_as_missed(tmp_path: Pa
 
     with ended():
         swap = run(main())
-    # 15 periods; the last slot may be written late, which is not missed, and messages before and after be received late.
+    # 15 periods; the last slot may be written late, which is not missed, and messages may be received late.
     assert swap.missed is not None and swap.missed >= 12
     assert swap.gap_periods is not None and swap.gap_periods >= 13
 
