@@ -16,11 +16,13 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import pytest
+
 from midstride.model.specification import Specification
 from midstride.plan.request import PlanRequest
-from midstride.runtime import reaper
+from midstride.runtime import reaper, recording
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Observation
+from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Receipt
@@ -132,3 +134,15 @@ def by_source(rows: Sequence[Receipt]) -> dict[int, Receipt]:
     found = {row.source: row for row in rows if row.source is not None}
     assert len(found) == len(rows)
     return found
+
+
+def kept_observations(monkeypatch: pytest.MonkeyPatch) -> list[Observation]:
+    """Every observation that is reported from now on, in order."""
+    seen: list[Observation] = []
+
+    def kept(observation: Observation) -> SwapReport:
+        seen.append(observation)
+        return report(observation)
+
+    monkeypatch.setattr(recording, "report", kept)
+    return seen

@@ -14,15 +14,14 @@ from pathlib import Path
 import pytest
 
 from midstride.plan.request import PlanRequest
-from midstride.runtime import recording
 from midstride.runtime.manager import Manager
-from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.wire.commands import Receipt
 from tests.acceptance.support import (
     PERIOD,
     Recorder,
     by_source,
     ended,
+    kept_observations,
     managed,
     other_source,
     swap_specification,
@@ -91,11 +90,7 @@ def test_every_component_is_matched_after_very_many_replacements(tmp_path: Path)
 
 def test_the_status_is_true_while_readers_come_and_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No living component is ever shown as silent, and a bare recorder has the messages of every report."""
-    seen: list[Observation] = []
-
-    def kept(observation: Observation) -> SwapReport:
-        seen.append(observation)
-        return report(observation)
+    seen = kept_observations(monkeypatch)
 
     async def body() -> tuple[list[Receipt], list[str]]:
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
@@ -118,7 +113,6 @@ def test_the_status_is_true_while_readers_come_and_go(tmp_path: Path, monkeypatc
                 assert isinstance(result, asyncio.CancelledError), result
             return await asyncio.to_thread(recorder.stop), given_up
 
-    monkeypatch.setattr(recording, "report", kept)
     with ended():
         rows, given_up = asyncio.run(body())
     assert len(given_up) <= GIVEN_UP_AT_MOST * POLLED_REPLACEMENTS, given_up

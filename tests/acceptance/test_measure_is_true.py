@@ -13,7 +13,6 @@ from statistics import median
 
 import pytest
 
-from midstride.runtime import recording
 from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.wire.commands import GateCommand, Receipt, RecordCommand, RecordsCommand
 from tests.acceptance.support import (
@@ -22,6 +21,7 @@ from tests.acceptance.support import (
     Recorder,
     by_source,
     ended,
+    kept_observations,
     managed,
     other_source,
     swap_specification,
@@ -41,13 +41,7 @@ def test_a_bare_recorder_agrees_with_the_report(strategy: str, tmp_path: Path, m
     idle machine and by 3 ms with three times more processes than processors; half a period is the tolerance. The
     gap of the report must be exactly that of its messages.
     """
-    seen: list[Observation] = []
-
-    def kept(observation: Observation) -> SwapReport:
-        seen.append(observation)
-        return report(observation)
-
-    monkeypatch.setattr(recording, "report", kept)
+    seen = kept_observations(monkeypatch)
     rows, swaps = recorded_swaps(strategy, tmp_path)
     assert len(swaps) == len(seen) == SWAPS
     apart: list[int] = []

@@ -138,6 +138,19 @@ def test_what_happened_while_a_component_was_stopped_is_not_judged(tmp_path: Pat
     reporting(tmp_path, body)
 
 
+def test_what_has_been_removed_is_forgotten(tmp_path: Path) -> None:
+    """A system whose instances come and go for months does not grow."""
+
+    async def body(r: Reports) -> None:
+        await r.half_seconds(4)
+        r.b.configuration = r.b.configuration.without_instance("talker")
+        await r.half_seconds(4, silent="talker")
+        assert r.monitor._reports.keys() == {"listener"}
+        assert [port.instance for links in r.monitor._links.values() for port in links] == ["listener"]
+
+    reporting(tmp_path, body)
+
+
 # -- on a running system -------------------------------------------------------------------------------
 
 

@@ -76,7 +76,7 @@ class ActionDriver:
                 state = await self.client.peek(name)
             except MidstrideError:
                 continue
-            for ref in sorted(own_degradations_in(self.system.configuration, state).keys() - expected.keys()):
+            for ref in sorted(own_degradations_in(self.configuration, state).keys() - expected.keys()):
                 view = state.functionalities[ref.functionality]
                 found.append(f"{ref} entered mode {view.mode} unexpectedly: {view.because.strip()}")
         return found

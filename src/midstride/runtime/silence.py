@@ -7,7 +7,7 @@ during which they began (docs/semantics.md section 7).
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator
+from collections.abc import Container, Iterator, Set
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -48,6 +48,14 @@ class _Link:
     unreceived_since: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class _Report:
+    """When an instance last reported (steady s), and the topics and ports of its attachments then."""
+
+    at: float
+    attached: Set[tuple[str, PortRef]]
+
+
 @dataclass(slots=True)
 class SilenceMonitor:
     client: ComponentClient
@@ -55,7 +63,7 @@ class SilenceMonitor:
     events: EventLog
     ending: Container[str]  # the instances that have been asked to end, and do not answer any more
     _links: dict[str, dict[PortRef, _Link]] = field(default_factory=dict)  # by topic
-    _reported: dict[str, float] = field(default_factory=dict)  # when each instance last did (steady s)
+    _reports: dict[str, _Report] = field(default_factory=dict)  # the last one of each instance
     _known: dict[str, SilenceFault] = field(default_factory=dict)  # the faults of the last check
     _checked: float = 0.0
 
@@ -63,24 +71,33 @@ class SilenceMonitor:
         """A component has reported its state."""
         now = self.clock.steady()
         # What happened while it did not report is not known.
-        fresh = now - self._reported.get(state.instance, now) > SILENCE
-        self._reported[state.instance] = now
-        current = {(topic, port): link for port, topics in state.ports.items() for topic, link in topics.items()}
-        for topic, links in self._links.items():
-            for ref in [ref for ref in links if ref.instance == state.instance and (topic, ref.port) not in current]:
-                del links[ref]
+        last = self._reports.get(state.instance)
+        fresh = last is not None and now - last.at > SILENCE
+        current = {
+            (topic, PortRef(state.instance, port)): link
+            for port, topics in state.ports.items()
+            for topic, link in topics.items()
+        }
+        self._forget(state.instance, kept=current.keys())
+        self._reports[state.instance] = _Report(now, current.keys())
         for (topic, port), link in current.items():
             links = self._links.setdefault(topic, {})
-            known = links.get(PortRef(state.instance, port))
+            known = links.get(port)
             # Simulated time may stand still: what is published on it is not judged.
             free = fresh or (state.simulated_time and link.gate is not None)
             if known is None or free or (known.state.gate, known.state.count) != (link.gate, link.count):
-                links[PortRef(state.instance, port)] = _Link(link, now)
+                links[port] = _Link(link, now)
                 if known is not None and not fresh and link.gate is not None:
                     self._published(links, link.count - known.state.count, now)
         if now - self._checked >= CHECK_INTERVAL:
             self._checked = now
             self._check(configuration)
+
+    def _forget(self, instance: str, kept: Set[tuple[str, PortRef]] = frozenset()) -> None:
+        """Drop the attachments of ``instance`` except ``kept``."""
+        if (last := self._reports.pop(instance, None)) is not None:
+            for topic, port in last.attached - kept:
+                del self._links[topic][port]
 
     @staticmethod
     def _published(links: dict[PortRef, _Link], count: int, now: float) -> None:
@@ -90,7 +107,9 @@ class SilenceMonitor:
                 link.unreceived += max(0, count)
 
     def _check(self, configuration: Configuration) -> None:
-        """An event for each fault that has begun or ended."""
+        """An event for each fault that has begun or ended; instances that have been removed are forgotten."""
+        for instance in self._reports.keys() - configuration.instances.keys():
+            self._forget(instance)
         found = {fault.words: fault for fault in self.faults(configuration)}
         for words in found.keys() - self._known.keys():
             self.events.add("silence", words)
