@@ -34,8 +34,8 @@ def change_between(
     """The change of the whole system to ``target``. Linear in the system.
 
     A role that has no live instance comes; an instance of no role leaves. The roles ``renewed`` get a new instance even
-    where nothing differs. Raises PlanRefused
-    where either end does not meet the target's caps, capacities, environment or contracts.
+    where nothing differs. Raises PlanRefused where either end does not meet the target's caps, capacities, environment
+    or contracts.
     """
     connectors, identities = _connectors(configuration, target)
     resources = configuration.context.resources.update(target.resources)

@@ -38,7 +38,7 @@ class PlanRequest:
             raise PlanRefused(
                 "the request is empty: name nodes to replace, restart, add or remove, or give a specification"
             )
-        named = [*self.remove, *self.restart, *(role for role, _ in self.replace)]
+        named = [*self.remove, *self.renewed()]
         for index, role in enumerate(named):
             if role in named[:index]:
                 raise PlanRefused(f"node {role} is named twice; name each node once")
