@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, TypeAlias
 
 from midstride.errors import MidstrideError
 from midstride.model.action import Action, Attach, Create, Detach, Handover, Remove
@@ -19,6 +19,8 @@ from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, r
 from midstride.runtime.reports import SilenceFault
 from midstride.runtime.silence import UNRECEIVED, not_receiving
 from midstride.wire.commands import GridCommand, RecordCommand, Records, RecordsCommand
+
+_PortOnTopic: TypeAlias = tuple[PortRef, str]
 
 # Recording continues for 20 periods after the last step, but at most for this long (s).
 LONGEST_TAIL: Final = 10.0
@@ -135,7 +137,7 @@ class Recording:
             return self.unknown
         periods = [each.observation.guaranteed_period for each in self.recorded]
         tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
-        begun, before, after = self.clock.steady(), dict[PortRef, int](), dict[PortRef, int]()
+        begun, before, after = self.clock.steady(), dict[_PortOnTopic, int](), dict[_PortOnTopic, int]()
         records: dict[PortRef, Records] = {}
         try:
             before = await self._published(resumed)
@@ -160,20 +162,24 @@ class Recording:
             last = last_numbers.get(old)
             seen = replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources, resumed=resumed)
             reports.append(report(seen))
-            published = after.get(old, 0) - before.get(old, after.get(old, 0))
+            attachment = old, seen.topic
+            published = after.get(attachment, 0) - before.get(attachment, after.get(attachment, 0))
             if published >= UNRECEIVED and not any(row.received > found.now - watched * 1e9 for row in found.rows):
                 self.silences.append(not_receiving(each.input, seen.topic, watched))
         return reports + self.unknown
 
-    async def _published(self, resumed: bool) -> dict[PortRef, int]:
-        """How many messages the publishers at the end have published so far, by old publisher, where that is known."""
+    async def _published(self, resumed: bool) -> dict[_PortOnTopic, int]:
+        """How many messages the publishers at the end have published so far, where that is known.
+
+        By the old publisher and its topic.
+        """
         counts = {}
         for old, new, topic in dict.fromkeys(
             (each.exchange.old, each.exchange.new, each.observation.topic) for each in self.recorded
         ):
             port = old if resumed else new
             with contextlib.suppress(MidstrideError, KeyError):
-                counts[old] = (await self.client.peek(port.instance)).ports[port.port][topic].count
+                counts[old, topic] = (await self.client.peek(port.instance)).ports[port.port][topic].count
         return counts
 
     async def stop(self, live: Container[str]) -> None:
