@@ -576,7 +576,8 @@ def setup(node):
     comp.client = node.create_client(ListParameters, "/other/list_parameters")
 
 async def normal():
-    await comp.clock.sleep(0.05)
+    while not comp.client.service_is_ready():  # a request sent before that gets no answer
+        await comp.clock.sleep(0.05)
     answer = await comp.client.call_async(ListParameters.Request())
     out.write(String(data=str(len(answer.result.names))))
 
@@ -594,7 +595,7 @@ def test_an_async_mode_awaits_a_service(tmp_path: Path) -> None:
             await r.start("other", TALKER)
             await r.attach("talker", "out", "/counted", gate="closed")
             await r.modes("talker", talk="normal")
-            written = await r.client.read("talker", AwaitWriteCommand(timeout=10.0, port="out", topic="/counted"))
+            written = await r.client.read("talker", AwaitWriteCommand(timeout=30.0, port="out", topic="/counted"))
             assert written.gated >= 1
             await r.modes("talker", talk="degraded")
 
