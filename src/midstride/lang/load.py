@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from midstride.errors import SpecificationError
 from midstride.lang.check import Resolved, check_files
-from midstride.lang.diagnostics import Diagnostic, has_errors
+from midstride.lang.diagnostics import Diagnostic, has_errors, in_order
 from midstride.lang.files import FileReader, Unreadable, read_source, read_text
-from midstride.lang.json_form import check_json
+from midstride.lang.json_form import check_json, places_of
 from midstride.lang.message_types import MessageTypes
+from midstride.lang.programs import missing_programs
 from midstride.lang.source import Source
+from midstride.lang.source_map import SourceMap
 from midstride.model.specification import Specification
 
 
@@ -42,6 +44,7 @@ def load(path: Path | str, *, read: FileReader = read_text, messages: MessageTyp
     """Load the system that a file declares: JSON if its name ends in ``.json``, else the Stride language.
 
     ``read`` returns the text of each file. Types and fields are looked up in ``messages``; None: they are not checked.
+    Programs that are not there are warned of.
     """
     path = Path(path)
     try:
@@ -49,7 +52,24 @@ def load(path: Path | str, *, read: FileReader = read_text, messages: MessageTyp
     except Unreadable as error:
         diagnostic = Diagnostic(error.code, f"`{path}` cannot be read: {error}", help=error.help, file=str(path))
         return Loaded(None, (diagnostic,))
-    return _load_source(source, read, messages)
+    loaded = _load_source(source, read, messages)
+    return replace(loaded, diagnostics=in_order([*loaded.diagnostics, *_missing_programs(loaded, path)]))
+
+
+def _missing_programs(loaded: Loaded, path: Path) -> list[Diagnostic]:
+    problems = [] if loaded.specification is None else list(missing_programs(loaded.specification, path.parent))
+    if not problems:
+        return []
+    if loaded.resolved is None:
+        places = places_of(loaded.files[0])
+        spans = [places.get(problem.subject) for problem in problems]
+    else:
+        source_map = SourceMap(loaded.resolved.declarations, loaded.resolved.components.merged, {})
+        spans = [source_map.span_of(problem) for problem in problems]
+    return [
+        Diagnostic(problem.code, problem.message, span, problem.help, file=str(path))
+        for problem, span in zip(problems, spans, strict=True)
+    ]
 
 
 def load_text(

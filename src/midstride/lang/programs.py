@@ -1,0 +1,60 @@
+"""The files that components run: a warning for each that is not there.
+
+A program is started in the folder of the system's file, without a shell. Only a file that `run` names is looked up:
+what is on the search path is known on the robot alone.
+"""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final
+
+from midstride.model.diagnostics import Problem
+from midstride.model.near_miss import did_you_mean
+from midstride.model.specification import Specification
+
+_PYTHON: Final = re.compile(r"python[\d.]*\Z")
+# Options of Python after which no file follows, and those with a value of their own.
+_NO_FILE: Final = ("-c", "-m")
+_WITH_VALUE: Final = ("-W", "-X")
+
+
+def missing_programs(specification: Specification, folder: Path) -> Iterator[Problem]:
+    """W161 for each `run` that names a file that is not there; ``folder`` is that of the system's file."""
+    seen = set()
+    for name, component in sorted(specification.components.items()):
+        if component.run is None or component.run in seen:
+            continue
+        seen.add(component.run)
+        for file in _files(shlex.split(component.run)):
+            if not (folder / file).exists():
+                message = f"component {name} runs `{component.run}`, but there is no file {folder / file}"
+                yield Problem("W161", ("components", name, "run"), message, _help(folder / file))
+
+
+def _files(words: Sequence[str]) -> Iterator[str]:
+    """The files among the words of a command: a program with a path, a script of Python's."""
+    if words and "/" in words[0]:
+        yield words[0]
+    if words and _PYTHON.match(words[0].rpartition("/")[2]):
+        options = iter(words[1:])
+        for word in options:
+            if word in _WITH_VALUE:
+                next(options, None)
+            elif not word.startswith("-"):
+                yield word
+                return
+            elif word.startswith(_NO_FILE):
+                return
+
+
+def _help(missing: Path) -> str:
+    try:
+        names = [entry.name for entry in missing.parent.iterdir()]
+    except OSError:
+        names = []
+    generated = "`midstride generate` writes a skeleton; or " if missing.suffix == ".py" else ""
+    return did_you_mean(missing.name, names) or f"{generated}correct the path, which is relative to this file's folder"
