@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from typing import Any
 
+import pytest
 from rich.console import Console, RenderableType
 
 from midstride.cli import render
@@ -24,7 +25,17 @@ def plan(**changed: Any) -> dict[str, Any]:
 
 def done(outcome: str = "done", **changed: Any) -> dict[str, Any]:
     document = {"outcome": outcome, "plan": plan(), "seconds": 0.27, "fallen": {}, "swaps": [], "because": None}
-    return {**document, **changed}
+    return {**document, "lowered": [], **changed}
+
+
+def swap(missed: int | None = 0, lost: int | None = 0, duplicates: int | None = 0) -> dict[str, Any]:
+    counts = {"missed": missed, "lost": lost, "duplicates": duplicates}
+    return {"topic": "/chatter", "subscriber": "listener.in", "gap": 0.1, "gap_periods": 1.0, **counts}
+
+
+def lowered(**changed: Any) -> dict[str, Any]:
+    brake = {"functionality": "brake.watch", "from": "normal", "to": "cautious", "planned": True, "because": None}
+    return {**brake, **changed}
 
 
 def test_a_plan_takes_as_long_as_its_steps_one_after_another() -> None:
@@ -36,15 +47,15 @@ def test_a_plan_takes_as_long_as_its_steps_one_after_another() -> None:
 
 def test_what_stays_lower_is_reported() -> None:
     """`midstride remove` of what the brake relies on: it was meant to fall, and it has fallen."""
-    lower = [{"functionality": "brake.watch", "from": "normal", "to": "cautious", "levels": 1}]
     assert shown(render.outcome(done())) == ["Done in 270 ms.", "Nothing fell below its level."]
-    assert shown(render.outcome(done(plan=plan(afterwards=lower)))) == [
+    assert shown(render.outcome(done(lowered=[lowered()]))) == [
         "Done in 270 ms.",
-        "Stays lower: brake.watch, from normal to cautious.",
+        "Afterwards: brake.watch is in mode cautious instead of normal.",
     ]
-    assert render.fallen_line(done(plan=plan(afterwards=lower))) == "brake.watch permanently"
+    assert render.fallen_line(done(lowered=[lowered()])) == "brake.watch permanently"
     assert render.fallen_line(done(fallen={"brake.watch": 1.5, "talker.talk": 0.0})) == "brake.watch 1.50 s"
     assert render.fallen_line(done()) == "nothing"
+    lower = [{"functionality": "brake.watch", "from": "normal", "to": "cautious", "levels": 1}]
     rolled_back = done("rolled_back", plan=plan(afterwards=lower), because="create filter_2 (Median): it ended")
     assert shown(render.outcome(rolled_back)) == [
         "Rolled back in 270 ms, every step undone: create filter_2 (Median): it ended",
@@ -53,6 +64,58 @@ def test_what_stays_lower_is_reported() -> None:
     crashed = shown(render.outcome(done("rolled_back", because="the process of talker has ended", ended=["talker"])))
     assert crashed[1].startswith("Exited unexpectedly meanwhile: talker;")
     assert len(crashed) == 2
+
+
+def test_a_plan_that_lowers_something_for_good_does_not_call_itself_free_of_disruption() -> None:
+    lower = [{"functionality": "brake.watch", "from": "normal", "to": "cautious", "levels": 1}]
+    afterwards = "brake.watch is in mode cautious instead of normal"
+    lines = shown(
+        render.plan(plan(steps=[{"action": "remove", "component": "filter"}], afterwards=lower), "remove filter")
+    )
+    assert lines[3] == f"Afterwards: {afterwards}."
+    assert "Nothing degrades" not in "".join(lines)
+    assert f"functionality-seconds on the way (proved minimal), and afterwards {afterwards};" in lines[4]
+
+
+def report(**changed: Any) -> list[str]:
+    """What is said between the headline of an outcome and the table."""
+    lines = shown(render.outcome(done(**changed)))[1:]
+    return lines[: next(number for number, line in enumerate(lines) if line.startswith("topic "))]
+
+
+NOTHING = "Nothing fell below its level."
+
+
+@pytest.mark.parametrize("outcome", ["done", "rolled_back", "failed"])
+def test_nothing_fell_is_not_said_above_missed_messages(outcome: str) -> None:
+    assert report(outcome=outcome, swaps=[swap()]) == [NOTHING]
+    missed = "Messages on /chatter at listener.in: 48 missed."
+    assert report(outcome=outcome, swaps=[swap(missed=48), swap()]) == [missed]
+    all_three = "Messages on /chatter at listener.in: 48 missed, 2 lost and 1 duplicate."
+    assert report(outcome=outcome, swaps=[swap(48, 2, 1)]) == [all_three]
+    assert report(outcome=outcome, swaps=[swap(None, 2, None)]) == ["Messages on /chatter at listener.in: 2 lost."]
+    fell = "brake.watch was below its level for 500 ms."
+    assert report(outcome=outcome, swaps=[swap(missed=48)], fallen={"brake.watch": 0.5}) == [fell, missed]
+
+
+def test_nothing_fell_is_not_claimed_where_a_figure_is_unknown() -> None:
+    said = (
+        "Nothing is known to have fallen below its level. Not known: missed and duplicates at listener.in on /chatter."
+    )
+    assert report(swaps=[swap(missed=None, duplicates=None)]) == [said]
+    silence = {"kind": "not_answering", "words": "listener does not answer", "seconds": None}
+    assert report(swaps=[swap(None, None, None)], silences=[silence]) == ["listener does not answer"]
+
+
+def test_what_is_lower_unexpectedly_is_said_with_its_reason_on_one_line() -> None:
+    because = 'mode normal raised: ValueError: no map\n  File "slam.py", line 3, in normal'
+    raised = lowered(functionality="slam.f", to="off", planned=False, because=because)
+    gone = lowered(to=None, planned=False, because="brake exited unexpectedly")
+    assert report(lowered=[raised, gone], swaps=[swap()]) == [
+        "Afterwards: slam.f is in mode off instead of normal: mode normal raised: ValueError: no map.",
+        "Afterwards: no instance serves brake.watch: brake exited unexpectedly.",
+    ]
+    assert render.fallen_line(done(lowered=[raised])) == "slam.f permanently"
 
 
 QUIET: dict[str, Any] = {"waiting": None, "ending": False}
@@ -74,6 +137,22 @@ def test_the_mode_of_an_unresponsive_component_is_unknown() -> None:
     silent = {**component, "reachable": False}
     lines = shown(render.status({**state, "valid": False, "violations": [], "components": [silent]}))
     assert " ".join(lines[2].split()) == "talker Talker 7, not responding talk unknown last known mode: normal"
+
+
+def test_after_a_crash_the_remedy_is_named() -> None:
+    crash = {"name": "talker", "status": -9, "log": "", "remedy": "`midstride restart talker` restores it"}
+    document = {"system": "s", "backend": "sim", "valid": True, "components": [], "topics": [], "violations": []}
+    document |= {
+        "silences": [],
+        "crashed": [crash, {**crash, "status": None, "remedy": None}],
+        "file": "/r/robot.stride",
+    }
+    lines = shown(render.status(document))
+    assert lines[:2] == ["s on sim, valid", "brought up from /r/robot.stride"]
+    assert lines[-2:] == [
+        "talker exited unexpectedly (status -9); `midstride restart talker` restores it",
+        "talker exited unexpectedly",
+    ]
 
 
 def test_the_reason_for_a_mode_is_the_error_and_not_the_end_of_its_traceback() -> None:

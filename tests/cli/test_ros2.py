@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+from midstride.codec.specification import encode_specification
+from tests.acceptance.support import PERIOD, Recorder, ended, swap_specification
+from tests.acceptance.test_manager_killed import silences
 from tests.cli.conftest import EXAMPLES, Midstride, alive, nothing_lost, unwritten
 
 TALKER = str(EXAMPLES / "talker" / "talker.json")
@@ -66,6 +73,94 @@ def test_components_outlive_their_manager_and_are_reattached(midstride: Midstrid
     back = midstride("apply", TALKER, "--yes", "--json").json
     assert back["outcome"] == "done"
     assert nothing_lost(back["swaps"]), back["swaps"]
+
+
+def killed(midstride: Midstride, system: str, *roles: str) -> None:
+    """Kill the manager of a system, and with it the instances of some roles."""
+    components = midstride("status", "--system", system, "--json").json["components"]
+    os.kill(midstride.manager(system), signal.SIGKILL)
+    for pid in [entry["pid"] for entry in components if entry["role"] in roles]:
+        os.kill(pid, signal.SIGKILL)
+        until(lambda pid=pid: not alive(pid), "it was killed")  # type: ignore[misc]
+
+
+@pytest.mark.full
+def test_up_restores_what_has_died_with_the_manager(midstride: Midstride) -> None:
+    assert midstride("up", TALKER, "-d").status == 0
+    (listener,) = [entry for entry in midstride.saved("talker").instances if entry.instance.role == "listener"]
+    killed(midstride, "talker", "talker")
+    up = midstride("up", TALKER, "-d")
+    assert up.status == 0, up.err
+    lines = [" ".join(line.split()[1:]) for line in up.out.splitlines()]
+    found = ["listener was reattached unchanged", "talker is no longer running"]
+    assert lines[:3] == [*found, "degrade listener.listen from normal to degraded"]
+    assert any(line.startswith("4/4 upgrade listener.listen from degraded to normal") for line in lines)
+    assert midstride("status", "--json").json["valid"]
+    assert listener in midstride.saved("talker").instances, "the same process"
+    log = midstride.runtime / "midstride" / "talker" / "logs" / "listener.log"
+    length = log.stat().st_size
+    until(lambda: "I heard" in log.read_text()[length:], "the listener hears nothing")
+    killed(midstride, "talker", "talker", "listener")
+    assert midstride("up", TALKER, "-d").status == 0
+    assert midstride("status", "--json").json["valid"]
+
+
+@pytest.mark.full
+def test_a_component_that_is_stopped_is_named_by_up_with_what_to_do(midstride: Midstride) -> None:
+    assert midstride("up", TALKER, "-d").status == 0
+    (pid,) = [c["pid"] for c in midstride("status", "--json").json["components"] if c["role"] == "listener"]
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        killed(midstride, "talker", "talker")
+        up = midstride("up", TALKER, "-d")
+        assert up.status == 1
+        assert "listener runs, but does not answer on its control socket" in up.err
+        assert f"continue it (`kill -CONT {pid}`) or end it (`kill -9 {pid}`), then run `midstride up` again" in up.err
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    assert midstride("up", TALKER, "-d").status == 0
+    assert midstride("status", "--json").json["valid"]
+
+
+@pytest.mark.full
+def test_what_does_not_depend_on_the_dead_one_is_not_disturbed(midstride: Midstride, tmp_path: Path) -> None:
+    """A bare recorder of the source's topic notices neither the deaths of manager and sink nor that they return."""
+    specification = swap_specification()
+    file = tmp_path / "swap.json"
+    file.write_text(json.dumps(encode_specification(specification)))
+    with ended():
+        assert midstride("up", str(file), "-d").status == 0
+        recorder = Recorder(tmp_path)
+        recorder.wait_until_it_hears()
+        killed(midstride, specification.name, "sink")
+        up = midstride("up", str(file), "-d")
+        assert up.status == 0, up.err
+        assert "create sink" in up.out and "source was reattached unchanged" in up.out
+        rows = recorder.stop()
+        assert midstride("down").status == 0
+    assert max(silences(rows)) <= 10 * PERIOD
+
+
+@pytest.mark.full
+def test_a_component_started_by_hand_keeps_a_system_whose_other_components_have_died(
+    midstride: Midstride, tmp_path: Path
+) -> None:
+    """Nothing but its control socket shows that it runs, and it obeys only the token of the earlier manager."""
+    text = Path(TALKER).read_text().replace('"run": "python3 talker.py",', "")
+    for file in (EXAMPLES / "talker").glob("*.py"):
+        (tmp_path / file.name).write_text(file.read_text())
+    (tmp_path / "talker.json").write_text(text)
+    command = [sys.executable, str(tmp_path / "talker.py"), "--system", "talker"]
+    with subprocess.Popen(command, env=midstride.environment, start_new_session=True) as talker:
+        try:
+            assert midstride("up", str(tmp_path / "talker.json"), "-d").status == 0
+            killed(midstride, "talker", "listener")
+            up = midstride("up", str(tmp_path / "talker.json"), "-d")
+            assert up.status == 0, up.err
+            assert "talker was reattached unchanged" in up.out and "create listener" in up.out
+            assert midstride("down").status == 0
+        finally:
+            talker.kill()
 
 
 def test_down_stops_the_components_of_a_killed_manager(midstride: Midstride) -> None:

@@ -294,7 +294,7 @@ def test_a_plan_in_which_nothing_degrades(capsys: pytest.CaptureFixture[str]) ->
 def test_a_plan_shows_what_stays_lower(capsys: pytest.CaptureFixture[str]) -> None:
     file = str(EXAMPLES / "obstacle" / "obstacle.json")
     _, out, _ = run(capsys, "plan", file, "--remove", "detector")
-    assert "Stays lower: controller.control, from normal to degraded" in out
+    assert "Afterwards: controller.control is in mode degraded instead of normal." in out
     assert "Nothing degrades" not in out
 
 
@@ -306,7 +306,7 @@ def test_a_plan_shows_that_a_replaced_role_stays_lower(tmp_path: Path, capsys: p
     file = tmp_path / "talker.json"
     file.write_text(json.dumps(document))
     _, out, _ = run(capsys, "plan", str(file), "--replace", "talker=NewTalker")
-    assert "Stays lower: talker.talk, from normal to degraded" in out
+    assert "Afterwards: talker.talk is in mode degraded instead of normal." in out
     assert "Nothing degrades" not in out
 
 

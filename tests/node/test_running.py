@@ -628,6 +628,19 @@ comp.start()
     simulate(tmp_path, main)
 
 
+@pytest.mark.parametrize("arguments", [(), ("out=/chatter",)])
+def test_standalone_without_topics_says_that_nothing_is_published(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start("talker", TALKER, "--standalone", *arguments, token="")
+        log = bench.simulator.log("talker")
+        assert "talker is attached to no topic: it neither publishes nor receives anything" in log
+        assert "Name the topics of its ports: --standalone out:=/out" in log
+        await bench.start("other", TALKER, "--standalone", "out:=/chatter", token="")
+        assert "attached to no topic" not in bench.simulator.log("other")
+
+    simulate(tmp_path, main)
+
+
 def test_standalone_with_a_port_that_is_not_there(tmp_path: Path) -> None:
     async def main(bench: Bench) -> None:
         await bench.start("talker", TALKER, "--standalone", "put:=/chatter", token="")

@@ -401,7 +401,7 @@ def test_up_is_answered_when_it_is_known() -> None:
         done, _ = await asyncio.wait({asking}, timeout=0.05)
         assert not done
         manager.holds["up"].set()
-        assert (await asking).json() == {"outcome": "done", "components": ["listener", "talker"]}
+        assert (await asking).json() == {"outcome": "done", "components": ["listener", "talker"], "lowered": []}
         await bringing
 
     served(test, up=False)

@@ -17,7 +17,8 @@ from midstride.model import wording
 Document = Mapping[str, Any]
 
 UNKNOWN: Final = "unknown"
-MEASUREMENTS: Final = ("longest gap", "in periods", "missed", "lost", "duplicates")
+_COUNTS: Final = ("missed", "lost", "duplicates")
+MEASUREMENTS: Final = ("longest gap", "in periods", *_COUNTS)
 _STYLES: Final = {
     "step_failed": "red",
     "up_failed": "red",
@@ -80,11 +81,11 @@ def plan(document: Document, title: str) -> RenderableType:
 def falls(document: Document) -> str:
     """What degrades on the way, how far, for how long and why; and what is lower or higher afterwards."""
     lines = [f"[yellow]Degrades:[/yellow] {escape(_fall(document, fall))}" for fall in document["falls"]]
-    lower = [shift for shift in document["afterwards"] if shift["levels"] > 0]
+    lower = _lower_afterwards(document)
     higher = [shift for shift in document["afterwards"] if shift["levels"] <= 0]
     if not lines and not lower:
-        lines = ["[green]Nothing degrades:[/green] every functionality keeps its level throughout."]
-    lines += [f"[yellow]Stays lower:[/yellow] {escape(_shift(shift))}" for shift in lower]
+        lines = ["[green]Nothing degrades:[/green] every functionality that remains keeps its level throughout."]
+    lines += [f"[yellow]Afterwards:[/yellow] {escape(_lowered(shift))}." for shift in lower]
     lines += [f"[green]Improves:[/green] {escape(_shift(shift))}" for shift in higher]
     return "\n".join(lines)
 
@@ -111,6 +112,15 @@ def _mode_entered(step: Document, functionality: str) -> str | None:
     return None
 
 
+def _lower_afterwards(document: Document) -> list[Document]:
+    """What the plan lowers for good."""
+    return [shift for shift in document["afterwards"] if shift["levels"] > 0]
+
+
+def _lowered(shift: Document) -> str:
+    return wording.lowered(shift["functionality"], shift["to"], shift["from"])
+
+
 def _shift(shift: Document) -> str:
     before, after = (shift[end] or "unserved" for end in ("from", "to"))
     return f"{shift['functionality']}, from {before} to {after}"
@@ -119,7 +129,12 @@ def _shift(shift: Document) -> str:
 def cost(document: Document) -> str:
     """The cost of a plan, and whether its disruption is proved minimal."""
     bound = "proved minimal" if document.get("proved_minimal") else f"at least {document.get('lower_bound', 0):.3g}"
-    disruption = f"Disruption {document['disruption']:.3g} weighted functionality-seconds ({bound})"
+    disruption = f"Disruption {document['disruption']:.3g} weighted functionality-seconds"
+    # It counts what happens on the way: what is lost for good does not show in it.
+    if lower := _lower_afterwards(document):
+        disruption += f" on the way ({bound}), and afterwards {', '.join(map(_lowered, lower))}"
+    else:
+        disruption += f" ({bound})"
     # The steps run one after another; the critical path is beside it, where that is shorter.
     total, critical = seconds(document["seconds"]), seconds(document["makespan"])
     duration = total if total == critical else f"{total} (critical path {critical})"
@@ -129,7 +144,7 @@ def cost(document: Document) -> str:
 def measurements(swap: Document) -> list[RenderableType]:
     """What was measured at one subscriber, in the order of ``MEASUREMENTS``; unknown values are marked."""
     periods = swap.get("gap_periods")
-    counts = [_count(swap.get(name)) for name in ("missed", "lost", "duplicates")]
+    counts = [_count(swap.get(name)) for name in _COUNTS]
     return [seconds(swap.get("gap")), UNKNOWN if periods is None else f"{periods:.2f}", *counts]
 
 
@@ -160,32 +175,57 @@ def outcome(document: Document) -> RenderableType:
 
 
 def _fallen_lines(document: Document) -> list[str]:
-    """What was degraded and for how long, as measured, and what stays lower as planned."""
+    """What was degraded and for how long, what is lower now, and what else went wrong, as measured."""
     lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in _fallen(document)]
-    lines += [f"Stays lower: {_shift(shift)}." for shift in _lowered(document)]
+    lines += [f"Afterwards: {lowered_line(each)}" for each in document.get("lowered") or ()]
     if ended := document.get("ended"):
         lines.append(f"Exited unexpectedly meanwhile: {', '.join(ended)}; see `midstride log`.")
     if degraded := document.get("degraded"):
         lines.append(f"Degraded unexpectedly meanwhile: {', '.join(degraded)}; see `midstride why {degraded[0]}`.")
     lines += map(_silence, document.get("silences") or ())
-    return lines or ["Nothing fell below its level."]
+    swaps = document.get("swaps") or ()
+    lines += [line for swap in swaps if (line := _faults(swap))]
+    if lines:
+        return lines
+    unknown = [
+        f"{_listed(names)} at {swap['subscriber']} on {swap['topic']}" for swap in swaps if (names := _unknown(swap))
+    ]
+    if unknown:
+        return [f"Nothing is known to have fallen below its level. Not known: {'; '.join(unknown)}."]
+    return ["Nothing fell below its level."]
+
+
+def lowered_line(lowered: Document) -> str:
+    """A functionality that is in a worse mode than before or than normal, and why, on one line."""
+    because = f": {str(lowered['because']).splitlines()[0]}" if lowered["because"] else ""
+    return f"{_lowered(lowered)}{because}."
+
+
+def _faults(swap: Document) -> str:
+    """What was missed, lost or received twice at one subscriber; empty if nothing is known to have been."""
+    counts = [
+        f"{swap[name]} {name.removesuffix('s') if swap[name] == 1 else name}" for name in _COUNTS if swap.get(name)
+    ]
+    return f"Messages on {swap['topic']} at {swap['subscriber']}: {_listed(counts)}." if counts else ""
+
+
+def _unknown(swap: Document) -> list[str]:
+    return [name for name in _COUNTS if swap.get(name) is None]
+
+
+def _listed(words: list[str]) -> str:
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
 def fallen_line(document: Document) -> str:
     """The same on one line, for a table."""
     fallen = [f"{name} {seconds(spent)}" for name, spent in _fallen(document)]
-    fallen += [f"{shift['functionality']} permanently" for shift in _lowered(document)]
+    fallen += [f"{each['functionality']} permanently" for each in document.get("lowered") or ()]
     return ", ".join(fallen) or "nothing"
 
 
 def _fallen(document: Document) -> list[tuple[str, float]]:
     return sorted((name, spent) for name, spent in (document.get("fallen") or {}).items() if spent)
-
-
-def _lowered(document: Document) -> list[Document]:
-    """What stays lower, as planned."""
-    shifts: list[Document] = document["plan"]["afterwards"] if document["outcome"] == "done" else []
-    return [shift for shift in shifts if shift["levels"] > 0]
 
 
 def status(document: Document) -> RenderableType:
@@ -204,7 +244,8 @@ def _heading(document: Document) -> str:
     running = document.get("running")
     activity = f", carrying out `{escape(running['command'])}` for {seconds(running['since'])}" if running else ""
     state = "[green]valid[/green]" if document["valid"] else "[red]not valid[/red]"
-    return f"[bold]{document['system']}[/bold] on {document['backend']}, {state}{activity}"
+    origin = f"\n[dim]brought up from {escape(document['file'])}[/dim]" if document.get("file") else ""
+    return f"[bold]{document['system']}[/bold] on {document['backend']}, {state}{activity}{origin}"
 
 
 def _process(component: Document) -> Text:
@@ -245,7 +286,9 @@ def _topics(document: Document) -> Iterable[Text]:
 def _problems(document: Document) -> Iterable[Text]:
     problems = [*document["violations"], *(_silence(fault) for fault in document["silences"])]
     for crash in document.get("crashed") or ():
-        problems.append(f"{crash['name']} exited unexpectedly (status {crash['status']})")
+        status = "" if crash["status"] is None else f" (status {crash['status']})"
+        remedy = f"; {crash['remedy']}" if crash.get("remedy") else ""
+        problems.append(f"{crash['name']} exited unexpectedly{status}{remedy}")
     if document.get("unwritten"):
         problems.append(document["unwritten"])
     return [Text(problem, style="red") for problem in problems]

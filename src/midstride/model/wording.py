@@ -37,6 +37,15 @@ def swap(topic: str, old: str, new: str) -> str:
     return f"{topic} from {old} to {new}"
 
 
+def lowered(functionality: str, mode: str | None, instead_of: str | None) -> str:
+    """``viewer.show is in mode degraded instead of normal``; without a mode, no instance serves it."""
+    return (
+        f"no instance serves {functionality}"
+        if mode is None
+        else f"{functionality} is in mode {mode} instead of {instead_of}"
+    )
+
+
 def parameters(instance: str, values: Mapping[str, object]) -> str:
     """``set gain = 2.0, label = 'left' on filter``"""
     return f"set {', '.join(f'{name} = {value!r}' for name, value in sorted(values.items()))} on {instance}"

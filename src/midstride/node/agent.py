@@ -100,11 +100,13 @@ class Agent:
         declaration = NamedComponentForm.of(self.declaration)
         self._server.register(frames.Registration(declaration=declaration, endpoints=self.host.extra_endpoints()))
         if not self.start_token and self.standalone is None:
-            remappings = " ".join(f"{port}:=/{port}" for port in self.declaration.ports())
             self.host.logger.info(
                 f"{self.host.instance} waits for a manager, degraded and unattached ({self.host.reachable}); "
-                f"to run it without a manager: {FLAG} {remappings}"
+                f"to run it without a manager: {self._standalone_example()}"
             )
+
+    def _standalone_example(self) -> str:
+        return " ".join([FLAG, *(f"{port}:=/{port}" for port in self.declaration.ports())])
 
     async def _heartbeat(self) -> None:
         while True:
@@ -121,6 +123,11 @@ class Agent:
         await self._handlers.carry_out(commands.ModesCommand(modes=modes, because=because), None)
         listed = ", ".join(f"{name} in mode {mode}" for name, mode in modes.items())
         self.host.logger.warning(f"{self.host.instance} runs without a manager: {listed}")
+        if self.declaration.ports() and not attachments:
+            self.host.logger.warning(
+                f"{self.host.instance} is attached to no topic: it neither publishes nor receives anything. "
+                f"Name the topics of its ports: {self._standalone_example()}"
+            )
 
     async def serve(self, request: Request, token: str) -> Reply:
         """Carry out one request; an invalid one is refused with the reason."""

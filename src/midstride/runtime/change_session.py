@@ -7,13 +7,16 @@ and 7). Planning and verification do not block the event loop.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import cast
+from typing import Final, cast
 
 from msgspec import UNSET, UnsetType, structs
 
 from midstride.errors import ManagerError, PlanRefused, StepFailed
+from midstride.model import wording
+from midstride.model.action import Action, Upgrade
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between, requested_change
@@ -26,6 +29,7 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.lowered import in_words, lowered_functionalities
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recording import Recording
 from midstride.runtime.reports import Outcome, OutcomeKind
@@ -34,6 +38,14 @@ from midstride.runtime.runtime_verification import StepVerifier, Verifier
 from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
 from midstride.verify.verdict import Verdict
+
+# Code that raises often does so in its first calls, so the functionalities that a change has raised are watched for
+# this many periods after its last step before it is reported, or this long if no rate is known, and the time that a
+# report takes to arrive; how long at most (s).
+FIRST_CALLS: Final = 3
+FIRST_CALLS_WITHOUT_RATE: Final = 0.2
+REPORT_DELAY: Final = 0.1
+LONGEST_FIRST_CALLS: Final = 1.0
 
 
 @dataclass
@@ -101,7 +113,13 @@ class ChangeSession:
         system = self.system
         preview = PlanPreview.of(plan)
         silent_before = {fault.words for fault in self.monitor.faults(system.configuration)}
-        self.events.add("plan", f"{counted(len(plan.steps), 'step')}, disruption {plan.disruption:g}", plan=preview)
+        afterwards = "".join(
+            f"; afterwards {wording.lowered(shift.functionality, shift.after, shift.before)}"
+            for shift in plan.level_shifts
+            if shift.levels > 0
+        )
+        steps = counted(len(plan.steps), "step")
+        self.events.add("plan", f"{steps}, disruption {plan.disruption:g}{afterwards}", plan=preview)
         actions = [step.action for step in plan.steps]
         await recording.begin(system.configuration, actions)
         timer = DegradationTimer(plan.change, self.clock.steady)
@@ -129,7 +147,8 @@ class ChangeSession:
             if system.configuration == plan.change.start:  # everything has been rolled back
                 system.configuration = before
             raise
-        seconds, degraded_seconds = self.clock.steady() - started, timer.stop()
+        ended = self.clock.steady()
+        seconds, degraded_seconds = ended - started, timer.stop()
         exited = {name for name in system.crashed if name in before.instances}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
         if recording.recorded:
@@ -137,13 +156,18 @@ class ChangeSession:
         self.measuring = True
         try:
             swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done")
+            if outcome == "done":
+                await self.clock.sleep(ended + self._first_calls(actions) - self.clock.steady())
         finally:
             self.measuring = False
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
         if swaps:
             self.events.add("measured", f"measured at {counted(len(swaps), 'subscriber')}", swaps=swaps)
-        self.events.add("outcome", f"{outcome}: {because}" if because else outcome, outcome=outcome)
+        planned = plan.change.settled(plan.change.final) if outcome == "done" else before
+        lowered = lowered_functionalities(system, self.client, before, planned)
+        said = f"{outcome}: {because}" if because else outcome
+        self.events.add("outcome", f"{said}; afterwards {in_words(lowered)}" if lowered else said, outcome=outcome)
         return Outcome(
             outcome=outcome,
             plan=PlanForm.of(plan),
@@ -154,7 +178,22 @@ class ChangeSession:
             ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
             degraded=sorted(map(str, self.reconciler.degraded)),
             silences=[fault for words, fault in silences.items() if words not in silent_before],
+            lowered=lowered,
         )
+
+    def _first_calls(self, actions: Iterable[Action]) -> float:
+        """How long the first calls of the functionalities that ``actions`` have raised take (s)."""
+        configuration = self.system.configuration
+        refs = {ref for action in actions if isinstance(action, Upgrade) for ref in action.modes}
+        raised = [(ref, found) for ref in refs if (found := configuration.find_functionality(ref)) is not None]
+        if not raised:
+            return 0.0
+        rates = [configuration.rate(PortRef(ref.instance, name)) for ref, found in raised for name in found.outputs]
+        rates += [
+            configuration.component(ref.instance).inputs[name].rate for ref, found in raised for name in found.inputs
+        ]
+        calls = max((FIRST_CALLS / rate for rate in rates if rate), default=FIRST_CALLS_WITHOUT_RATE)
+        return min(LONGEST_FIRST_CALLS, calls + REPORT_DELAY)
 
 
 def _plan(

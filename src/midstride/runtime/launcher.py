@@ -226,8 +226,12 @@ class Launcher:
         except CommandRefused:
             return None
         except (asyncio.TimeoutError, CallTimeout, Unreachable):
-            which = f" (process {handle.pid})" if owned else ""
-            raise Unreachable(f"{handle.instance} runs{which}, but does not answer on its control socket") from None
+            words = f"{handle.instance} runs, but does not answer on its control socket"
+            if owned and (pid := handle.pid) is not None:
+                words += (
+                    f": continue it (`kill -CONT {pid}`) or end it (`kill -9 {pid}`), then run `midstride up` again"
+                )
+            raise Unreachable(words) from None
         self._remember_grace(state)
         return state
 

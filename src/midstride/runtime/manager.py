@@ -12,15 +12,15 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from typing import Any
 
 from midstride.codec.configuration import ConfigurationForm
-from midstride.errors import ManagerError, MidstrideError, StepFailed
+from midstride.errors import CommandRefused, ManagerError, MidstrideError, StepFailed
 from midstride.model.configuration import Configuration
-from midstride.model.specification import Specification
+from midstride.model.specification import Specification, initial
 from midstride.plan.change_builder import change_between
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
@@ -33,6 +33,7 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
+from midstride.runtime.lowered import in_words, lowered_functionalities
 from midstride.runtime.observed_configuration import observe
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recovery import recover
@@ -55,11 +56,14 @@ class Manager:
         workspace: Workspace,
         directory: Path,
         verifier: Verifier | None = None,
+        file: Path | None = None,
     ) -> None:
+        """``file`` is the one that ``specification`` was read from, and ``directory`` where programs are started."""
         self.system = RunningSystem(specification, Configuration(context=specification.context))
         self.events = EventLog()
         self._backend = backend
         self._workspace = workspace
+        self._file = None if file is None else str(file)
         self._lock = asyncio.Lock()
         self._current: str | None = None  # the command in progress
         self._since = 0.0  # when it started (steady s)
@@ -119,32 +123,46 @@ class Manager:
         saved = self._store.load()
         if saved is not None:
             self._client.token = saved.token  # by which the components recognize their manager
+            self._file = saved.file
         await self._backend.open(self._reconciler.on_exit)
         async with self._command(f"up {self.specification.name}"):
-            if saved is not None:
-                await self._recover(saved)
+            absent = set() if saved is None else await self._recover(saved)
             try:
-                await self._complete()
+                await self._complete(absent)
             except BaseException:
                 if saved is None and not self._launcher.handles:
                     self._store.forget()
                 raise
             many = counted(len(self.configuration.instances), "component")
-            self.events.add("up", f"{self.specification.name} is up: {many}")
-            return UpReport(outcome="done", components=sorted(self.configuration.instances))
+            intended = initial(self.specification)
+            lowered = lowered_functionalities(self.system, self._client, Configuration(), intended)
+            degraded = f"; degraded: {in_words(lowered)}" if lowered else ""
+            self.events.add("up", f"{self.specification.name} is up: {many}{degraded}")
+            return UpReport(outcome="done", components=sorted(self.configuration.instances), lowered=lowered)
 
-    async def _complete(self) -> None:
-        """Bring up the part of the specification that does not run. Raises StepFailed after a roll-back."""
-        change = change_between(self.configuration, self.specification, self.specification)
+    async def _complete(self, absent: Iterable[str]) -> None:
+        """Bring up the part of the specification that does not run, without the roles ``absent``.
+
+        Raises StepFailed after a roll-back.
+        """
+        target = self.specification
+        for role in absent:
+            target = target.without_node(role)
+        change = change_between(self.configuration, self.specification, target)
         plan = await asyncio.to_thread(planner("minimal"), change)
         # Before any component has the token.
-        self._store.begin(self._backend.name, self._client.token, self.specification)
+        self._store.begin(self._backend.name, self._client.token, self.specification, self._file)
         if plan.steps:
             outcome = await self._session.carry_out(plan, self.specification)
             if outcome.outcome != "done":
                 raise StepFailed(str(outcome.because), outcome.outcome)
 
-    async def _recover(self, saved: SavedState) -> None:
+    async def _recover(self, saved: SavedState) -> set[str]:
+        """Find what an earlier manager left, and degrade what has lost its support.
+
+        Returns the roles of components that are started by hand and do not run: nothing can restore these. Raises
+        ManagerError if a component hangs, or the earlier manager ran another system.
+        """
         if saved.backend != self._backend.name:
             raise ManagerError(
                 f"{self._workspace.name} runs on {saved.backend}; use that back end, or `midstride down` first"
@@ -157,9 +175,20 @@ class Manager:
         self.system.configuration = await recover(
             saved.instances, self.specification, self._launcher, self._client, self.events
         )
-        for entry in saved.instances:
-            if entry.instance.name not in self.configuration.instances:
-                self._store.remove_instance(entry.instance.name)
+        gone = [each.instance for each in saved.instances if each.instance.name not in self.configuration.instances]
+        for instance in gone:
+            self._store.remove_instance(instance.name)
+            self.system.lost(instance)
+        self.system.forget_filled_roles()
+        names = ", ".join(instance.name for instance in gone)
+        await self._reconciler.reconcile_all(f"{names} exited" if names else "its input was lost")
+        if any(isinstance(error, CommandRefused) for error in self._reconciler.pending.values()):
+            await self._reconciler.reconcile()  # its state had just changed
+        if pending := self._reconciler.pending:
+            words = "; ".join(f"{ref} has lost its input and could not be degraded: {e}" for ref, e in pending.items())
+            raise ManagerError(f"{words}. End the process that hangs with `kill -9`, then run `midstride up` again")
+        present = self.configuration.instances_by_role
+        return {each.role for each in gone if each.component.run is None and not present.get(each.role)}
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""
@@ -202,8 +231,9 @@ class Manager:
         running = None
         if self._current is not None:
             running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
+        backend, unwritten = self._backend.name, self._store.unwritten
         return status.status(
-            self.system, self._client, self._monitor, self._launcher, self._backend.name, running, self._store.unwritten
+            self.system, self._client, self._monitor, self._launcher, backend, running, unwritten, self._file
         )
 
     async def live(self) -> LiveConfiguration:

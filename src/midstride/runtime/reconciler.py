@@ -15,7 +15,7 @@ from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
 from typing import Any
 
-from midstride.errors import CommandRefused
+from midstride.errors import CommandRefused, MidstrideError
 from midstride.model.best import lowered
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
@@ -51,7 +51,7 @@ class Reconciler:
     lock: Callable[[], AbstractAsyncContextManager[Any]]
     busy: Callable[[], bool]
     degraded: set[FunctionalityRef] = field(default_factory=set)
-    _pending: set[FunctionalityRef] = field(default_factory=set)  # could not be degraded yet
+    pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
@@ -126,8 +126,17 @@ class Reconciler:
         if self.system.crashed or self._reconciling.locked():
             await self.reconcile()
 
-    async def reconcile(self) -> None:
-        """Update the model to the actual state, and degrade functionalities whose assumptions no longer hold."""
+    async def reconcile_all(self, because: str) -> None:
+        """The same for the whole system: after an earlier manager, any assumption may no longer hold."""
+        self.pending = dict.fromkeys(self.system.configuration.modes)
+        await self.reconcile(because)
+
+    async def reconcile(self, otherwise: str = "its input was lost before it could be degraded") -> None:
+        """Update the model to the actual state, and degrade functionalities whose assumptions no longer hold.
+
+        ``otherwise`` is the reason where nothing has crashed or degraded since the last time. Those that cannot be
+        degraded are ``pending``, with the reason.
+        """
         async with self._reconciling:
             configuration = self.system.configuration
             crashed = self.system.take_crashed()
@@ -136,23 +145,22 @@ class Reconciler:
                 self.client.disconnect(name)
                 self.store.remove_instance(name)
             degraded = own_degradations(configuration, self.client, crashed)
-            if not crashed and not degraded and not self._pending:
+            if not crashed and not degraded and not self.pending:
                 return
             because = [f"{name} exited unexpectedly" for name in crashed]
             for name in {ref.instance for ref in degraded}:
                 self.client.accept(name)
             for ref, index in sorted(degraded.items()):
                 words = f"{ref} entered mode {configuration.functionality(ref).modes[index].name}"
-                if ref not in self._pending:  # else a command that timed out has been carried out after all
+                if ref not in self.pending:  # else a command that timed out has been carried out after all
                     words += " unexpectedly"
                     self.degraded.add(ref)
                 self.events.add("degraded", words, functionality=str(ref))
                 because.append(words)
-            after, to_lower = respond(configuration, crashed, degraded, self._pending)
+            after, to_lower = respond(configuration, crashed, degraded, self.pending)
             self.system.moved(after)
-            reason = "; ".join(because) or "its input was lost before it could be degraded"
-            failed = await self.executor().lower(to_lower, reason)
-            self._pending = set(failed)
+            failed = await self.executor().lower(to_lower, "; ".join(because) or otherwise)
+            self.pending = dict(failed)
             self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 
 

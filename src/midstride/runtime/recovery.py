@@ -32,16 +32,20 @@ async def recover(
 ) -> Configuration:
     """The configuration of the components that still run, after terminating those that were only partly started.
 
-    A component started by hand that does not answer is left out. Raises Unreachable for one that a manager started.
+    A component started by hand that does not answer is left out. Raises Unreachable for those that a manager started.
     """
     found: dict[str, tuple[Instance, ComponentState]] = {}
+    hanging: list[str] = []
     for entry in saved:
         instance, handle = entry.instance, entry.handle
         try:
             state = await launcher.adopt(handle or Handle(instance.name), owned=handle is not None)
         except (ProtocolError, Unreachable) as error:
             if handle is not None:
-                raise
+                if isinstance(error, ProtocolError):
+                    raise
+                hanging.append(str(error))
+                continue
             events.add("note", f"{error}; it is left out until it does")
             client.disconnect(instance.name)
             continue
@@ -51,6 +55,8 @@ async def recover(
             continue
         found[instance.name] = (instance, state)
         events.add("adopted", f"{instance.name} was reattached unchanged")
+    if hanging:
+        raise Unreachable("; ".join(hanging))
     for name in await launcher.end_orphans(found):
         events.add("ended", f"stopped {name}, which an earlier manager had just started")
     for name in _redundant(found):

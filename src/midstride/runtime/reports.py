@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, TypeAlias
 
-from msgspec import UNSET, Meta, UnsetType
+from msgspec import UNSET, Meta, UnsetType, field
 
 from midstride.codec.configuration import ConfigurationForm
 from midstride.codec.form import Form
@@ -37,11 +37,25 @@ class SilenceFault(Report, frozen=True, kw_only=True):
     words: str
 
 
+class LoweredFunctionality(Report, frozen=True, kw_only=True):
+    """A functionality of a role that is in a worse mode than before the change, or if it is new, than its normal one.
+
+    `planned`: the plan led there. Otherwise its code raised, say, or what it relies on has exited.
+    """
+
+    functionality: str
+    before: Annotated[str | None, Meta(description="the better mode")] = field(name="from")
+    after: Annotated[str | None, Meta(description="the mode now; null: no instance serves it")] = field(name="to")
+    planned: bool
+    because: str | None
+
+
 class UpReport(Report, frozen=True):
     """The system is up, with these instances."""
 
     outcome: Literal["done"]
     components: list[str]
+    lowered: Annotated[list[LoweredFunctionality], Meta(description="what is not in its normal mode")] = []
 
 
 class DownReport(Report, frozen=True):
@@ -62,6 +76,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
     degraded: Annotated[list[str], Meta(description="functionalities that degraded unexpectedly meanwhile")] = []
     silences: Annotated[list[SilenceFault], Meta(description="faults that began meanwhile, and last")] = []
+    lowered: Annotated[list[LoweredFunctionality], Meta(description="what is lower afterwards")] = []
     verdict: Annotated[Verdict | UnsetType, Meta(description="what Alloy found, where requested")] = UNSET
 
 
@@ -122,6 +137,7 @@ class CrashedInstance(Report, frozen=True):
     name: str
     status: int | None
     log: str
+    remedy: Annotated[str | None, Meta(description="what to do, in words")] = None
 
 
 class TopicStatus(Report, frozen=True):
@@ -154,6 +170,7 @@ class Status(Report, frozen=True, kw_only=True):
     revision: int
     running: RunningCommand | None
     unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
+    file: Annotated[str | None, Meta(description="the file that the system was brought up from")] = None
 
 
 class LiveConfiguration(Report, frozen=True):

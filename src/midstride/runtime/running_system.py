@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from midstride.model.configuration import Configuration
+from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Exited
 
@@ -41,6 +41,21 @@ class RunningSystem:
         self._missing_roles |= {name: self.configuration.instances[name].role for name in found}
         self.crashed.clear()
         return sorted(found)
+
+    def lost(self, instance: Instance) -> None:
+        """An instance that an earlier manager knew has exited."""
+        self.missing[instance.name] = Exited(instance.name, None)
+        self._missing_roles[instance.name] = instance.role
+
+    def role_of_missing(self, name: str) -> str | None:
+        """The role of an instance that exited unexpectedly, if it is in the specification."""
+        role = self._missing_roles.get(name)
+        return role if role in self.specification.nodes else None
+
+    def why_missing(self, role: str) -> str | None:
+        """Why a role has no instance, if one has exited unexpectedly."""
+        names = [name for name in self.missing if self._missing_roles[name] == role]
+        return f"{names[-1]} exited unexpectedly" if names else None
 
     def forget_filled_roles(self) -> None:
         """Forget missing instances whose role has an instance again, or has been removed from the specification."""

@@ -52,12 +52,13 @@ class SavedInstance:
 
 @dataclass(frozen=True, slots=True)
 class SavedState:
-    """The state that an earlier manager saved."""
+    """The state that an earlier manager saved. ``file`` is the one that the system was brought up from, if any."""
 
     backend: str
     token: str
     specification: Specification
     instances: tuple[SavedInstance, ...]
+    file: str | None = None
 
 
 class StateStore:
@@ -93,6 +94,7 @@ class StateStore:
                 system["token"],
                 decode_specification(_assembled(parts)),
                 tuple(_instance(form, handle) for form, handle in rows),
+                system.get("file") or None,
             )
         except ManagerError:
             raise
@@ -113,9 +115,9 @@ class StateStore:
 
     # -- writing -----------------------------------------------------------------------------------
 
-    def begin(self, backend: str, token: str, specification: Specification) -> None:
+    def begin(self, backend: str, token: str, specification: Specification, file: str | None = None) -> None:
         """The system is being brought up or recovered."""
-        self._put("version", str(VERSION), "backend", backend, "token", token)
+        self._put("version", str(VERSION), "backend", backend, "token", token, "file", file or "")
         self._specification = Specification("")
         # At once: half a specification could not be read.
         self._write({"specification": ("DELETE FROM specification", ()), **self._parts(specification)})

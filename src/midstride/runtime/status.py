@@ -22,6 +22,7 @@ def status(
     backend: str,
     running: reports.RunningCommand | None,
     unwritten: str | None,
+    file: str | None,
 ) -> reports.Status:
     """The answer to ``midstride status``."""
     configuration, evaluator = system.configuration, Evaluator(system.configuration)
@@ -36,7 +37,7 @@ def status(
         violations=[str(violation) for violation in found],
         components=components,
         crashed=[
-            reports.CrashedInstance(name=name, status=exited.status, log=exited.log_tail)
+            reports.CrashedInstance(name, exited.status, exited.log_tail, _remedy(system, name))
             for name, exited in sorted({**system.missing, **system.crashed}.items())
             if name not in configuration.instances
         ],
@@ -55,7 +56,16 @@ def status(
         revision=system.revision,
         running=running,
         unwritten=unwritten,
+        file=file,
     )
+
+
+def _remedy(system: RunningSystem, name: str) -> str | None:
+    role = system.role_of_missing(name)
+    if role is None:
+        return None
+    by_hand = system.specification.component_of(role).run is None
+    return f"{'start it, then ' if by_hand else ''}`midstride restart {role}` restores it"
 
 
 def _component(

@@ -127,7 +127,8 @@ def change(system: str | None, request: Document, title: str, yes: bool, verify:
     outcome = _carry_out(client, document, title, show_plan=yes)
     if wants_json():
         print_json(outcome)
-    return 0 if outcome["outcome"] == "done" and not outcome["silences"] else 1
+    unexpected = outcome["silences"] or any(not each["planned"] for each in outcome["lowered"])
+    return 0 if outcome["outcome"] == "done" and not unexpected else 1
 
 
 def _carry_out(client: Client, change: Document, title: str, *, show_plan: bool) -> Document:

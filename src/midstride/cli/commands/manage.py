@@ -9,7 +9,7 @@ from typing import Final
 import click
 
 from midstride import backends
-from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG
+from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG, listens
 from midstride.cli.files import load
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
@@ -20,6 +20,7 @@ from midstride.runtime.reaper import process_info
 from midstride.runtime.state_store import StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import LOOPBACK, Tcp, serve
+from midstride.wire.sockets import SocketFolder
 
 # How often the manager's log is checked (s).
 CHECK_LOG: Final = 1.0
@@ -41,7 +42,8 @@ def manager_command(file: Path, backend: str, http: int | None, http_host: str |
         try:
             specification = await _still_running(workspace) or requested
             platform = backends.make(backend, workspace)
-            manager = Manager(specification, platform, workspace, file.resolve().parent)
+            path = file.resolve()
+            manager = Manager(specification, platform, workspace, path.parent, file=path)
             return await serve(manager, workspace, backend=backend, tcp=tcp)
         finally:
             shortening.cancel()
@@ -65,15 +67,20 @@ async def _still_running(workspace: Workspace) -> Specification | None:
     saved = store.load()
     if saved is None:
         return None
-    if not any(_runs(entry.handle) for entry in saved.instances):
+    by_hand = SocketFolder(workspace.components)  # the sockets of these are all that is known of them
+    running = [
+        _runs(entry.handle) if entry.handle else await listens(by_hand, entry.instance.name)
+        for entry in saved.instances
+    ]
+    if not any(running):
         await end_orphans(saved.token, (), STOP_GRACE)
         store.forget()
         return None
     return saved.specification
 
 
-def _runs(handle: Handle | None) -> bool:
-    if handle is None or handle.pid is None:
+def _runs(handle: Handle) -> bool:
+    if handle.pid is None:
         return False
     process = process_info(handle.pid)
     return process is not None and process.alive and process.started == handle.started

@@ -86,7 +86,7 @@ def watch_command(system: str | None) -> int:
         return 0
     from midstride.cli.view import watch
 
-    return watch(client, workspace.name)
+    return watch(client, workspace.name, 0)
 
 
 def _stream(events: Iterable[Event]) -> None:

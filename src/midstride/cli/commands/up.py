@@ -19,6 +19,7 @@ from midstride.cli.files import load
 from midstride.cli.follow import FollowedRequest
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.progress import Progress
+from midstride.cli.render import lowered_line
 from midstride.cli.shutdown import wait_for_manager_exit
 from midstride.cli.view import watch
 from midstride.codec.specification import encode_specification
@@ -81,16 +82,19 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
             f"Run `midstride apply {file}` to change it.",
             err=True,
         )
+    status = int(any(not each["planned"] for each in answer["lowered"]))
     if wants_json():
         print_json(answer)
-        return 0
+        return status
     click.echo(f"{workspace.name} is up ({', '.join(answer['components'])}).")
+    for each in answer["lowered"]:
+        click.echo(f"Degraded: {lowered_line(each)}")
     if http is not None:
         click.echo(f"API: http://{http_host or '127.0.0.1'}:{http}/api/v1, token in {workspace.path / 'token'}")
     if detach:
-        return 0
+        return status
 
-    return watch(client, workspace.name)
+    return watch(client, workspace.name) or status
 
 
 @contextmanager
@@ -142,7 +146,7 @@ def _wait_until_up(client: Client) -> Document:
     followed = FollowedRequest(client, lambda: dict(client.get("/up", timeout=None)), since=0, until="up")
     with Progress(console(stderr=wants_json())) as progress:
         for event in followed:
-            if not wants_json():
+            if not wants_json() and event["kind"] != "up":  # the answer says so
                 progress.show(event)
     return followed.answer()
 

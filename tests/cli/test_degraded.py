@@ -1,0 +1,92 @@
+"""What `up` and changes say of what is degraded afterwards, and the exit status that scripts see."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import EXAMPLES, Midstride
+from tests.runtime.systems import rewritten
+
+RAISING = """calls = []
+
+
+def normal() -> None:
+    calls.append(1)
+    if len(calls) >= 3:
+        raise ValueError("no voice")
+"""
+
+
+def raising(folder: Path, program: str) -> str:
+    """The talker's example, in which the function `normal` of one program raises in its third call."""
+    written = rewritten(
+        "talker",
+        folder,
+        lambda name, text: text.replace("def normal() -> None:\n", RAISING) if name == program else text,
+    )
+    return str(written / "talker.json")
+
+
+def test_a_node_that_raises_right_after_up_is_named_with_exit_status_1(midstride: Midstride, tmp_path: Path) -> None:
+    up = midstride("up", raising(tmp_path / "programs", "talker.py"), "--backend", "sim", "-d")
+    assert up.status == 1
+    lower = "is in mode degraded instead of normal"
+    assert up.out.splitlines()[-3:] == [
+        "talker is up (listener, talker).",
+        f"Degraded: listener.listen {lower}: talker.talk entered mode degraded unexpectedly.",
+        f"Degraded: talker.talk {lower}: mode normal raised: ValueError: no voice.",
+    ]
+    status = midstride("status")
+    assert f"brought up from {tmp_path / 'programs' / 'talker.json'}" in status.out.splitlines()
+
+
+def test_a_node_that_raises_right_after_a_change_is_named_with_exit_status_1(
+    midstride: Midstride, tmp_path: Path
+) -> None:
+    file = raising(tmp_path / "programs", "new_talker.py")
+    assert midstride("up", file, "--backend", "sim", "-d").status == 0
+    added = midstride("add", "loud", "NewTalker", "out=/chatter", "--yes")
+    assert added.status == 1
+    afterwards = "loud.talk is in mode degraded instead of normal"
+    assert f"Afterwards: {afterwards}: mode normal raised: ValueError: no voice." in added.out.splitlines()
+    assert "Nothing fell" not in added.out
+    # A loss that the plan has shown is no surprise.
+    removed = midstride("remove", "talker", "loud", "--yes")
+    assert removed.status == 0
+    lowered = "listener.listen is in mode degraded instead of normal"
+    assert removed.out.splitlines().count(f"Afterwards: {lowered}.") == 2, "before and after"
+    assert f"(proved minimal), and afterwards {lowered};" in removed.out
+
+
+def test_without_a_terminal_up_prints_each_step_once(midstride: Midstride) -> None:
+    up = midstride.start("up", str(EXAMPLES / "talker" / "talker.json"), "--backend", "sim")
+    assert up.stdout is not None
+    lines = []
+    while not lines or not lines[-1].startswith("talker is up"):
+        lines.append(up.stdout.readline())
+        assert lines[-1], "".join(lines)
+    assert midstride("down").status == 0
+    rest, _ = up.communicate(timeout=30)
+    printed = "".join(lines) + rest
+    assert printed.count("create listener (Listener)") == printed.count("upgrade listener.listen") == 1
+    assert printed.splitlines()[-1] == "talker is down."
+
+
+@pytest.mark.parametrize("command", ["check", "up"])
+def test_a_program_that_is_not_there_is_warned_of_before_and_named_at_the_start(
+    command: str, midstride: Midstride, tmp_path: Path
+) -> None:
+    """Both processes start at once: the message is about the one that could not."""
+    folder = rewritten(
+        "talker", tmp_path / "programs", lambda _, text: text.replace("python3 talker.py", "./nosuch --x")
+    )
+    options = {"check": [], "up": ["--backend", "sim", "-d"]}[command]
+    done = midstride(command, str(folder / "talker.json"), *options)
+    if command == "check":
+        assert done.status == 0
+        assert "component Talker runs `./nosuch --x`, but there is no file" in done.out
+    else:
+        assert (done.status, done.err.startswith("midstride up: create talker (Talker): ")) == (1, True)
+        assert "✗ 2/6 create talker (Talker)" in done.out
