@@ -63,7 +63,7 @@ def test_a_node_that_raises_right_after_a_change_is_named_with_exit_status_1(
 def test_without_a_terminal_up_prints_each_step_once(midstride: Midstride) -> None:
     up = midstride.start("up", str(EXAMPLES / "talker" / "talker.json"), "--backend", "sim")
     assert up.stdout is not None
-    lines = []
+    lines: list[str] = []
     while not lines or not lines[-1].startswith("talker is up"):
         lines.append(up.stdout.readline())
         assert lines[-1], "".join(lines)

@@ -114,7 +114,7 @@ def test_a_component_that_is_stopped_is_named_by_up_with_what_to_do(midstride: M
         killed(midstride, "talker", "talker")
         up = midstride("up", TALKER, "-d")
         assert up.status == 1
-        assert "listener runs, but does not answer on its control socket" in up.err
+        assert f"listener runs (process {pid}), but does not answer on its control socket" in up.err
         assert f"continue it (`kill -CONT {pid}`) or end it (`kill -9 {pid}`), then run `midstride up` again" in up.err
     finally:
         os.kill(pid, signal.SIGCONT)

@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 from immutables import Map
 
-from midstride.errors import BackendError, StepFailed
+from midstride.errors import BackendError, StartFailed, StepFailed
 from midstride.model.action import Attach, Create, Degrade, Detach, Remove, SetParameters
 from midstride.model.component import ParameterSpec
 from midstride.model.configuration import Configuration
 from midstride.runtime import launcher, pacing
+from midstride.runtime.backend import Exited
 from midstride.wire.commands import (
     AttachCommand,
     Command,
@@ -337,6 +338,31 @@ def test_where_one_creation_fails_what_was_started_ahead_is_ended(tmp_path: Path
             await b.executor.run([Create(SECOND), Create(third), DEGRADE])
         assert b.backend.running == {"talker", "listener"}
         assert b.saved() == []
+
+    bench(talking(), tmp_path, body)
+
+
+@pytest.mark.parametrize("exits", [True, False])
+def test_the_component_that_could_not_start_is_named_and_not_the_one_beside_it(exits: bool, tmp_path: Path) -> None:
+    """The second one waits for the third before it registers, say: it is not to blame, and not waited for."""
+    third = instance("third", TALKER)
+
+    async def body(b: Bench) -> None:
+        if not exits:
+            b.backend.fail_start["third"] = StartFailed("cannot start `./nosuch --x`")
+        running = asyncio.ensure_future(b.executor.run([Create(SECOND), Create(third), DEGRADE]))
+        while "third" not in [launch.instance for launch in b.backend.launches]:
+            await asyncio.sleep(0.01)
+        b.launcher.exited(Exited("third", 2, "no such file"))
+        expected = (
+            r"third exited with status 2 before it registered:\nno such file" if exits else "cannot start `./nosuch"
+        )
+        with pytest.raises(StepFailed, match=rf"^create third \(Talker\): {expected}"):
+            await running
+        assert b.clock.steady() < 5
+        (failed,) = [event for event in b.events.since() if event.kind == "step_failed"]
+        assert failed.index == 1 and failed.words.startswith("create third (Talker) failed: ")
+        assert b.backend.running == {"talker", "listener"} and b.saved() == []
 
     bench(talking(), tmp_path, body)
 

@@ -143,7 +143,7 @@ async def change_until(manager: Manager, op: str) -> None:
     change = asyncio.ensure_future(manager.change(replace("talker", "NewTalker")))
     await asyncio.wait({change, asyncio.ensure_future(reached.wait())}, return_when=asyncio.FIRST_COMPLETED)
     assert reached.is_set(), op
-    launcher.end = launcher.abandon = dead  # type: ignore[method-assign,assignment]
+    launcher.end = launcher.abandon = dead  # type: ignore[method-assign]
     for name in ("write_instance", "remove_instance"):
         setattr(manager._store, name, lambda *_: None)
     with suppress(MidstrideError):
@@ -180,7 +180,8 @@ def test_a_component_that_hangs_is_named_with_what_to_do_and_nothing_is_changed(
             await second.up()
         remedy = "continue it (`kill -CONT 4711`) or end it (`kill -9 4711`), then run `midstride up` again"
         assert str(raised.value) == "; ".join(
-            f"{name} runs, but does not answer on its control socket: {remedy}" for name in ("filter", "sink")
+            f"{name} runs (process 4711), but does not answer on its control socket: {remedy}"
+            for name in ("filter", "sink")
         )
         await second.close()
         await asyncio.sleep(60)

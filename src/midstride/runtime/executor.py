@@ -10,7 +10,7 @@ import asyncio
 import logging
 from collections.abc import Awaitable, Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from immutables import Map
 from msgspec import UNSET
@@ -30,6 +30,18 @@ from midstride.runtime.state_store import StateStore
 log = logging.getLogger(__name__)
 
 Done = list[tuple[Action, Configuration]]
+
+# After how long a process that could not be started ahead of its step is tried again (s): what was in its way, such as
+# an earlier node of its name, may have gone.
+START_AGAIN: Final = 1.0
+
+
+class _AheadFailed(Exception):
+    """A process that was started ahead of its step could not start, or has exited; ``error`` says why."""
+
+    def __init__(self, action: Create, error: MidstrideError) -> None:
+        super().__init__(str(error))
+        self.action, self.error = action, error
 
 
 @dataclass(slots=True)
@@ -59,7 +71,7 @@ class Executor:
         """
         done: Done = []
         for index, action in enumerate(actions):
-            position: Any = {"index": index, "of": len(actions), "step": forms[index] if forms else UNSET}
+            position = _position(actions, index, forms)
             what = action.describe(self.system.configuration)
             self.driver.events.add("step", f"{index + 1}/{len(actions)} {what}", **position)
             try:
@@ -71,16 +83,19 @@ class Executor:
                 await self._step(action, done)
                 if self.after_step is not None:
                     await self.after_step(self.system.configuration)
-            except (Exception, asyncio.CancelledError) as error:
+            except (Exception, asyncio.CancelledError) as raised:
+                error: BaseException = raised
+                if isinstance(raised, _AheadFailed):  # not this step has failed, but a later one
+                    error, what = raised.error, raised.action.describe()
+                    position = _position(actions, actions.index(raised.action), forms)
                 why = _words(error)
                 self.driver.events.add("step_failed", f"{what} failed: {why}", **position)
-                await self._abandon_started(actions[index:])
-                problem = await self._roll_back(done)
+                problems = [*await self._abandon_started(actions[index:]), *await self._roll_back(done)]
                 if isinstance(error, asyncio.CancelledError):
                     raise
-                if problem is None:
+                if not problems:
                     raise StepFailed(f"{what}: {why}", "rolled_back") from error
-                raise StepFailed(f"{what}: {why}; and the roll-back failed: {problem}", "failed") from error
+                raise StepFailed(f"{what}: {why}; and the roll-back failed: {'; '.join(problems)}", "failed") from error
             self.driver.events.add("step_done", f"{index + 1}/{len(actions)} done", **position)
         await self._stop_starting()
 
@@ -88,13 +103,18 @@ class Executor:
         """Perform ``action`` and append it to ``done``.
 
         If cancelled, it first waits for the action to end, in bounded time, so that no step is left incomplete. Only a
-        creation is interrupted: it cleans up after itself.
+        creation is interrupted: it cleans up after itself. So it is as soon as a process started ahead has failed: this
+        one may be waiting for that one, and would be blamed.
         """
         before = self.system.configuration
         performing = asyncio.ensure_future(self.perform(action))
         try:
+            if isinstance(action, Create) and self._ahead is not None:
+                await asyncio.wait({performing, self._ahead}, return_when=asyncio.FIRST_COMPLETED)
+                if not performing.done():
+                    self._ahead.result()
             await asyncio.shield(performing)
-        except asyncio.CancelledError:
+        except (asyncio.CancelledError, _AheadFailed):
             if isinstance(action, Create):
                 performing.cancel()
             await asyncio.wait({performing})
@@ -143,13 +163,13 @@ class Executor:
             self._moved(self.system.configuration.with_modes(reached), {ref.instance for ref in reached})
         return failed
 
-    async def _roll_back(self, done: Done) -> str | None:
-        """Undo the actions in ``done``, last first. Returns None, or what failed; the other actions are undone.
+    async def _roll_back(self, done: Done) -> list[str]:
+        """Undo the actions in ``done``, last first. Returns what failed; the other actions are undone.
 
         An instance that the change itself created is removed in any case: if it does not answer, it is killed.
         """
         if not done:
-            return None
+            return []
         self.driver.events.add("rollback", f"rolling back {counted(len(done), 'step')}", of=len(done))
         self.driver.rolling_back = True
         created = {action.instance.name for action, _ in done if isinstance(action, Create)}
@@ -161,9 +181,8 @@ class Executor:
                     problems.append(problem)
                     self.driver.events.add("rollback_failed", f"the roll-back is incomplete: {problem}")
         if not problems:
-            self.driver.events.add("rolled_back", "everything is as it was before")
-            return None
-        return "; ".join(problems)
+            self.driver.events.add("rolled_back", "every step has been undone")
+        return problems
 
     async def _undo(self, undoing: Action, created: Collection[str]) -> str | None:
         """Perform ``undoing``; if that fails, again without the instances in ``created``. Returns why it failed."""
@@ -194,16 +213,27 @@ class Executor:
         return killed
 
     async def _start_ahead(self, actions: Iterable[Action]) -> None:
-        """Start the processes of the next consecutive creations, so that they load in parallel, as the machine can."""
-        launcher = self.driver.launcher
+        """Start the processes of the next consecutive creations, so that they load in parallel, as the machine can.
+
+        Raises _AheadFailed as soon as one of them cannot start, or has exited before it registered.
+        """
+        launcher, clock, started = self.driver.launcher, self.driver.backend.clock, dict[str, Create]()
         for action in actions:
             if not isinstance(action, Create):
-                return
-            await room_for_a_start(self.driver.backend.clock, launcher.starting)
+                break
+            await room_for_a_start(clock, launcher.starting)
             try:
                 await self._start(action)
             except MidstrideError:
-                return  # the step itself tries it again, and fails with the reason
+                await clock.sleep(START_AGAIN)  # meanwhile its own step may try it, and fail with the reason
+                try:
+                    await self._start(action)
+                except MidstrideError as error:
+                    raise _AheadFailed(action, error) from error
+            started[action.instance.name] = action
+        if (exited := await launcher.first_exit(started)) is not None:
+            name, failure = exited
+            raise _AheadFailed(started[name], failure)
 
     async def _start(self, action: Create) -> None:
         """Start the process of a creation unless it is starting already. Raises StartFailed."""
@@ -217,16 +247,25 @@ class Executor:
         if self._ahead is not None:
             async with self._one_start:  # not between the start of a process and its record
                 self._ahead.cancel()
-            await asyncio.wait({self._ahead})
+            await asyncio.gather(self._ahead, return_exceptions=True)
             self._ahead = None
 
-    async def _abandon_started(self, actions: Iterable[Action]) -> None:
+    async def _abandon_started(self, actions: Iterable[Action]) -> list[str]:
+        """Terminate what was started for ``actions``. Returns why each of the others could not be."""
+        problems: list[str] = []
         await self._stop_starting()
         for action in actions:
             if isinstance(action, Create) and action.instance.name not in self.system.configuration.instances:
-                await self.driver.launcher.abandon(action.instance.name)
-                if action.instance.name not in self.driver.launcher.handles:
+                error = await self.driver.launcher.abandon(action.instance.name)
+                if error is not None:
+                    problems.append(f"{action.instance.name} could not be terminated: {error}")
+                else:
                     self.store.remove_instance(action.instance.name)
+        return problems
+
+
+def _position(actions: Sequence[Action], index: int, forms: Sequence[AnyStep]) -> dict[str, Any]:
+    return {"index": index, "of": len(actions), "step": forms[index] if forms else UNSET}
 
 
 def _words(error: BaseException) -> str:

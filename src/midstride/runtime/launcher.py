@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import os
 import shlex
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -106,6 +106,17 @@ class Launcher:
         """How many processes have been started and have neither registered nor exited."""
         return sum(not (registering.done() or self._exits[name].done()) for name, registering in self._starting.items())
 
+    async def first_exit(self, names: Iterable[str]) -> tuple[str, StartFailed] | None:
+        """The first of these processes that exits before it has registered, and how; None if all have registered."""
+        exits = {self._exits[name]: name for name in names if name in self._exits}
+        while exits:
+            done, _ = await asyncio.wait(exits, return_when=asyncio.FIRST_COMPLETED)
+            for exit in done:
+                name = exits.pop(exit)
+                if not exit.cancelled():
+                    return name, StartFailed(_describe_exit(exit.result()))
+        return None
+
     async def registered(self, instance: Instance) -> None:
         """Wait until ``instance`` registers, check it against its declaration, and accept it.
 
@@ -177,12 +188,15 @@ class Launcher:
             if waiting is not None:
                 waiting.cancel()
 
-    async def abandon(self, name: str) -> None:
-        """Stop waiting for ``name``, and terminate its process if there is one. Back-end errors are ignored."""
+    async def abandon(self, name: str) -> BackendError | None:
+        """Stop waiting for ``name``, and terminate its process if there is one; returns why that failed."""
         self._forget_start(name)
         if name in self.handles:
-            with contextlib.suppress(BackendError):
+            try:
                 await self.end(name)
+            except BackendError as error:
+                return error
+        return None
 
     async def end(self, name: str, grace: float | None = None) -> None:
         """Terminate a component that a manager started. Raises BackendError; then its handle is kept.
@@ -226,11 +240,13 @@ class Launcher:
         except CommandRefused:
             return None
         except (asyncio.TimeoutError, CallTimeout, Unreachable):
-            words = f"{handle.instance} runs, but does not answer on its control socket"
-            if owned and (pid := handle.pid) is not None:
-                words += (
+            which, remedy, pid = "", "", handle.pid
+            if owned:
+                which = f" (process {pid})"
+                remedy = (
                     f": continue it (`kill -CONT {pid}`) or end it (`kill -9 {pid}`), then run `midstride up` again"
                 )
+            words = f"{handle.instance} runs{which}, but does not answer on its control socket{remedy}"
             raise Unreachable(words) from None
         self._remember_grace(state)
         return state

@@ -13,7 +13,7 @@ import logging
 from collections.abc import AsyncIterator, Callable, Iterable, Mapping
 from contextlib import AbstractAsyncContextManager
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.model.best import lowered
@@ -30,6 +30,8 @@ from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
 
 log = logging.getLogger(__name__)
+
+_LOST_BEFORE: Final = "its input was lost before it could be degraded"
 
 
 @dataclass
@@ -52,6 +54,7 @@ class Reconciler:
     busy: Callable[[], bool]
     degraded: set[FunctionalityRef] = field(default_factory=set)
     pending: dict[FunctionalityRef, MidstrideError | None] = field(default_factory=dict)  # could not be degraded yet
+    _why_pending: str = _LOST_BEFORE
     _unanswered: set[str] = field(default_factory=set)  # instances of these that did not answer
     _reconciling: asyncio.Lock = field(default_factory=asyncio.Lock)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
@@ -128,14 +131,14 @@ class Reconciler:
 
     async def reconcile_all(self, because: str) -> None:
         """The same for the whole system: after an earlier manager, any assumption may no longer hold."""
-        self.pending = dict.fromkeys(self.system.configuration.modes)
-        await self.reconcile(because)
+        self.pending, self._why_pending = dict.fromkeys(self.system.configuration.modes), because
+        await self.reconcile()
+        self._why_pending = _LOST_BEFORE
 
-    async def reconcile(self, otherwise: str = "its input was lost before it could be degraded") -> None:
+    async def reconcile(self) -> None:
         """Update the model to the actual state, and degrade functionalities whose assumptions no longer hold.
 
-        ``otherwise`` is the reason where nothing has crashed or degraded since the last time. Those that cannot be
-        degraded are ``pending``, with the reason.
+        Those that cannot be degraded are ``pending``, with the error.
         """
         async with self._reconciling:
             configuration = self.system.configuration
@@ -159,7 +162,7 @@ class Reconciler:
                 because.append(words)
             after, to_lower = respond(configuration, crashed, degraded, self.pending)
             self.system.moved(after)
-            failed = await self.executor().lower(to_lower, "; ".join(because) or otherwise)
+            failed = await self.executor().lower(to_lower, "; ".join(because) or self._why_pending)
             self.pending = dict(failed)
             self._unanswered = {ref.instance for ref, error in failed.items() if not isinstance(error, CommandRefused)}
 
