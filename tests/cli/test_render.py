@@ -94,6 +94,7 @@ def test_nothing_fell_is_not_said_above_missed_messages(outcome: str) -> None:
     all_three = "Messages on /chatter at listener.in: 48 missed, 2 lost and 1 duplicate."
     assert report(outcome=outcome, swaps=[swap(48, 2, 1)]) == [all_three]
     assert report(outcome=outcome, swaps=[swap(None, 2, None)]) == ["Messages on /chatter at listener.in: 2 lost."]
+    assert report(outcome=outcome, swaps=[swap()], fallen={"a.b": 0.0}) == ["a.b was below its level for 0 ms."]
     fell = "brake.watch was below its level for 500 ms."
     assert report(outcome=outcome, swaps=[swap(missed=48)], fallen={"brake.watch": 0.5}) == [fell, missed]
 

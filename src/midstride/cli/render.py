@@ -176,7 +176,8 @@ def outcome(document: Document) -> RenderableType:
 
 def _fallen_lines(document: Document) -> list[str]:
     """What was degraded and for how long, what is lower now, and what else went wrong, as measured."""
-    lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in _fallen(document)]
+    fallen = sorted((document.get("fallen") or {}).items())
+    lines = [f"{name} was below its level for {seconds(spent)}." for name, spent in fallen]
     lines += [f"Afterwards: {lowered_line(each)}" for each in document.get("lowered") or ()]
     if ended := document.get("ended"):
         lines.append(f"Exited unexpectedly meanwhile: {', '.join(ended)}; see `midstride log`.")
@@ -218,14 +219,10 @@ def _listed(words: list[str]) -> str:
 
 
 def fallen_line(document: Document) -> str:
-    """The same on one line, for a table."""
-    fallen = [f"{name} {seconds(spent)}" for name, spent in _fallen(document)]
+    """What was degraded and what is lower now, on one line, for a table."""
+    fallen = [f"{name} {seconds(spent)}" for name, spent in sorted((document.get("fallen") or {}).items()) if spent]
     fallen += [f"{each['functionality']} permanently" for each in document.get("lowered") or ()]
     return ", ".join(fallen) or "nothing"
-
-
-def _fallen(document: Document) -> list[tuple[str, float]]:
-    return sorted((name, spent) for name, spent in (document.get("fallen") or {}).items() if spent)
 
 
 def status(document: Document) -> RenderableType:
