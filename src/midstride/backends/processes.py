@@ -56,6 +56,7 @@ def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
         variables.ENV_NAMESPACE: launch.namespace,
         variables.ENV_TOKEN: launch.token,
         variables.ENV_PARAMETERS: json.dumps(launch.parameters),
+        variables.ENV_SET_PARAMETERS: json.dumps(launch.set_parameters),
         variables.ENV_CONTROL: str(control.absolute()),
         "PYTHONUNBUFFERED": "1",
     }

@@ -121,9 +121,11 @@ class Component:
         if name in self._parts.parameters:
             raise NodeError(f"parameter {name} exists already")
         parameter = Parameter(name, default, on_change)
-        given = find().parameters
-        if name in given:
-            parameter.begin_with(given[name])
+        context = find()
+        if name in context.parameters:
+            parameter.begin_with(context.parameters[name])
+        if name in context.set_parameters:
+            parameter.keep(context.set_parameters[name])
         self._parts.parameters[name] = parameter
         return parameter
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Exited
+from midstride.runtime.reported_values import ReportedValues
 
 
 @dataclass(slots=True)
@@ -14,7 +15,7 @@ class RunningSystem:
     """``configuration`` is the model: it changes once components have acknowledged. ``revision`` counts its changes.
 
     Instances that exited unexpectedly are in ``crashed`` until they are removed from the model, and then in ``missing``
-    until another instance has their role.
+    until another instance has their role. ``values``: the parameter values that were set at run time.
     """
 
     specification: Specification
@@ -22,6 +23,7 @@ class RunningSystem:
     revision: int = 0
     crashed: dict[str, Exited] = field(default_factory=dict)
     missing: dict[str, Exited] = field(default_factory=dict)
+    values: ReportedValues = field(default_factory=ReportedValues)
     _missing_roles: dict[str, str] = field(default_factory=dict)
 
     def moved(self, configuration: Configuration) -> None:

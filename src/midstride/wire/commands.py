@@ -237,9 +237,14 @@ class ModesCommand(Command[Before], frozen=True, kw_only=True, tag="modes"):
 
 
 class SetParametersCommand(Command[Before], frozen=True, kw_only=True, tag="set"):
-    """Set changeable parameters, all of them or none."""
+    """Set changeable parameters, all of them or none.
+
+    ``declared``: the values with which it counts as started from now on, by default those of ``parameters``. A
+    parameter that has another one counts as set while the component ran.
+    """
 
     parameters: dict[str, Any]
+    declared: dict[str, Any] | None = None
 
 
 class ImportStateCommand(Command[Done], frozen=True, kw_only=True, tag="import_state"):
