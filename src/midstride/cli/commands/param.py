@@ -18,6 +18,7 @@ _name = click.argument("name", shell_complete=completion.parameters)
 
 
 @click.group("param")
+@json_option
 def param_command() -> None:
     """Show and set parameters of running nodes.
 
