@@ -136,7 +136,7 @@ def test_nothing_is_offered_where_nothing_runs(complete: Complete, line: str) ->
 @pytest.mark.parametrize(
     ("line", "candidates"),
     [
-        ("param ", ["list", "get", "set"]),
+        ("param ", ["get", "list", "set"]),
         ("param set ", ["listener", "talker"]),
         ("replace ", ["listener", "talker"]),
         ("replace t", ["talker"]),
