@@ -117,12 +117,8 @@ def test_what_cannot_be_set_or_shown_is_refused_with_the_reason(
 
 
 def test_names_of_parameters_are_completed(tuned: Midstride) -> None:
-    environment = {
-        "_MIDSTRIDE_COMPLETE": "zsh_complete",
-        "COMP_WORDS": "midstride param set talker g",
-        "COMP_CWORD": "4",
-    }
-    done = tuned.process(**environment)
+    line = ("midstride param set talker g", "4")
+    done = tuned.process(timeout=60, _MIDSTRIDE_COMPLETE="zsh_complete", COMP_WORDS=line[0], COMP_CWORD=line[1])
     assert (done.out.replace("\\n", "\n"), done.err) == ("plain\ngain\n_\n", "")
 
 
