@@ -112,7 +112,8 @@ class Component:
         """A ROS parameter. Its ``value`` is the current one; with ``on_change(value)`` it can change at run time.
 
         ``on_change`` is called between two calls of the modes; if it raises, the change is refused. Without it, another
-        value requires another instance (docs/semantics.md section 6). Values are booleans, numbers, strings, or lists
+        value requires another instance (docs/semantics.md section 6). A value that was set at run time travels to a
+        replacement, which is started with it and whose ``on_change`` is then called with it (section 7). Values are booleans, numbers, strings, or lists
         of one of these, of the type of ``default``. Before ``start()``, ``value`` is the one that the manager passed,
         else the default. Raises NodeError.
         """
