@@ -50,13 +50,14 @@ def command(
 
 def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
     """The environment variables that make a process this component; ``control`` is the folder of the sockets."""
+    set_values = {variables.ENV_SET_PARAMETERS: json.dumps(launch.set_parameters)} if launch.set_parameters else {}
     return {
+        **set_values,
         variables.ENV_BACKEND: backend,
         variables.ENV_INSTANCE: launch.instance,
         variables.ENV_NAMESPACE: launch.namespace,
         variables.ENV_TOKEN: launch.token,
         variables.ENV_PARAMETERS: json.dumps(launch.parameters),
-        variables.ENV_SET_PARAMETERS: json.dumps(launch.set_parameters),
         variables.ENV_CONTROL: str(control.absolute()),
         "PYTHONUNBUFFERED": "1",
     }
