@@ -113,9 +113,10 @@ class Component:
 
         ``on_change`` is called between two calls of the modes; if it raises, the change is refused. Without it, another
         value requires another instance (docs/semantics.md section 6). A value that was set at run time travels to a
-        replacement, which is started with it and whose ``on_change`` is then called with it (section 7). Values are booleans, numbers, strings, or lists
-        of one of these, of the type of ``default``. Before ``start()``, ``value`` is the one that the manager passed,
-        else the default. Raises NodeError.
+        replacement, which is started with it and whose ``on_change`` is then called with it (section 7).
+
+        Values are booleans, numbers, strings, or lists of one of these, of the type of ``default``. Before ``start()``,
+        ``value`` is the one that the manager passed, else the default. Raises NodeError.
         """
         self._declaring(f"parameter {name}")
         check_parameter(name, default)
