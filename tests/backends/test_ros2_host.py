@@ -265,6 +265,22 @@ def test_what_is_set_at_run_time_is_in_the_state_at_once_and_a_replacement_start
     run(scenario())
 
 
+def test_a_list_is_set_by_tools_as_well(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            listed = TUNED.replace('"label", "plain"', '"label", [0.5]')
+            await r.start("tuned", listed, parameters={"label": [1.0]}, set_parameters={"label": [1.5, 2]})
+            assert (await r.client.observe("tuned")).set_values() == {"label": [1.5, 2.0]}
+            with Bare() as bare:
+                tools = Tools(bare, "/tuned")
+                assert await tools.set(label=[2.0, 3.0]) == [(True, "")]
+                assert (await r.client.observe("tuned")).set_values() == {"label": [2.0, 3.0]}
+                await r.client.change("tuned", SetParametersCommand(parameters={"label": [4]}, declared={}))
+                assert [list(value) for value in await tools.get("label")] == [[4.0]]
+
+    run(scenario())
+
+
 def hear_parameters(bare: Bare, events: list[tuple[str, Any]]) -> None:
     """Append the node and the value of each change of a `gain` that is published."""
     from rcl_interfaces.msg import ParameterEvent

@@ -331,6 +331,18 @@ def test_where_the_file_changed_the_value_as_well_the_file_wins(folder: Path) ->
     scenario(folder, body, specification)
 
 
+def test_a_value_set_just_before_that_of_the_file_is_in_the_report(folder: Path) -> None:
+    specification = tuned(folder)
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        at_command(manager, "talker", "set", lambda: set_by_a_tool(simulator, "talker", "gain", 1.9))
+        outcome = await manager.change(PlanRequest(to=stating(specification, gain=4.0)))
+        assert outcome.plan is not None and not outcome.plan.parameters
+        assert (outcome.outcome, fates(outcome)) == ("done", {"gain": "file_wins"})
+
+    scenario(folder, body, specification)
+
+
 def test_apply_with_declared_parameters_sets_them_back_in_place(folder: Path) -> None:
     specification = tuned(folder)
 

@@ -238,13 +238,19 @@ class CommandHandlers:
                 raise CommandRefused(
                     f"there is no parameter {name}; the parameters are: {', '.join(declared) or 'none'}"
                 )
-        before = {name: declared[name].value for name in command.parameters}
         started_with = command.parameters if command.declared is None else command.declared
         fitted = {name: declared[name].fitted(value) for name, value in started_with.items() if name in declared}
-        await self._data.run(lambda: self.host.parameters.set(command.parameters), command.timeout)
-        for name, value in fitted.items():
-            declared[name].declared = value
-        return commands.Before(before=before)
+
+        def set_all() -> commands.Before:
+            parameters = [declared[name] for name in command.parameters]
+            before = {each.name: each.value for each in parameters}
+            set_before = {each.name: each.declared for each in parameters if each.value != each.declared}
+            self.host.parameters.set(command.parameters)
+            for name, value in fitted.items():
+                declared[name].declared = value
+            return commands.Before(before=before, declared=set_before)
+
+        return await self._data.run(set_all, command.timeout)
 
     async def _export_state(self, command: commands.ExportStateCommand) -> commands.ExportedState:
         export = self.parts.callbacks.export_state

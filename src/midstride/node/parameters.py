@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Callable
 from typing import Any
 
@@ -91,7 +92,7 @@ def check_parameter(name: object, value: object) -> None:
 
 def _fitted(value: Any, like: Any) -> Any:
     if isinstance(like, list):
-        if not isinstance(value, (list, tuple)):
+        if not isinstance(value, (list, tuple, array)):  # rclpy has numbers in an array
             return None
         members = [_fitted(member, like[0]) if like else member for member in value]
         return None if any(member is None for member in members) else members

@@ -50,7 +50,7 @@ class ActionDriver:
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     parameters: ParameterTransfer | None = None
-    _overwritten: dict[str, dict[str, Any]] = field(default_factory=dict)  # by instance
+    _before_setting: dict[str, commands.Before] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
     @property
@@ -109,15 +109,18 @@ class ActionDriver:
                 await self._detach(action)
 
     async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
-        """Set parameters to the values of the specification; a roll-back restores what was set at run time before."""
+        """Set parameters to the specification's values; a roll-back restores what was set at run time before."""
+        command = commands.SetParametersCommand(parameters=declared)
+        before = self._before_setting.get(instance) if self.rolling_back else None
+        if before is not None and before.declared:
+            values = {name: before.before[name] for name in before.declared}
+            command = commands.SetParametersCommand(parameters=declared | values, declared=declared | before.declared)
+        reply = await self.client.change(instance, command)
         if not self.rolling_back:
-            values = self.system.values.of(instance)
-            self._overwritten[instance] = {name: values[name] for name in declared if name in values}
-        if self.rolling_back and (overwritten := self._overwritten.get(instance)):
-            command = commands.SetParametersCommand(parameters=declared | overwritten, declared=declared)
-        else:
-            command = commands.SetParametersCommand(parameters=declared)
-        await self.client.change(instance, command)
+            self._before_setting[instance] = reply
+            if self.parameters is not None:
+                values = {name: reply.before[name] for name in reply.declared}
+                self.parameters.set_in_place(self.configuration.instances[instance], values)
 
     def _is_gone(self, instance: str) -> bool:
         """Whether its process has exited, or is about to: the end of its connection is known first."""

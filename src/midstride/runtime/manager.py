@@ -26,7 +26,7 @@ from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
-from midstride.plan.request import PlanRequest, require
+from midstride.plan.request import PlanRequest
 from midstride.plan.runtime_values import of_change
 from midstride.runtime import status
 from midstride.runtime.action_driver import ActionDriver
@@ -271,22 +271,13 @@ class Manager:
         """
         words = ", ".join(f"{name} = {value!r}" for name, value in values.items())
         async with self._command(f"param set {node} {words}"):
-            instance = self._live_instance(node)
+            instance = self.system.live_instance(node)
             await self._client.change(instance, SetParametersCommand(parameters=dict(values), declared={}))
             self.events.add("parameters", f"{words} was set on {instance}")
             state = await self._client.peek(instance)
             self.system.values.report(state)
             self._reconciler.save_values()
             return ParametersReport(instance, [each for each in status.parameters(state) if each.name in values])
-
-    def _live_instance(self, node: str) -> str:
-        """The instance of that name, else the one of that role."""
-        if node in self.configuration.instances:
-            return node
-        require("node", node, self.specification.nodes)
-        for instance in self.configuration.instances_of(node):
-            return instance.name
-        raise ManagerError(f"{node} is not running; `midstride apply` with the system's file restores it")
 
     @contextlib.asynccontextmanager
     async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:

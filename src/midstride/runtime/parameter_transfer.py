@@ -112,9 +112,17 @@ class ParameterTransfer:
     # -- what is set later -------------------------------------------------------------------------
 
     async def before_cut(self, old: str, new: Instance) -> None:
-        """Set on ``new`` what was set on ``old`` meanwhile. Raises StepFailed where ``new`` refuses it."""
-        await self._observe(old)
-        await self._compare(old, new)
+        """Set on ``new`` what was set on ``old`` meanwhile, if it replaces that.
+
+        Raises StepFailed where ``new`` refuses it.
+        """
+        if self._predecessors.get(new.name) == old:
+            await self._observe(old)
+            await self._compare(old, new)
+
+    def set_in_place(self, instance: Instance, values: Values) -> None:
+        """The specification's values have taken the place of ``values``, which were set at run time."""
+        self._kept(instance, values)
 
     async def leaving(self, name: str, configuration: Configuration) -> None:
         """To be called right before and after an instance ends: what was set on it last is set on its partner.

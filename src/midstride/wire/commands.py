@@ -105,9 +105,13 @@ class Detached(WireValue, frozen=True, kw_only=True):
 
 
 class Before(WireValue, frozen=True, kw_only=True):
-    """What was changed, as it was before: modes by functionality, or values by parameter."""
+    """What was changed, as it was before: modes by functionality, or values by parameter.
+
+    ``declared``: those of these parameters that had been set while the component ran, as in its state.
+    """
 
     before: dict[str, Any]
+    declared: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
 class RecordingSwitched(WireValue, frozen=True, kw_only=True):
