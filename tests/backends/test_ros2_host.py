@@ -269,8 +269,8 @@ def test_a_list_is_set_by_tools_as_well(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:
             listed = TUNED.replace('"label", "plain"', '"label", [0.5]')
-            await r.start("tuned", listed, parameters={"label": [1.0]}, set_parameters={"label": [1.5, 2]})
-            assert (await r.client.observe("tuned")).set_values() == {"label": [1.5, 2.0]}
+            await r.start("tuned", listed, parameters={"label": [1.0]}, set_parameters={"label": [1.5, 2.5]})
+            assert (await r.client.observe("tuned")).set_values() == {"label": [1.5, 2.5]}
             with Bare() as bare:
                 tools = Tools(bare, "/tuned")
                 assert await tools.set(label=[2.0, 3.0]) == [(True, "")]
