@@ -80,17 +80,13 @@ class ParameterTransfer:
 
     async def started(self, instance: Instance) -> None:
         """Have a new instance accept the values that it was started with. Raises StepFailed with its reason."""
-        old = self._predecessors.get(instance.name)
-        if old is not None:
-            await self._observe(old)
-        given = self._given.get(instance.name, {})
+        old, given = self._predecessors.get(instance.name), self._given.get(instance.name, {})
         now = given if old is None else self.reported.of(old)
         for name, value in given.items():
             if name in now and now[name] == value:
                 await self._set(instance, name, value)
         if old is not None:
             await self._compare(old, instance)
-        await self._observe(instance.name)
         self._carried[instance.name] = self.reported.of(instance.name)
 
     async def _observe(self, instance: str) -> None:
@@ -154,5 +150,4 @@ class ParameterTransfer:
                 if not late:
                     raise
                 self._record(runtime_value(new.role, name, value, "late", f"too late, after the hand-over: {error}"))
-        await self._observe(new.name)
         self._carried[new.name] = self.reported.of(new.name)
