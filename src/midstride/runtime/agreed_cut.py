@@ -129,6 +129,7 @@ async def require_found(
     swaps: Iterable[Swap],
     connector: str,
     before: Mapping[PortRef, int],
+    is_gone: Callable[[str], bool],
 ) -> None:
     """Raises StepFailed unless the subscribers of ``connector`` have found the new publishers.
 
@@ -137,9 +138,10 @@ async def require_found(
     may also not have noticed who left, so the number of publishers there are would not do.
     """
     new = {swap.new for swap in swaps if swap.connector == connector}
+    gone = sum(is_gone(port.instance) for port in configuration.publishers_on(connector))
     topic = configuration.topic(connector)
     for port, counted in before.items():
-        wanted = counted + len(new)
+        wanted = counted + len(new) - gone  # whether one that has exited is still counted is not known
         await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=wanted, timeout=FIND_TIMEOUT)
         try:
             matched = (await client.read(port.instance, await_match)).matched

@@ -100,7 +100,7 @@ class LiveHandover:
         for swap in self.swaps:
             await self._attach_gated(swap)
         for connector in connectors:
-            await require_found(self.client, self.configuration, self.swaps, connector, found[connector])
+            await require_found(self.client, self.configuration, self.swaps, connector, found[connector], self.is_gone)
         for swap in self.swaps:
             await self._await_probation(swap)
         for old, new in pairs:
