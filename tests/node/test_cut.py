@@ -23,11 +23,15 @@ PERIOD = 0.02
 class Clocks:
     """A host that has clocks and reads a message's info as its time of publication."""
 
+    simulated_time = False
+
     def __init__(self, now: int = T) -> None:
         self.time = now
 
     def now(self) -> int:
         return self.time
+
+    message_now = now
 
     def steady(self) -> int:
         return self.time - T

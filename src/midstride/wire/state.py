@@ -40,7 +40,8 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
 
-    ``simulated_time``: its ROS clock follows ``/clock``. ``stopping`` is how long it may take to end in order (s).
+    ``simulated_time``: its ROS clock follows ``/clock``, and gains ``clock_speed`` seconds in each second (0: it stands
+    still, or that is not known yet). ``stopping`` is how long it may take to end in order (s).
     ``ports`` maps port -> topic -> attachment.
     """
 
@@ -54,3 +55,4 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     stopping: float
     waiting: str | None = None
     simulated_time: bool = False
+    clock_speed: float = 1.0
