@@ -14,6 +14,7 @@ from midstride.codec.configuration import ConfigurationForm
 from midstride.codec.form import Form
 from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.step_forms import AnyStep
+from midstride.runtime.backend import Middleware
 from midstride.runtime.measure import SwapReport
 from midstride.verify.verdict import Verdict
 
@@ -114,6 +115,11 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     as_modelled: bool
     functionalities: list[FunctionalityStatus]
     attachments: list[AttachmentStatus]
+    simulated_time: Annotated[bool, Meta(description="/clock drives its ROS clock")] = False
+    run: Annotated[str | None, Meta(description="the command it was started with; null: it was started elsewhere")] = (
+        None
+    )
+    log_file: str | None = None
 
 
 class CrashedInstance(Report, frozen=True):
@@ -154,6 +160,7 @@ class Status(Report, frozen=True, kw_only=True):
     revision: int
     running: RunningCommand | None
     unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
+    middleware: Middleware
 
 
 class LiveConfiguration(Report, frozen=True):
