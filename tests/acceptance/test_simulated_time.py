@@ -61,9 +61,9 @@ def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
     """What the recorder received is judged on the clock as its source knows it, not as the components saw it."""
     seen: list[Observation] = []
 
-    def kept(observation: Observation, moments: Sequence[ClockMoment]) -> SwapReport:
+    def kept(observation: Observation, moments: Sequence[ClockMoment], **options: bool) -> SwapReport:
         seen.append(observation)
-        return report_on_ros_clock(observation, moments)
+        return report_on_ros_clock(observation, moments, **options)
 
     monkeypatch.setattr(recording, "report_on_ros_clock", kept)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import random
+from dataclasses import replace as replace_fields
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from midstride.backends.simulator.clock import EPOCH
 from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Observation, SwapReport, report
 from midstride.runtime.reports import Outcome
-from midstride.runtime.simulated_time import LONGEST_STRETCH, report_on_ros_clock, stretch
+from midstride.runtime.simulated_time import LONGEST_STRETCH, on_ros_clock, report_on_ros_clock, stretch
 from midstride.wire.commands import Receipt
 from tests.runtime.scripted import instance, reported
 from tests.runtime.systems import example, managed, replace
@@ -167,6 +168,17 @@ def test_slots_are_found_again_on_a_clock_of_changing_speed(speeds: list[float])
     assert (measured.gap or 0) < 3 * 0.02
     del seen.rows[len(seen.rows) * 3 // 4 : len(seen.rows) * 3 // 4 + 3]  # type: ignore[attr-defined]  # it is a list
     assert report_on_ros_clock(seen, moments).missed == 3
+
+
+@pytest.mark.parametrize("speed", [0.3, 1.0, 4.0])
+def test_times_of_publication_that_are_on_the_ros_clock_stay_there(speed: float) -> None:
+    """As on ROS 1, where a publisher writes its own time: in steps, as `/clock` moves."""
+    seen, moments = observation([speed, speed], period=0.1)
+    on_clock = {row.number: on_ros_clock(seen, moments).rows[index].source for index, row in enumerate(seen.rows)}
+    rows = [structs.replace(row, source=on_clock[row.number]) for row in seen.rows]
+    measured = report_on_ros_clock(replace_fields(seen, rows=rows), moments, ros_sources=True)
+    assert measured == report_on_ros_clock(seen, moments)
+    assert measured.missed == 0
 
 
 def test_on_the_wrong_clock_slots_seem_empty() -> None:

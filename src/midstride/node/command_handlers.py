@@ -287,4 +287,10 @@ class CommandHandlers:
             known = self.host.clock_history.moments()
             begin = bisect.bisect_left([steady for steady, _ in known], rows[0].received if rows else 0)
             moments = known[max(0, begin - 1) :]
-        return commands.Records(rows=rows, publisher_identity=identity, now=self.host.steady(), moments=moments)
+        return commands.Records(
+            rows=rows,
+            publisher_identity=identity,
+            now=self.host.steady(),
+            moments=moments,
+            ros_sources=self.host.publishes_ros_time,
+        )

@@ -102,6 +102,9 @@ class Host(Protocol):
     def simulated_time(self) -> bool:
         """Whether ``/clock`` drives the ROS clock."""
 
+    # Whether messages' times of publication are on the ROS clock, also where `/clock` drives it.
+    publishes_ros_time: bool
+
     def message_now(self) -> int:
         """The clock of messages' times of publication (:class:`MessageInfo`), ns."""
 

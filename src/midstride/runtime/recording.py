@@ -164,7 +164,10 @@ class Recording:
             sources = None if driving is None else [row.source for row in driving.rows if row.source is not None]
             last = last_numbers.get(old)
             seen = replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources, resumed=resumed)
-            reports.append(report(seen) if found.moments is None else report_on_ros_clock(seen, found.moments))
+            if found.moments is None:
+                reports.append(report(seen))
+            else:
+                reports.append(report_on_ros_clock(seen, found.moments, ros_sources=found.ros_sources))
             attachment = old, seen.topic
             published = after.get(attachment, 0) - before.get(attachment, after.get(attachment, 0))
             if published >= UNRECEIVED and not any(row.received > found.now - watched * 1e9 for row in found.rows):

@@ -29,8 +29,10 @@ def stretch(state: ComponentState | None) -> float:
     return min(max(1.0, 1 / state.clock_speed), LONGEST_STRETCH)
 
 
-def report_on_ros_clock(seen: Observation, moments: Sequence[ClockMoment]) -> SwapReport:
+def report_on_ros_clock(seen: Observation, moments: Sequence[ClockMoment], *, ros_sources: bool = False) -> SwapReport:
     """The figures of an observation of simulated time; ``moments`` are those of the subscriber's clock.
+
+    ``ros_sources``: times of publication are on the ROS clock already.
 
     Where the clock jumped back meanwhile, slots and gaps mean nothing: those figures are None.
     """
@@ -41,10 +43,10 @@ def report_on_ros_clock(seen: Observation, moments: Sequence[ClockMoment]) -> Sw
         return structs.replace(raw, gap=None, gap_periods=None, missed=None, duplicates=None)
     if jumped:
         seen = replace(seen, rows=[row for row in seen.rows if row.received >= known[0][0]])
-    return report(on_ros_clock(seen, known))
+    return report(on_ros_clock(seen, known, ros_sources))
 
 
-def on_ros_clock(seen: Observation, moments: Sequence[ClockMoment]) -> Observation:
+def on_ros_clock(seen: Observation, moments: Sequence[ClockMoment], ros_sources: bool = False) -> Observation:
     """The observation with all its times on the ROS clock, which moved forward at ``moments``, two or more."""
     steady = [moment[0] for moment in moments]
 
@@ -57,13 +59,13 @@ def on_ros_clock(seen: Observation, moments: Sequence[ClockMoment]) -> Observati
 
     # The system's clock against the subscriber's steady one, from the fastest transmission.
     offset = min((row.received - row.source for row in seen.rows if row.source is not None), default=0)
+
+    def published(source: int) -> int:
+        return source if ros_sources else ros(source + offset)
+
     rows = [
-        structs.replace(
-            row,
-            received=ros(row.received),
-            source=None if row.source is None else ros(row.source + offset),
-        )
+        structs.replace(row, received=ros(row.received), source=None if row.source is None else published(row.source))
         for row in seen.rows
     ]
-    inputs = None if seen.inputs is None else [ros(source + offset) for source in seen.inputs]
+    inputs = None if seen.inputs is None else [published(source) for source in seen.inputs]
     return replace(seen, rows=rows, begun=ros(seen.begun), ended=ros(seen.ended), inputs=inputs)

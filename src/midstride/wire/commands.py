@@ -63,13 +63,15 @@ class Receipt(msgspec.Struct, frozen=True, array_like=True):
 class Records(WireValue, frozen=True, kw_only=True):
     """What an input has recorded. ``now`` is the steady clock (ns).
 
-    ``moments``: how the ROS clock has moved meanwhile, where ``/clock`` drives it; else None.
+    ``moments``: how the ROS clock has moved meanwhile, where ``/clock`` drives it; else None. ``ros_sources``: times of
+    publication are on that clock.
     """
 
     rows: list[Receipt]
     publisher_identity: bool
     now: int
     moments: list[ClockMoment] | None = None
+    ros_sources: bool = False
 
 
 class ExportedState(WireValue, frozen=True, kw_only=True):

@@ -80,6 +80,7 @@ class Ros1Host:
         self._shut_down_because = ""
         self.simulated_time = False
         self.clock_history = ClockHistory()
+        self.publishes_ros_time = True
         self.now: Callable[[], int] = time.time_ns  # until rospy knows whether the clock is simulated
         self.steady: Callable[[], int] = time.monotonic_ns
         self.read_info: Callable[[Any], MessageInfo] = subscribing.read_info
@@ -98,7 +99,7 @@ class Ros1Host:
             )
 
     def message_now(self) -> int:
-        return self.now()  # of messages, only the stamps are known
+        return self.now()
 
     # -- data thread ---------------------------------------------------------------------------------
 

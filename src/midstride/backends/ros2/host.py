@@ -61,6 +61,7 @@ class Ros2Host:
         self._post: Callable[[Callable[[], None]], object] = self._early.append
         self.steady: Callable[[], int] = time.monotonic_ns
         self.message_now: Callable[[], int] = time.time_ns  # the middleware stamps with the system's clock
+        self.publishes_ros_time = False
         self.clock_history = ClockHistory()
         self.read_info: Callable[[Any], MessageInfo] = endpoints.read_info
 

@@ -36,6 +36,7 @@ class SimulatedHost:
     """Implements :class:`midstride.node.host.Host`."""
 
     ros_node = None
+    publishes_ros_time = False
     reachable = "in this simulation"
 
     def __init__(self, process: SimulatedProcess, instance: str, network: Network, transport: Transport) -> None:
