@@ -1,7 +1,7 @@
 """What Midstride's middleware settings cost: images between two processes over UDP, and over shared memory.
 
 Two processes of bare rclpy, one that publishes images at 20 Hz and one that receives them, once in the environment of a
-component and once in the user's own. The latency is from before `publish` to the subscriber's callback.
+component, once in the user's own, and once with LARGE_DATA, which Midstride leaves to the user. The latency is from before `publish` to the subscriber's callback.
 """
 
 from __future__ import annotations
@@ -104,7 +104,12 @@ def main() -> None:
 
     own = dict(os.environ)
     for name, size in SIZES.items():
-        for settings, environment in (("Midstride's", tuned_environment(own)), ("the middleware's own", own)):
+        large = {**own, "FASTDDS_BUILTIN_TRANSPORTS": "LARGE_DATA"}
+        for settings, environment in (
+            ("Midstride's", tuned_environment(own)),
+            ("the middleware's own", own),
+            ("LARGE_DATA", tuned_environment(large)),
+        ):
             figures = measure(size, options.count, environment)
             print(
                 f"{name}, {settings}: " + ", ".join(f"{key} {value:.3g}" for key, value in figures.items()), flush=True

@@ -23,7 +23,7 @@ PERIOD = 0.02
 class Clocks:
     """A host that has clocks and reads a message's info as its time of publication."""
 
-    simulated_time = False
+    simulated_time = publishes_ros_time = False
 
     def __init__(self, now: int = T) -> None:
         self.time = now

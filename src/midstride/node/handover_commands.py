@@ -9,7 +9,7 @@ from typing import Final
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
 from midstride.node.attachments import Attachments
-from midstride.node.cut import IncomingCut, OutgoingCut, reading
+from midstride.node.cut import IncomingCut, OutgoingCut, comparable, reading
 from midstride.node.cut_protocol import CutInTask, CutOutTask
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, within
@@ -55,15 +55,12 @@ class HandoverCommands:
     async def grid(self, command: commands.GridCommand) -> commands.Grid:
         owner = self.attachments.output(command.port).owner
         rate, topic = owner.rate, command.topic
-        clock: commands.CutClock = "ros"
-        speed = 1.0
-        if self.host.simulated_time:
-            clock = "message" if rate is None else "ros"
-            speed = 1.0 if rate is None else self.host.clock_history.speed(self.host.steady())
+        clock: commands.CutClock = "ros" if rate is not None or comparable(self.host, "ros", "message") else "message"
+        simulated = clock == "ros" and self.host.simulated_time
         return commands.Grid(
             trigger=owner.driven,
             clock=clock,
-            speed=speed,
+            speed=self.host.clock_history.speed(self.host.steady()) if simulated else 1.0,
             epoch=None if rate is None else rate.slot,
             period=None if rate is None else rate.period,
             now=reading(self.host, clock),

@@ -9,6 +9,7 @@ its first message: if the manager exits at any point, the topic is silent for at
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -211,8 +212,10 @@ class LiveHandover:
 
     async def _waits_for(self, instance: str) -> str:
         """What the component waits for, if anything, as the end of a sentence."""
-        waiting = (await self.client.peek(instance)).waiting
-        return "" if waiting is None else f": {waiting}"
+        with contextlib.suppress(MidstrideError):
+            if (waiting := (await self.client.peek(instance)).waiting) is not None:
+                return f": {waiting}"
+        return ""
 
     async def _meet(self, new: str, old: str) -> None:
         """Have the new side connect to the old one.
