@@ -1,7 +1,8 @@
 """What Midstride's middleware settings cost: images between two processes over UDP, and over shared memory.
 
-Two processes of bare rclpy, one that publishes images at 20 Hz and one that receives them, once in the environment of a
-component, once in the user's own, and once with LARGE_DATA, which Midstride leaves to the user. The latency is from before `publish` to the subscriber's callback.
+Two processes of bare rclpy, one that publishes images at 20 Hz and one that receives them: in the environment of a
+component, in the user's own, and with LARGE_DATA, which Midstride leaves to the user. The latency is from before
+`publish` to the subscriber's callback.
 """
 
 from __future__ import annotations

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from midstride.lang import load_text, render
 from midstride.runtime import recording
 from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Observation, SwapReport
@@ -190,3 +191,84 @@ async def status_when(manager: Manager, waiting: str | None) -> Status:
         if {row.name: row.waiting for row in status.components}["source"] == waiting:
             return status
         await asyncio.sleep(0.02)
+
+
+RELAYS = """
+system relays
+contract Text = std_msgs/msg/String @ 20 Hz
+component Source {
+  run "python3 source.py"
+  output out
+  functionality talk { produces out  mode normal { guarantee out : Text }  mode off { } }
+}
+component Relay {
+  run "python3 relay.py"
+  input in : Text
+  output out
+  functionality answer { uses in  produces out  mode normal { assume in  guarantee out : Text }  mode off { } }
+}
+component OtherRelay like Relay { }
+topic /numbers : Text
+topic /answers : Text
+node source : Source { out -> /numbers }
+node relay : Relay { in <- /numbers  out -> /answers }
+"""
+SOURCE = """
+import itertools
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("source")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+numbers = itertools.count()
+talk.set_normal_mode(lambda: out.write(String(data=str(next(numbers)))), rate=20, outputs=[out])
+talk.set_degraded_mode(lambda: None, name="off")
+comp.start()
+"""
+RELAY = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("relay")
+heard = comp.create_input("in", String, rate=20)
+out = comp.create_output("out", String)
+answer = comp.create_functionality("answer", inputs=[heard], outputs=[out])
+answer.set_normal_mode(lambda message: out.write(message), inputs=[heard], outputs=[out], guarantees={out: 20.0})
+answer.set_degraded_mode(lambda: None, name="off")
+comp.start()
+"""
+
+
+@pytest.mark.full
+def test_answers_to_messages_are_handed_over_in_simulated_time(tmp_path: Path) -> None:
+    """The cut is on the clock of times of publication; a bare subscriber receives every number once."""
+    from std_msgs.msg import String
+
+    (tmp_path / "source.py").write_text(SOURCE)
+    (tmp_path / "relay.py").write_text(RELAY)
+    loaded = load_text(RELAYS, "relays.stride")
+    assert loaded.specification is not None, render(loaded.diagnostics)
+    specification = loaded.specification
+
+    async def scenario() -> list[int]:
+        options = SystemOptions(use_sim_time=True)
+        async with managed(tmp_path / "system", specification, tmp_path, options) as (manager, _):
+            clock = ClockSource(tmp_path, 0.5)
+            with Bare() as bare:
+                numbers: list[int] = []
+                bare.node.create_subscription(String, "/answers", lambda text: numbers.append(int(text.data)), 100)
+                await bare.until(lambda: len(numbers) > 20)
+                for component in ("OtherRelay", "Relay"):
+                    changing = asyncio.ensure_future(manager.change(replace("relay", component)))
+                    await bare.until(changing.done, 60.0)
+                    outcome = changing.result()
+                    assert (outcome.outcome, outcome.because) == ("done", None)
+                last = len(numbers)
+                await bare.until(lambda: len(numbers) > last + 20)
+                clock.stop()
+                return numbers
+
+    with ended():
+        numbers = run(scenario(), 120)
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
