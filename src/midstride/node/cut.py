@@ -173,7 +173,8 @@ class OutgoingCut(_Side):
         )
         stopped = late > max(GRACE, 2 * rate.period) * 1e9  # a grid that has stopped writes nothing
         if stopped and self.host.simulated_time:  # a call may be late by as much, however fast its clock runs
-            self._stopped_at = self._stopped_at or self.host.steady()
+            if self._stopped_at is None:
+                self._stopped_at = self.host.steady()
             stopped = self.host.steady() - self._stopped_at > GRACE * 1e9
         return reached or stopped
 
