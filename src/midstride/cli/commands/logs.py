@@ -38,8 +38,11 @@ def logs_command(node: str, follow: bool, lines: int | None, system: str | None)
     status = _status(client)
     paths = log_files(workspace, node, status)
     if not paths:
-        hint = suggestion(node, known_nodes(workspace, status))
-        raise ManagerError(f"{workspace.name} has no log of {node}; {hint or 'nothing has been started under it'}")
+        known = known_nodes(workspace, status)
+        if node in known:
+            raise ManagerError(f"{node} was started elsewhere, so its output is there")
+        hint = suggestion(node, known) or "nothing has been started under that name"
+        raise ManagerError(f"{workspace.name} has no log of {node}; {hint}")
     count = 10 if lines is None and follow else lines
     following = Appended()
     shown: Path | None = None
