@@ -34,7 +34,7 @@ from tests.runtime.systems import (
 WATCHING = {"observe", "grid", "record", "records", "export_state", "await_match"}
 # What is tried again: a cut with another moment, a meeting in short turns.
 TRIED_AGAIN = {"cut_out", "cut_in", "meet"}
-BETWEEN_PEERS = {"ping", "taken"}
+BETWEEN_PEERS = {"ping", "taken", "offer_state", "fetch_state", "importing"}
 
 
 class Failing(Simulator):
@@ -327,7 +327,7 @@ def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) ->
     assert told in str(outcome.because)
 
 
-@pytest.mark.parametrize("command", ["export_state", "import_state", "attach", "await_write", "meet", "cut_in"])
+@pytest.mark.parametrize("command", ["attach", "await_write", "meet", "prepare_state", "cut_in", "fetch_state"])
 @pytest.mark.parametrize("call", [1, 2])
 def test_a_message_of_the_wrong_type_is_the_reason_whenever_it_is_written(
     call: int, command: str, tmp_path: Path

@@ -14,6 +14,7 @@ from typing import Final
 from midstride.errors import BackendError
 from midstride.node.cut import GRACE, IncomingCut, OutgoingCut
 from midstride.node.host import Host
+from midstride.node.state_transfer import StateExport, StateImport
 from midstride.wire.commands import CutOutcome, CutResult
 
 # How often a side checks whether it can go on (s): shorter than a period at 200 Hz.
@@ -25,7 +26,7 @@ REPORT_ATTEMPTS: Final = 20
 LONGEST_WAIT: Final = 0.01
 
 
-@dataclass
+@dataclass(eq=False)
 class _CutTask:
     """What both sides share: an outcome, and cancellation."""
 
@@ -55,12 +56,13 @@ class _CutTask:
         self.changed()
 
 
-@dataclass
+@dataclass(eq=False)
 class CutOutTask(_CutTask):
     """The old side: writes up to T, and resumes where `taken` does not arrive in time."""
 
     side: OutgoingCut
     resume_after: float
+    export: StateExport | None = None
     _taken: bool = field(default=False, init=False)
 
     async def run(self) -> None:
@@ -70,17 +72,41 @@ class CutOutTask(_CutTask):
             passed = self.side.over or await self.host.on_data(self.side.passed)
             if not self._going():
                 return
+            if passed and self.export is not None:
+                await self.export.passed(self)
+                if not self._going():
+                    return
             if passed and self._taken:
                 await self._end("done", self.side.relieved)
-            elif self._silent_for(passed_at) > self.resume_after and not self._taken:
+            elif not self._taken and self._given_up(passed_at):
                 await self._end("resumed", self.side.reopen)
             else:
                 await self.host.sleep(TICK)
 
+    def _given_up(self, passed_at: int) -> bool:
+        if self.export is not None and self.export.given_up(passed_at, self.resume_after):
+            return True
+        return self._silent_for(passed_at) > self.resume_after
+
     def _silent_for(self, passed_at: int) -> float:
         """For how long the new side should have written (s); where messages drive it, since one arrived."""
         since = self.side.newer_at if self.side.driven_by_messages else passed_at
+        if since is not None and self.export is not None:
+            since = max(since, self.export.heard_at)
         return 0.0 if since is None else (self.host.steady() - since) / 1e9
+
+    async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
+        export = self.export
+        if export is None:
+            await super()._end(outcome, gates)
+            return
+        export.end(self, resumed=outcome != "done")
+
+        def gates_then_calls() -> None:
+            gates()
+            export.release_if_over()
+
+        await super()._end(outcome, gates_then_calls)
 
     async def taken(self, failed: bool) -> bool:
         """The new side has written, or has failed. Returns whether this one writes again."""
@@ -95,20 +121,24 @@ class CutOutTask(_CutTask):
         await self._end("cancelled", self.side.reopen)
 
     def result(self) -> CutResult:
-        return CutResult(outcome=self.outcome or "waiting", last=self.side.last())
+        because = None if self.export is None else self.export.because
+        return CutResult(outcome=self.outcome or "waiting", because=because, last=self.side.last())
 
 
-@dataclass
+@dataclass(eq=False)
 class CutInTask(_CutTask):
     """The new side: writes from T on, and reports its first write to its peer."""
 
     side: IncomingCut
     # Reports the first write, or a failure, to the old side within so many seconds; returns whether that has resumed.
     report: Callable[[float, bool], Awaitable[bool]]
+    state: StateImport | None = None
 
     async def run(self) -> None:
         latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
         await self._until(self.side.at)
+        if self.state is not None and self._going():
+            await self.state.settled()
         waited_from = self.host.steady()
         while self._going() and not self.side.written and not self._failed():
             # A message in transit at T may still make the new side write; nothing else will.
@@ -120,16 +150,28 @@ class CutInTask(_CutTask):
                 await self.host.sleep(TICK)
         failed = self._failed()
         if self._going() and (await self._resumed(failed) or failed):
-            await self._end("cancelled", self.side.close)
+            await self._end("cancelled", self._close)
         if self._going():
             self.outcome = "done"
             self.finished.set()
             self.changed()
             await self.host.sleep(GRACE)  # messages from before T may still be in transit to here
-            await self.host.on_data(self.side.conclude)
+            await self.host.on_data(self._conclude)
+
+    def _conclude(self) -> None:
+        self.side.conclude()
+        if self.state is not None:
+            self.state.end(self)
+
+    def _close(self) -> None:
+        self.side.close()
+        if self.state is not None:
+            self.state.end(self)
 
     def _failed(self) -> bool:
-        """Whether the author's code has raised before the first write."""
+        """Whether the author's code has raised before the first write, or there is no state to begin with."""
+        if self.state is not None and self.state.failed:
+            return True
         return not self.side.written and any(link.output.owner.failed for link in self.side.links)
 
     async def _resumed(self, failed: bool) -> bool:
@@ -144,7 +186,10 @@ class CutInTask(_CutTask):
         return False
 
     async def cancel(self) -> None:
-        await self._end("cancelled", self.side.close)
+        if self.state is not None:
+            await self.state.cancel()
+        await self._end("cancelled", self._close)
 
     def result(self) -> CutResult:
-        return CutResult(outcome=self.outcome or "waiting", first=self.side.first())
+        because = None if self.state is None else self.state.problem
+        return CutResult(outcome=self.outcome or "waiting", because=because, first=self.side.first())

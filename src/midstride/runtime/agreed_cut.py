@@ -8,15 +8,25 @@ from __future__ import annotations
 
 import math
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
+
+from msgspec import structs
 
 from midstride.errors import CallTimeout, StepFailed, Unreachable
 from midstride.model.action import Swap
 from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
-from midstride.wire.commands import AwaitMatchCommand, CutInCommand, CutOutCommand, CutSwap, GridCommand, Trigger
+from midstride.wire.commands import (
+    AwaitMatchCommand,
+    CutInCommand,
+    CutOutCommand,
+    CutSwap,
+    GridCommand,
+    StateTransfer,
+    Trigger,
+)
 
 # The old side resumes if the new side has not reported its first write for this many periods,
 RESUME_PERIODS: Final = 10
@@ -24,13 +34,18 @@ RESUME_PERIODS: Final = 10
 SHORTEST_RESUME: Final = 0.1
 # The same if no rate defines a period (s).
 RESUME_WITHOUT_RATE: Final = 2.0
+# How long state may take to move at a cut (s): the topic is silent meanwhile.
+STATE_TIMEOUT: Final = 2.0
 # How long a subscriber may take to find the new publishers (s).
 FIND_TIMEOUT: Final = 5.0
 
 
 @dataclass(slots=True)
 class Cut:
-    """One cut between two components, for the outputs of one functionality, which share a time grid."""
+    """One cut between two components, for the outputs of one functionality, which share a time grid.
+
+    ``lead`` is how far ahead it was agreed (s); ``state`` how state moves at the cuts of these two components.
+    """
 
     configuration: Configuration
     old: str
@@ -41,6 +56,8 @@ class Cut:
     epoch: int | None = None
     period: float | None = None
     at: int = 0
+    lead: float = 0.0
+    state: StateTransfer | None = None
 
     def resume_after(self) -> float:
         """How long the old side waits for the new one's first write (s)."""
@@ -59,7 +76,11 @@ class Cut:
     def outgoing(self) -> CutOutCommand:
         """The cut as the old side is sent it."""
         swaps = [CutSwap(port=swap.old.port, topic=self.configuration.topic(swap.connector)) for swap in self.swaps]
-        return CutOutCommand(cut=self.id, swaps=swaps, at=self.at, resume_after=self.resume_after())
+        return CutOutCommand(cut=self.id, swaps=swaps, at=self.at, resume_after=self.resume_after(), state=self.state)
+
+    def timeout(self) -> float:
+        """How long it may take until both sides know how it ended (s)."""
+        return self.lead + self.resume_after() + 2.0 + (0.0 if self.state is None else self.state.timeout)
 
     def incoming(self, address: str) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
@@ -70,13 +91,23 @@ class Cut:
             for swap in self.swaps
         ]
         epoch = self.at if self.trigger == "rate" else None
-        return CutInCommand(cut=self.id, swaps=swaps, at=self.at, epoch=epoch, peer=self.old, address=address)
+        return CutInCommand(
+            cut=self.id, swaps=swaps, at=self.at, epoch=epoch, peer=self.old, address=address, state=self.state
+        )
 
 
 async def agree_cuts(
-    client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap], lead: float
+    client: ComponentClient,
+    configuration: Configuration,
+    swaps: Iterable[Swap],
+    lead: float,
+    states: Mapping[tuple[str, str], StateTransfer],
 ) -> list[Cut]:
-    """One cut for the outputs of each old functionality, all at the first slot after one common moment."""
+    """One cut for the outputs of each old functionality, all at the first slot after one common moment.
+
+    ``states`` says how state moves between two components. There the slowest grid is cut first, and each faster one at
+    its first slot after that, so the slots that wait for the last cut do so for a short part of their period.
+    """
     cuts: dict[tuple[str, str, str], Cut] = {}
     now = 0
     for swap in swaps:
@@ -89,11 +120,26 @@ async def agree_cuts(
         cuts[key].swaps.append(swap)
     moment = now + int(lead * 1e9)
     for cut in cuts.values():
-        cut.at = moment
-        if cut.trigger == "rate" and cut.epoch is not None and cut.period:
-            step = cut.period * 1e9
-            cut.at = cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
+        cut.at = _first_slot(cut, moment)
+    for pair, state in states.items():
+        own = sorted((cut for cut in cuts.values() if (cut.old, cut.new) == pair), key=lambda cut: -(cut.period or 0.0))
+        at = moment
+        for cut in own:
+            at = cut.at = _first_slot(cut, at)
+        transfer = structs.replace(state, id=uuid.uuid4().hex, cuts=len(own), at=at)
+        for cut in own:
+            cut.state = transfer
+    for cut in cuts.values():
+        cut.lead = (cut.at - now) / 1e9
     return list(cuts.values())
+
+
+def _first_slot(cut: Cut, moment: int) -> int:
+    """The first slot of its grid that is not before ``moment``, which itself is one where there is no grid."""
+    if cut.trigger != "rate" or cut.epoch is None or not cut.period:
+        return moment
+    step = cut.period * 1e9
+    return cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
 
 
 async def require_found(
