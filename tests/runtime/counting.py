@@ -53,7 +53,7 @@ def driven(name, rate):
     functionality.set_degraded_mode(lambda: None)
 """
 _FOR_MESSAGES = """
-inlet = comp.create_input("in", String)
+inlet = comp.create_input("in", String, qos=200)
 output = comp.create_output("out", String)
 
 {kind} step(message):
@@ -62,7 +62,7 @@ output = comp.create_output("out", String)
     output.write(String(data=f"{{count['out']}} {{comp.instance}} {{message.data}}"))
 
 functionality = comp.create_functionality("count_out", inputs=[inlet], outputs=[output])
-functionality.set_normal_mode(step, inputs=[inlet], outputs=[output])
+functionality.set_normal_mode(step, inputs=[inlet], outputs=[output], guarantees={{output: {rate}}})
 functionality.set_degraded_mode(lambda: None)
 """
 _SOURCE = """
@@ -101,10 +101,10 @@ def at_rates(export: str = EXPORT, import_: str = IMPORT, more: str = "", **rate
     return _HEAD.format(export=export, import_=import_) + _AT_A_RATE.format() + driven + more + "\ncomp.start()\n"
 
 
-def for_messages(export: str = EXPORT, import_: str = IMPORT, pause: float | None = None) -> str:
-    """A program that counts its messages; with ``pause`` in async calls that take so long (s)."""
+def for_messages(rate: float, export: str = EXPORT, import_: str = IMPORT, pause: float | None = None) -> str:
+    """A program that counts its messages, which come at ``rate``; with ``pause``, in async calls so long (s)."""
     before = "pass" if pause is None else f"await comp.clock.sleep({pause})"
-    program = _FOR_MESSAGES.format(kind="def" if pause is None else "async def", before=before)
+    program = _FOR_MESSAGES.format(kind="def" if pause is None else "async def", before=before, rate=rate)
     return _HEAD.format(export=export, import_=import_) + program + "\ncomp.start()\n"
 
 
@@ -115,7 +115,7 @@ def system(folder: Path, old: str, new: str | None = None, *, source: float | No
     """
     (folder / "a.py").write_text(old)
     (folder / "b.py").write_text(old if new is None else new)
-    outputs: dict[str, Any] = dict(rates) if source is None else {"out": None}
+    outputs: dict[str, Any] = dict(rates) if source is None else {"out": source}
 
     def predicate(rate: float | None) -> dict[str, Any]:
         return {"type": STRING} if rate is None else {"type": STRING, "rate": rate}
@@ -173,6 +173,9 @@ class Reader:
         self.words.append(message.data)
         self.times.append(self._clock.steady())
 
+    def stop(self) -> None:
+        self._reader.destroy()
+
     @property
     def numbers(self) -> list[int]:
         return [int(word.split()[0]) for word in self.words]
@@ -192,9 +195,7 @@ class Reader:
         return max(later - earlier for earlier, later in itertools.pairwise(self.times))
 
 
-def counting(
-    folder: Path, body: Callable[[Manager, Simulator], Awaitable[T]], simulator: Simulator | None = None
-) -> T:
+def counting(folder: Path, body: Callable[[Manager, Simulator], Awaitable[T]], simulator: Simulator | None = None) -> T:
     """Bring the system of ``folder`` up in virtual time, run ``body``, and shut everything down."""
     simulator = simulator or Simulator()
     specification = decode_specification(json.loads((folder / "counting.json").read_text()))
@@ -215,6 +216,10 @@ async def exchanged(manager: Manager) -> Outcome:
     """Replace the counter by the other component."""
     other = "B" if manager.specification.nodes["counter"].component == "A" else "A"
     return await manager.change(PlanRequest(replace=(("counter", other),)))
+
+
+# The commands that components send each other in a hand-over.
+BETWEEN_PEERS = {"ping", "taken", "offer_state", "fetch_state", "importing", "export_state"}
 
 
 async def settle(seconds: float = 0.3) -> None:

@@ -142,7 +142,8 @@ class HandoverCommands:
         outcome: commands.CutOutcome = next((each.outcome for each in results if each.outcome != "done"), "done")
         last = {name: write for result in results for name, write in result.last.items()}
         first = {name: write for result in results for name, write in result.first.items()}
-        return commands.CutResult(outcome=outcome, last=last, first=first)
+        because = next((result.because for result in results if result.because is not None), None)
+        return commands.CutResult(outcome=outcome, because=because, last=last, first=first)
 
     async def taken(self, command: commands.CutTakenCommand) -> commands.Relieved:
         """From the new side. Where the cut is unknown, this side has not stopped writing."""
