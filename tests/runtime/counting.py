@@ -44,7 +44,7 @@ def import_state(state):
 """
 _AT_A_RATE = """
 def driven(name, rate):
-    output = comp.create_output(name, String)
+    output = comp.create_output(name, String, qos=200)
     def step():
         count[name] += 1
         output.write(String(data=f"{{count[name]}} {{comp.instance}}"))
@@ -54,7 +54,7 @@ def driven(name, rate):
 """
 _FOR_MESSAGES = """
 inlet = comp.create_input("in", String, qos=200)
-output = comp.create_output("out", String)
+output = comp.create_output("out", String, qos=200)
 
 {kind} step(message):
     {before}
@@ -70,7 +70,7 @@ from midstride import Component
 from std_msgs.msg import String
 
 comp = Component("source")
-out = comp.create_output("out", String)
+out = comp.create_output("out", String, qos=200)
 ticks = [0]
 
 def tick():
