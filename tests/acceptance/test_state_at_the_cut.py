@@ -78,6 +78,7 @@ async def replaced(backend: str, folder: Path, recorder: str, replacements: int)
     """What the recorder heard, and why hand-overs were given up."""
     path, given_up = folder / "heard", []
     workspace = Workspace(folder / "workspace")
+    workspace.path.mkdir(mode=0o700)
     specification = decode_specification(json.loads((folder / "counting.json").read_text()))
     manager = Manager(specification, backends.make(backend, workspace), workspace, folder)
     try:

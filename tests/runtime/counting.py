@@ -75,7 +75,7 @@ ticks = [0]
 
 def tick():
     ticks[0] += 1
-    out.write(String(data=str(ticks[0])))
+    out.write(String(data="{prefix}" + str(ticks[0])))
 
 talk = comp.create_functionality("talk", outputs=[out])
 talk.set_normal_mode(tick, rate={rate}, outputs=[out])
@@ -139,23 +139,61 @@ def system(folder: Path, old: str, new: str | None = None, *, source: float | No
     }
     nodes["sink"] = {"component": "Sink", "attachments": {"in": ["/out"]}}
     if source is not None:
-        (folder / "source.py").write_text(_SOURCE.format(rate=source))
+        (folder / "source.py").write_text(_SOURCE.format(rate=source, prefix=""))
         counter["inputs"] = {"in": predicate(None)}
         functionalities["count_out"] |= {"uses": ["in"]}
         functionalities["count_out"]["modes"]["normal"]["assumes"] = ["in"]
-        normal = {"guarantees": {"out": predicate(source)}}
-        components["Source"] = {
-            "run": "python3 source.py",
-            "outputs": ["out"],
-            "functionalities": {"talk": {"produces": ["out"], "modes": {"normal": normal, "degraded": {}}}},
-        }
-        nodes["source"] = {"component": "Source", "attachments": {"out": ["/ticks"]}}
         nodes["counter"]["attachments"]["in"] = ["/ticks"]
-        topics["/ticks"] = predicate(source)
     components |= {name: {**counter, "run": f"python3 {name.lower()}.py"} for name in "AB"}
     document = {"system": "counting", "topics": topics, "components": components, "nodes": nodes}
+    if source is not None:
+        _add_source(document, "Source", "source", "/ticks", source)
     (folder / "counting.json").write_text(json.dumps(document))
     return folder
+
+
+def listening(folder: Path, rate: float) -> None:
+    """The counters of ``folder`` have a second functionality, ``hear``, for the messages of a source on /ticks."""
+    (folder / "source.py").write_text(_SOURCE.format(rate=rate, prefix=""))
+
+    def change(document: dict[str, Any]) -> None:
+        for name in "AB":
+            component = document["components"][name]
+            component["inputs"] = {"in": {"type": STRING}}
+            component["functionalities"]["hear"] = document["components"]["Sink"]["functionalities"]["hear"]
+        _add_source(document, "Source", "source", "/ticks", rate)
+        document["nodes"]["counter"]["attachments"]["in"] = ["/ticks"]
+
+    _rewrite(folder, change)
+
+
+def second_source(folder: Path, rate: float) -> None:
+    """The counters also count the messages of another source, on /slow: s1, s2, ..."""
+    (folder / "slow.py").write_text(_SOURCE.format(rate=rate, prefix="s"))
+
+    def change(document: dict[str, Any]) -> None:
+        _add_source(document, "Slow", "slow", "/slow", rate)
+        document["nodes"]["counter"]["attachments"]["in"].append("/slow")
+
+    _rewrite(folder, change)
+
+
+def _add_source(document: dict[str, Any], component: str, node: str, topic: str, rate: float) -> None:
+    contract = {"type": STRING, "rate": rate}
+    talk = {"produces": ["out"], "modes": {"normal": {"guarantees": {"out": contract}}, "degraded": {}}}
+    document["components"][component] = {
+        "run": f"python3 {node}.py",
+        "outputs": ["out"],
+        "functionalities": {"talk": talk},
+    }
+    document["nodes"][node] = {"component": component, "attachments": {"out": [topic]}}
+    document["topics"][topic] = contract
+
+
+def _rewrite(folder: Path, change: Callable[[dict[str, Any]], None]) -> None:
+    document = json.loads((folder / "counting.json").read_text())
+    change(document)
+    (folder / "counting.json").write_text(json.dumps(document))
 
 
 class Reader:

@@ -19,6 +19,8 @@ from tests.runtime.counting import (
     counting,
     exchanged,
     for_messages,
+    listening,
+    second_source,
     settle,
     system,
 )
@@ -206,6 +208,122 @@ def test_of_a_large_state_only_the_changes_move_at_the_cut(tmp_path: Path) -> No
         'seen[str(count[name])] = 1; output.write(String(data=f"{count[name]} {comp.instance} {len(seen)}"))',
     )
     counting(system(tmp_path, program, out=50), body)
+
+
+def test_a_roll_back_after_the_hand_over_brings_the_state_back(tmp_path: Path) -> None:
+    """The old one cannot be removed, so it gets the topic again, and continues where the new one was."""
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        reader = Reader(simulator, "/out")
+        await settle()
+        simulator.faults.fail_next("counter", "export_state", "refused")
+        outcome = await exchanged(manager)
+        assert outcome.outcome == "rolled_back"
+        await settle()
+        reader.assert_exactly_once()
+        assert reader.changes == 2
+
+    counting(system(tmp_path, at_rates(out=50), out=50), body)
+
+
+def test_a_roll_back_goes_on_where_the_state_cannot_come_back(tmp_path: Path) -> None:
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        reader = Reader(simulator, "/out")
+        await settle()
+        simulator.faults.fail_next("counter", "export_state", "refused")
+        outcome = await exchanged(manager)
+        assert outcome.outcome == "rolled_back"
+        await settle()
+        notes = [event.words for event in manager.log() if "keeps its own state" in event.words]
+        assert len(notes) == 1 and "counter keeps its own state" in notes[0] and "ValueError: lost" in notes[0]
+        assert reader.changes == 2 and reader.longest_gap() < 0.05
+
+    new = at_rates(export=_RAISES, out=50)
+    counting(system(tmp_path, at_rates(out=50), new, out=50), body)
+
+
+def test_what_another_functionality_has_counted_moves_as_well(tmp_path: Path) -> None:
+    """A component that counts messages in one functionality, and writes at a rate how many there were in another.
+
+    None of them is in transit at T here; those are not waited for.
+    """
+    more = """
+inlet = comp.create_input("in", String, qos=200)
+def hear(message):
+    count["log"] = count["log"] + 1
+    count["last"] = int(message.data)
+    count.setdefault("first", count["last"])
+hearing = comp.create_functionality("hear", inputs=[inlet])
+hearing.set_normal_mode(hear, inputs=[inlet])
+hearing.set_degraded_mode(lambda: None)
+"""
+    program = at_rates(more=more, out=50).replace(
+        "{comp.instance}", "{comp.instance} {count['log']} {count.get('last', 0) - count.get('first', 0) + 1}"
+    )
+    folder = system(tmp_path, program, out=50)
+    listening(folder, rate=83)
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        reader = Reader(simulator, "/out")
+        for _ in range(5):
+            await settle(0.23)
+            outcome = await exchanged(manager)
+            assert (outcome.outcome, outcome.because) == ("done", None)
+        await settle()
+        reader.assert_exactly_once()
+        counted, numbered = (int(word) for word in reader.words[-1].split()[2:])
+        assert counted == numbered > 100, "a message was counted twice, or not at all"
+
+    counting(folder, body)
+
+
+def test_a_component_is_live_on_one_side_only(tmp_path: Path) -> None:
+    """For every number, exactly one of the two components has acted."""
+    program = at_rates(out=50).replace(
+        "        output.write(",
+        f"""        if comp.is_live:
+            with open({str(tmp_path / "acts")!r}, "a") as acts:
+                acts.write(f"{{count[name]}}\\n")
+        output.write(""",
+    )
+    folder = system(tmp_path, program, out=50)
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        reader = Reader(simulator, "/out")
+        for _ in range(4):
+            await settle(0.21)
+            assert (await exchanged(manager)).outcome == "done"
+        await settle()
+        acts = [int(line) for line in (folder / "acts").read_text().split()]
+        assert acts == list(range(1, acts[-1] + 1))
+        assert {*reader.numbers} <= {*acts}
+
+    counting(folder, body)
+
+
+def test_with_two_publishers_older_messages_are_waited_for(tmp_path: Path) -> None:
+    """A newer message of one says nothing about those of the other, which take 40 ms to arrive."""
+    folder = system(tmp_path, for_messages(100), source=100)
+    second_source(folder, rate=50)
+
+    async def body(manager: Manager, simulator: Simulator) -> None:
+        simulator.faults.delay("/slow", 0.04)
+        await settle(0.5)
+        reader = Reader(simulator, "/out")
+        await settle(0.2)
+        for _ in range(3):
+            await settle(0.23)
+            outcome = await exchanged(manager)
+            assert (outcome.outcome, outcome.because) == ("done", None)
+        await settle()
+        reader.assert_exactly_once()
+        assert reader.changes == 3
+        words = [word.split()[2] for word in reader.words]
+        for first in ("", "s"):
+            ticks = [int(word.removeprefix("s")) for word in words if word.startswith("s") == bool(first)]
+            assert ticks == list(range(ticks[0], ticks[0] + len(ticks)))
+
+    counting(folder, body)
 
 
 # -- death at every moment -------------------------------------------------------------------------

@@ -81,7 +81,7 @@ class CutOutTask(_CutTask):
             elif not self._taken and self._given_up(passed_at):
                 await self._end("resumed", self.side.reopen)
             else:
-                await self.host.sleep(TICK)
+                await (self.host.sleep(TICK) if self.export is None else self.export.pause())
 
     def _given_up(self, passed_at: int) -> bool:
         if self.export is not None and self.export.given_up(passed_at, self.resume_after):

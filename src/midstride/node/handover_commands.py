@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
 from midstride.node.attachments import Attachments
@@ -22,6 +22,8 @@ from midstride.wire.channel import Channel, result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
 from midstride.wire.state import GateState
+
+R = TypeVar("R")
 
 # How long one attempt to reach a peer may take (s).
 MEET_ATTEMPT: Final = 0.5
@@ -72,20 +74,23 @@ class HandoverCommands:
 
     async def meet(self, command: commands.MeetCommand) -> commands.Done:
         """Connect to the peer and ping it; the connection is kept for the report of the first write."""
+        await self._ask(command, commands.PingCommand())
+        return commands.Done()
+
+    async def _ask(self, command: commands.MeetCommand | commands.PrepareStateCommand, question: Command[R]) -> R:
+        """What the peer of ``command`` replies, in several short attempts. Raises CommandRefused."""
         deadline = self.host.steady() + int(command.timeout * 1e9)
         while True:
             try:
-                reply = await self._call(command.address, commands.PingCommand(), MEET_ATTEMPT)
-                break
+                return result_of(await self._call(command.address, question, MEET_ATTEMPT), question)
+            except CommandRefused as error:
+                raise CommandRefused(f"{command.peer} refused `{question.name}`: {error}") from None
             except BackendError as error:
                 if self.host.steady() >= deadline:
                     raise CommandRefused(
                         f"{command.peer} did not answer within {command.timeout:g} s: {error}"
                     ) from None
                 await self.host.sleep(0.02)
-        if not reply.ok:
-            raise CommandRefused(f"{command.peer} refused a ping: {reply.refused}")
-        return commands.Done()
 
     async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
         links = self._links_of(command.cut, command.swaps, CutOutTask, gate="open")
@@ -160,8 +165,7 @@ class HandoverCommands:
             if state is not None:
                 await self.hooks.import_(state, command.timeout)
             return commands.StateOffer(exports="changes")
-        offer = commands.OfferStateCommand(changes=self.hooks.imports_changes)
-        offered = result_of(await self._call(command.address, offer, command.timeout), offer)
+        offered = await self._ask(command, commands.OfferStateCommand(changes=self.hooks.imports_changes))
         if offered.exports != "nothing":
             self.hooks.check_import()
         return offered

@@ -27,10 +27,11 @@ from midstride.wire.channel import result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
 
-# How often a side checks whether async calls have ended (s).
+# How often a side checks whether a cut has passed, and async calls have ended (s).
 TICK: Final = 0.002
-# How long one request for the state waits (s), how often a peer that cannot be reached is tried, and how soon again.
-FETCH_TIMEOUT: Final = 1.0
+# How long before T the new side asks for the state (s): a request that waited for long would be repeated.
+FETCH_LEAD: Final = 0.05
+# How often a peer that cannot be reached is tried, and how soon again (s).
 FETCH_ATTEMPTS: Final = 5
 FETCH_INTERVAL: Final = 0.01
 # How often the new side reports that it is still importing (s): often enough for the shortest time before a resumption.
@@ -102,10 +103,22 @@ class StateExport(_Transfer):
     _heard_at: int | None = field(default=None, init=False)
     _imported: bool = field(default=False, init=False)
     _resumed: bool = field(default=False, init=False)
+    _held: asyncio.Event = field(default_factory=asyncio.Event, init=False)
     _settled: asyncio.Event = field(default_factory=asyncio.Event, init=False)
 
+    def __post_init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
-        return "hold" if self._all_passed or self._belongs_after(runner, call, slot=0) else "make"
+        if not self._all_passed and not self._belongs_after(runner, call, slot=0):
+            return "make"
+        self._loop.call_soon_threadsafe(self._held.set)
+        return "hold"
+
+    async def pause(self) -> None:
+        """Wait until a call is held back, which may show that a cut has passed, or for a short time."""
+        await within(self.host, self._held.wait(), TICK)
+        self._held.clear()
 
     async def passed(self, cut: object) -> None:
         """A cut has passed. After the last one the state is exported, once."""
@@ -226,13 +239,15 @@ class StateImport(_Transfer):
 
     async def _fetch(self) -> bytes | None:
         """Raises CommandRefused, or Unreachable where the old side has exited."""
-        attempts = 0
+        while not self._settled.is_set() and (left := (self.transfer.at - self.host.now()) / 1e9) > FETCH_LEAD:
+            await self.host.sleep(min(left - FETCH_LEAD, FETCH_LEAD))
         fetch = commands.FetchStateCommand(transfer=self.transfer.id)
+        attempts = 0
         while not self._settled.is_set():
             try:
-                return result_of(await self.request(fetch, FETCH_TIMEOUT), fetch).state
+                return result_of(await self.request(fetch, FETCH_LEAD + self.transfer.timeout), fetch).state
             except CallTimeout:
-                continue  # T may be far ahead, and the old side may be busy
+                continue  # on a clock that follows /clock, T may be far ahead
             except Unreachable:
                 attempts += 1
                 if attempts == FETCH_ATTEMPTS:
