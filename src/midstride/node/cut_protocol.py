@@ -84,7 +84,7 @@ class CutOutTask(_CutTask):
                 await (self.host.sleep(TICK) if self.export is None else self.export.pause())
 
     def _given_up(self, passed_at: int) -> bool:
-        if self.export is not None and self.export.given_up(passed_at, self.resume_after):
+        if self.export is not None and self.export.given_up(self.resume_after):
             return True
         return self._silent_for(passed_at) > self.resume_after
 

@@ -31,6 +31,8 @@ from midstride.wire.frames import Reply
 TICK: Final = 0.002
 # How long before T the new side asks for the state (s): a request that waited for long would be repeated.
 FETCH_LEAD: Final = 0.05
+# How often a side that waits for a moment of the ROS clock looks at it (s).
+LONGEST_WAIT: Final = 0.01
 # How often a peer that cannot be reached is tried, and how soon again (s).
 FETCH_ATTEMPTS: Final = 5
 FETCH_INTERVAL: Final = 0.01
@@ -99,7 +101,8 @@ class StateExport(_Transfer):
     _passed: set[object] = field(default_factory=set, init=False)
     _all_passed: bool = field(default=False, init=False)
     _state: bytes | None = field(default=None, init=False)
-    # When the state was exported, or the new side last reported (steady, ns).
+    # When the last cut was due; and when the state was exported, or the new side last reported (steady, ns).
+    _due_at: int | None = field(default=None, init=False)
     _heard_at: int | None = field(default=None, init=False)
     _imported: bool = field(default=False, init=False)
     _resumed: bool = field(default=False, init=False)
@@ -112,7 +115,8 @@ class StateExport(_Transfer):
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
         if not self._all_passed and not self._belongs_after(runner, call, slot=0):
             return "make"
-        self._loop.call_soon_threadsafe(self._held.set)
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._held.set)
         return "hold"
 
     async def pause(self) -> None:
@@ -140,13 +144,17 @@ class StateExport(_Transfer):
         """When the new side last showed that it works (steady, ns). Nothing is expected of it before the export."""
         return self.host.steady() if self._heard_at is None else self._heard_at
 
-    def given_up(self, passed_at: int, patience: float) -> bool:
+    def given_up(self, patience: float) -> bool:
         """Whether the old side resumes because of the transfer: another cut has, or it takes too long."""
-        late = (self.host.steady() - passed_at) / 1e9
-        if not self._resumed and not self._imported and late > self.transfer.timeout + patience:
-            self.because = self.because or f"the state took longer than {self.transfer.timeout:g} s"
-            return True
-        return self._resumed
+        now = self.host.steady()
+        if self._due_at is None and self.host.now() >= self.transfer.at:
+            self._due_at = now
+        if self._resumed or self._imported or self._due_at is None:
+            return self._resumed
+        if now - self._due_at <= (self.transfer.timeout + patience) * 1e9:
+            return False
+        self.because = self.because or _too_long(self.transfer)
+        return True
 
     async def fetch(self) -> commands.ExportedState:
         """Raises CommandRefused where the state could not be exported, or the old side has resumed."""
@@ -211,8 +219,10 @@ class StateImport(_Transfer):
         """At T: wait until the state has been imported, or cannot be in time."""
         if not self.complete:
             await self._settle("the manager has not sent every cut", True)
-        elif await within(self.host, self._settled.wait(), self.transfer.timeout) is None:
-            await self._settle(f"the state took longer than {self.transfer.timeout:g} s", self.transfer.required)
+        else:
+            await self._until(0.0)  # the last cut of the pair may be later
+            if await within(self.host, self._settled.wait(), self.transfer.timeout) is None:
+                await self._settle(_too_long(self.transfer), self.transfer.required)
 
     def end(self, cut: object) -> None:
         """On the data thread: a cut has ended. Once all have, calls from before T are no longer dropped."""
@@ -239,8 +249,7 @@ class StateImport(_Transfer):
 
     async def _fetch(self) -> bytes | None:
         """Raises CommandRefused, or Unreachable where the old side has exited."""
-        while not self._settled.is_set() and (left := (self.transfer.at - self.host.now()) / 1e9) > FETCH_LEAD:
-            await self.host.sleep(min(left - FETCH_LEAD, FETCH_LEAD))
+        await self._until(FETCH_LEAD)
         fetch = commands.FetchStateCommand(transfer=self.transfer.id)
         attempts = 0
         while not self._settled.is_set():
@@ -254,6 +263,11 @@ class StateImport(_Transfer):
                     raise
                 await self.host.sleep(FETCH_INTERVAL)
         return None
+
+    async def _until(self, lead: float) -> None:
+        """Wait until so long (s) before the last cut, on the ROS clock."""
+        while not self._settled.is_set() and (left := (self.transfer.at - self.host.now()) / 1e9 - lead) > 0:
+            await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
 
     async def _import(self, state: bytes) -> None:
         """Raises CommandRefused where the import fails, or the old side has resumed."""
@@ -276,3 +290,7 @@ class StateImport(_Transfer):
             return  # it has exited, or is stopped: it writes nothing
         if not reply.ok or result_of(reply, importing).resumed:
             raise CommandRefused("the old component has resumed")
+
+
+def _too_long(transfer: commands.StateTransfer) -> str:
+    return f"the state took longer than {transfer.timeout:g} s"
