@@ -6,6 +6,8 @@ must follow the same clock, and the subscribers must have found the new publishe
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import math
 import uuid
 from collections.abc import Callable, Iterable, Mapping
@@ -16,6 +18,7 @@ from msgspec import structs
 
 from midstride.errors import CallTimeout, StepFailed, Unreachable
 from midstride.model.action import Swap
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import (
@@ -38,6 +41,9 @@ RESUME_WITHOUT_RATE: Final = 2.0
 STATE_TIMEOUT: Final = 2.0
 # How long a subscriber may take to find the new publishers (s).
 FIND_TIMEOUT: Final = 5.0
+# How often, and at which interval (s), a subscriber may still count a publisher that has left.
+LEAVE_ATTEMPTS: Final = 10
+LEAVE_INTERVAL: Final = 0.05
 
 
 @dataclass(slots=True)
@@ -142,30 +148,52 @@ def _first_slot(cut: Cut, moment: int) -> int:
     return cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
 
 
+async def publishers_found(
+    client: ComponentClient, configuration: Configuration, connector: str, is_gone: Callable[[str], bool]
+) -> dict[PortRef, int]:
+    """How many publishers each subscriber of ``connector`` that answers is matched with, before new ones attach.
+
+    A publisher that has just left may still be counted, so a subscriber that counts more than there are in the model is
+    asked again for a while.
+    """
+    living = sum(not is_gone(port.instance) for port in configuration.publishers_on(connector))
+    found: dict[PortRef, int] = {}
+    for port in sorted(configuration.subscribers_on(connector)):
+        asked = AwaitMatchCommand(port=port.port, topic=configuration.topic(connector), peers=0, timeout=0.0)
+        with contextlib.suppress(CallTimeout, Unreachable):  # a fault that is reported by itself
+            for _ in range(LEAVE_ATTEMPTS):
+                found[port] = (await client.read(port.instance, asked)).matched
+                if found[port] <= living:
+                    break
+                await asyncio.sleep(LEAVE_INTERVAL)
+    return found
+
+
 async def require_found(
     client: ComponentClient,
     configuration: Configuration,
     swaps: Iterable[Swap],
     connector: str,
-    is_gone: Callable[[str], bool],
+    before: Mapping[PortRef, int],
 ) -> None:
     """Raises StepFailed unless the subscribers of ``connector`` have found the new publishers.
 
     That the publishers have found them is not enough: a subscriber whose middleware does not discover endpoints any
-    more would receive nothing after the cut.
+    more would receive nothing after the cut. ``before`` is what :func:`publishers_found` returned. Such a subscriber
+    may also not have noticed who left, so the number of publishers there are would not do.
     """
-    attached = {*configuration.publishers_on(connector), *(swap.new for swap in swaps if swap.connector == connector)}
-    living = sum(not is_gone(port.instance) for port in attached)
+    new = {swap.new for swap in swaps if swap.connector == connector}
     topic = configuration.topic(connector)
-    for port in sorted(configuration.subscribers_on(connector)):
-        await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=living, timeout=FIND_TIMEOUT)
+    for port, counted in before.items():
+        wanted = counted + len(new)
+        await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=wanted, timeout=FIND_TIMEOUT)
         try:
             matched = (await client.read(port.instance, await_match)).matched
         except (CallTimeout, Unreachable):
-            continue  # a fault that is reported by itself
-        if matched < living:
+            continue
+        if matched < wanted:
             raise StepFailed(
-                f"{port} has found only {matched} of {living} publishers on {topic} within {FIND_TIMEOUT:g} s "
+                f"{port} has found only {matched} of {wanted} publishers on {topic} within {FIND_TIMEOUT:g} s "
                 "and would receive nothing after the hand-over; its middleware may have stopped discovering endpoints: "
                 f"replace {port.instance} first"
             )
