@@ -47,6 +47,7 @@ class ActionDriver:
     drain_timeout: float = DRAIN_TIMEOUT
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
+    late: dict[str, float] = field(default_factory=dict)
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
     @property
@@ -195,27 +196,23 @@ class ActionDriver:
 
     async def _hand_over(self, action: Handover) -> None:
         configuration = self.configuration
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in action.swaps}):
-            same_role = configuration.instances[old].role == configuration.instances[new].role
-            if old != new and same_role:  # else nothing is replaced
-                await self._transfer_state(old, new)
+        pairs = {(swap.old.instance, swap.new.instance) for swap in action.swaps}
+        roles = {name: instance.role for name, instance in configuration.instances.items()}
         if self.before_handover is not None:
             await self.before_handover(configuration, action)
-        lingering_readers = self.backend.lingering_readers
-        handover = LiveHandover(self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone)
+        handover = LiveHandover(
+            self.client,
+            self.events,
+            configuration,
+            action.swaps,
+            self.backend.lingering_readers,
+            self._is_gone,
+            # Where the outputs of other roles are swapped, nothing is replaced.
+            pairs=[(old, new) for old, new in pairs if old != new and roles[old] == roles[new]],
+            required=not self.rolling_back,
+        )
         self.last_numbers |= await handover.run()
-
-    async def _transfer_state(self, old: str, new: str) -> None:
-        try:
-            exported = await self.client.read(old, commands.ExportStateCommand())
-        except MidstrideError as error:
-            if not self.rolling_back and not self._is_gone(old):
-                raise
-            lost = f"{old} has exited" if self._is_gone(old) else str(error)
-            self.events.add("note", f"{new} keeps its own state: {lost}")
-            return
-        if exported.state is not None:
-            await self._import_state(new, exported.state)
+        self.late |= handover.late
 
 
 def by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:
