@@ -58,8 +58,9 @@ class LiveHandover:
     """One hand-over on the components of ``configuration``.
 
     ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
-    exited, ``is_gone`` whether a component has exited. ``pairs`` of old and new components transfer state; if that
-    fails, so does the hand-over, unless state is not ``required``: then the new one continues with its own.
+    exited, ``is_gone`` whether a component has exited. ``before_cut(old, new)`` is called when both are ready for it.
+    ``pairs`` of old and new components transfer state; if that fails, so does the hand-over, unless state is not
+    ``required``: then the new one continues with its own.
     """
 
     client: ComponentClient
@@ -68,6 +69,7 @@ class LiveHandover:
     swaps: Sequence[Swap]
     lingering_readers: Callable[[str], Awaitable[int]]
     is_gone: Callable[[str], bool]
+    before_cut: Callable[[str, str], Awaitable[None]] | None = None
     pairs: Collection[tuple[str, str]] = ()
     required: bool = True
     # By how much the first slot of a new component was late because it waited for the state (s).
@@ -123,6 +125,8 @@ class LiveHandover:
             await self._await_probation(swap)
         for old, new in pairs:
             await self._meet(new, old)
+            if self.before_cut is not None:
+                await self.before_cut(old, new)
         for old, new in sorted(self.pairs):
             await self._prepare_state(old, new)
         for lead in LEADS:
