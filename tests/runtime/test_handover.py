@@ -25,6 +25,7 @@ from midstride.runtime.handover import (
     PROBATION,
     LiveHandover,
 )
+from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire.commands import (
     AttachCommand,
     Attached,
@@ -71,6 +72,7 @@ async def swapped(b: Bench, *swaps: Swap) -> dict[PortRef, int | None]:
         swaps or (SWAP,),
         b.backend.lingering_readers,
         b.system.crashed.__contains__,
+        StateTransfers(b.client, b.events),
     )
     return await handover.run()
 
