@@ -438,3 +438,34 @@ def _dies(folder: Path, victims: tuple[str, ...], moment: float) -> str:
         return "continued without the state"
 
     return counting(folder, body, Dying(victims, moment))
+
+
+class Freezing(Dying):
+    """They are stopped for 0.6 s instead, which is longer than the old side waits without a sign of the new one."""
+
+    def _die(self) -> None:
+        for victim in self.victims:
+            if victim in self.processes:
+                self.faults.freeze(victim, 0.6)
+
+
+@pytest.mark.parametrize("victim", ["counter", "counter_2"])
+def test_where_a_side_is_stopped_for_a_while_no_number_is_missing_or_doubled(victim: str, tmp_path: Path) -> None:
+    """One that continues after its peer has resumed learns that before it writes."""
+    outcomes = set()
+    for moment in _moments():
+        folder = tmp_path / f"{moment:.3f}"
+        folder.mkdir()
+        system(folder, at_rates(import_=_SLOW, out=50), out=50)
+
+        async def body(manager: Manager, simulator: Simulator, moment: float = moment) -> str:
+            reader = Reader(simulator, "/out")
+            await settle()
+            outcome = await exchanged(manager)
+            await settle()
+            numbers = reader.numbers
+            assert sorted(numbers) == list(range(min(numbers), max(numbers) + 1)), (moment, reader.words)
+            return outcome.outcome
+
+        outcomes.add(counting(folder, body, Freezing((victim,), moment)))
+    assert outcomes == ({"done", "rolled_back"} if victim == "counter_2" else {"done"})
