@@ -52,7 +52,8 @@ class LiveHandover:
     """One hand-over on the components of ``configuration``.
 
     ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
-    exited, ``is_gone`` whether a component has exited. ``states`` moves their state.
+    exited, ``is_gone`` whether a component has exited. ``states`` moves their state. ``before_cut(old, new)`` is called
+    when both are ready for it.
     """
 
     client: ComponentClient
@@ -62,6 +63,7 @@ class LiveHandover:
     lingering_readers: Callable[[str], Awaitable[int]]
     is_gone: Callable[[str], bool]
     states: StateTransfers
+    before_cut: Callable[[str, str], Awaitable[None]] | None = None
     _begun: list[Swap] = field(default_factory=list)
     _attached: list[Swap] = field(default_factory=list)
     _cuts: list[Cut] = field(default_factory=list)
@@ -113,6 +115,9 @@ class LiveHandover:
         for old, new in pairs:
             await self._meet(new, old)
         await self.states.prepare()
+        for old, new in pairs:
+            if self.before_cut is not None:
+                await self.before_cut(old, new)
         for lead in LEADS:
             self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self.states.agreed)
             if await self._announce(last_try=lead == LEADS[-1]):
