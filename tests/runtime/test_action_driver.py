@@ -443,7 +443,7 @@ def test_a_first_slot_that_waited_for_the_state_is_reported(
         await perform(b, HANDOVER)
         assert b.driver.late == reported
         assert [words for words in b.words("note") if "late" in words] == [
-            "talker_2 wrote its first slot 250 ms late: it waited for the state" for _ in reported
+            "talker_2 wrote its first slot 250 ms late, after its state had moved" for _ in reported
         ]
 
     bench(replacing(), tmp_path, body)

@@ -26,6 +26,7 @@ from midstride.runtime.handover import (
     LiveHandover,
 )
 from midstride.runtime.simulated_time import LONGEST_STRETCH
+from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire.commands import (
     AttachCommand,
     Attached,
@@ -72,6 +73,7 @@ async def swapped(b: Bench, *swaps: Swap) -> dict[PortRef, int | None]:
         swaps or (SWAP,),
         b.backend.lingering_readers,
         b.system.crashed.__contains__,
+        StateTransfers(b.client, b.events),
     )
     return await handover.run()
 

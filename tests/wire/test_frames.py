@@ -29,6 +29,7 @@ from midstride.wire.commands import (
     Done,
     ExportedState,
     ExportStateCommand,
+    FetchedState,
     FetchStateCommand,
     GateCommand,
     GatedWrites,
@@ -154,7 +155,10 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (StopCommand(timeout=1.5), Done()),
     (CutTakenCommand(cut="c", failed=True, timeout=1.5), Relieved(resumed=True)),
     (OfferStateCommand(changes=True, timeout=1.5), StateOffer(exports="nothing")),
-    (FetchStateCommand(transfer="t", timeout=1.5), ExportedState(state=b"\x00\xff\n")),
+    (
+        FetchStateCommand(transfer="t", timeout=1.5),
+        FetchedState(state=b"\x00\xff\n", handled={"p": 10**18}, since=1),
+    ),
     (ImportingCommand(transfer="t", done=True, timeout=1.5), Relieved(resumed=False)),
 ]
 ids = [command.name for command, _ in SAMPLES]

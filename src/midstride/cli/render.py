@@ -166,7 +166,7 @@ def outcome(document: Document) -> RenderableType:
         lines.append(swaps)
     late = sorted((document.get("late") or {}).items())
     lines += [
-        Text(f"The first slot of {name} was {seconds(spent)} late: it waited for the state.") for name, spent in late
+        Text(f"The first slot of {name} was {seconds(spent)} late; its state moved before.") for name, spent in late
     ]
     return Group(*lines)
 

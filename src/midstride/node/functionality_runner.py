@@ -155,8 +155,10 @@ class FunctionalityRunner(OutputOwner):
         return admission == "make"
 
     def make_held(self) -> None:
-        """Make the calls that were held back, in order, before any other."""
-        waiting = [*self._held, *self._postponed]
+        """Make the calls that were held back and are not to be dropped, in order, before any other."""
+        admission = self.admission
+        held = [call for call in self._held if admission is None or admission(self, call) == "make"]
+        waiting = [*held, *self._postponed]
         self._held.clear()
         self._postponed = deque(waiting, maxlen=max(self._depth, len(waiting)))
         self._catch_up()

@@ -178,7 +178,7 @@ class HandoverCommands:
     async def offer_state(self, command: commands.OfferStateCommand) -> commands.StateOffer:
         return commands.StateOffer(exports=self.hooks.exports(command.changes))
 
-    async def fetch_state(self, command: commands.FetchStateCommand) -> commands.ExportedState:
+    async def fetch_state(self, command: commands.FetchStateCommand) -> commands.FetchedState:
         return await self._exporting(command.transfer).fetch()
 
     async def importing(self, command: commands.ImportingCommand) -> commands.Relieved:

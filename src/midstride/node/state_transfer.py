@@ -2,7 +2,9 @@
 
 docs/semantics.md section 7, *State*. From T on, both components hold back calls of the author's functions: the old one
 those that belong to the new side, until it knows that they are not its own after all; the new one those that belong to
-it, until the state has arrived. The new side asks for the state, and reports that it is importing it, so the old side
+it, until the state has arrived. A functionality without an output in a cut, which only receives, goes on at the old
+side until the export; the new one holds all its messages back, and drops those that the old one has received. The new
+side asks for the state, and reports that it is importing it, so the old side
 can tell a slow import from a dead peer. None of this needs the manager.
 
 The methods ``arm``, ``admit`` and ``release`` run on the data thread, the others on the control thread.
@@ -22,6 +24,7 @@ from midstride.node.host import Host
 from midstride.node.mode_switch import within
 from midstride.node.ports import OutputLink, OutputOwner
 from midstride.node.state_hooks import StateHooks
+from midstride.node.trigger import InfoSet
 from midstride.wire import commands
 from midstride.wire.channel import result_of
 from midstride.wire.commands import Command, CutClock
@@ -83,6 +86,13 @@ class _Transfer:
                 else:
                     runner.drop_held()
 
+    def _origin(self, runner: FunctionalityRunner, call: Call) -> tuple[str, int] | None:
+        """The publisher of a message and its time, where known, of a functionality that has no output in a cut."""
+        if runner in self._moments or call.info is None or isinstance(call.info, InfoSet):
+            return None
+        facts = self.host.read_info(call.info)
+        return None if facts.publisher is None or facts.source is None else (facts.publisher, facts.source)
+
     def _belongs_after(self, runner: FunctionalityRunner, call: Call, slot: int) -> bool:
         at, clock = self._moments.get(runner, (self.transfer.at, self.transfer.clock))
         return call_belongs_after(runner, call.slots, call.info, at, self.host, slot, clock)
@@ -108,6 +118,9 @@ class StateExport(_Transfer):
     # When the last cut was due; and when the state was exported, or the new side last reported (steady, ns).
     _due_at: int | None = field(default=None, init=False)
     _heard_at: int | None = field(default=None, init=False)
+    # By publisher, the newest message that a functionality without an output in a cut has received since then.
+    _handled: dict[str, int] = field(default_factory=dict, init=False)
+    _since: int = field(default=0, init=False)
     _imported: bool = field(default=False, init=False)
     _resumed: bool = field(default=False, init=False)
     _held: asyncio.Event = field(default_factory=asyncio.Event, init=False)
@@ -116,9 +129,18 @@ class StateExport(_Transfer):
     def __post_init__(self) -> None:
         self._loop = asyncio.get_running_loop()
 
+    def arm(self, links: Iterable[OutputLink], side: OutgoingCut | IncomingCut) -> None:
+        super().arm(links, side)
+        self._since = self._since or self.host.message_now()
+
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
-        if not self._all_passed and not self._belongs_after(runner, call, slot=0):
-            return "make"
+        if not self._all_passed:
+            if (origin := self._origin(runner, call)) is not None:
+                publisher, source = origin
+                self._handled[publisher] = max(source, self._handled.get(publisher, 0))
+                return "make"
+            if not self._belongs_after(runner, call, slot=0):
+                return "make"
         if not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._held.set)
         return "hold"
@@ -160,12 +182,12 @@ class StateExport(_Transfer):
         self.because = self.because or _too_long(self.transfer)
         return True
 
-    async def fetch(self) -> commands.ExportedState:
+    async def fetch(self) -> commands.FetchedState:
         """Raises CommandRefused where the state could not be exported, or the old side has resumed."""
         await self._settled.wait()
         if self.because is not None:
             raise CommandRefused(self.because)
-        return commands.ExportedState(state=self._state)
+        return commands.FetchedState(state=self._state, handled=self._handled, since=self._since)
 
     def importing(self, done: bool) -> commands.Relieved:
         if not self._resumed:
@@ -199,19 +221,31 @@ class StateImport(_Transfer):
     failed: bool = field(default=False, init=False)
     _imported: bool = field(default=False, init=False)
     _open: bool = field(default=False, init=False)
+    # As the old side reports them.
+    _handled: dict[str, int] = field(default_factory=dict, init=False)
+    _since: int = field(default=0, init=False)
     _settled: asyncio.Event = field(default_factory=asyncio.Event, init=False)
 
     def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
-        if self._belongs_after(runner, call, slot=1):
-            return "make" if self._open else "hold"
-        return "drop" if self._imported else "make"  # the state includes it
+        origin = self._origin(runner, call)
+        if origin is None:
+            included = not self._belongs_after(runner, call, slot=1)
+            if included and not self._imported:
+                return "make"
+        else:
+            publisher, source = origin
+            included = self._imported and source <= self._handled.get(publisher, self._since)
+        if not self._open:
+            return "drop" if included and origin is None else "hold"
+        return "drop" if included else "make"
 
     async def run(self) -> None:
         """Fetch and import the state; then make the calls that were held back."""
         try:
-            state = await self._fetch()
-            if state is not None:
-                await self._import(state)
+            fetched = await self._fetch()
+            if fetched is not None and fetched.state is not None:
+                self._handled, self._since = fetched.handled, fetched.since
+                await self._import(fetched.state)
         except CommandRefused as error:
             await self._settle(str(error), self.transfer.required)
         except Unreachable:
@@ -251,14 +285,14 @@ class StateImport(_Transfer):
         for runner in self.runners:
             runner.make_held()
 
-    async def _fetch(self) -> bytes | None:
+    async def _fetch(self) -> commands.FetchedState | None:
         """Raises CommandRefused, or Unreachable where the old side has exited."""
         await self._until(FETCH_LEAD)
         fetch = commands.FetchStateCommand(transfer=self.transfer.id)
         attempts = 0
         while not self._settled.is_set():
             try:
-                return result_of(await self.request(fetch, FETCH_LEAD + self.transfer.timeout), fetch).state
+                return result_of(await self.request(fetch, FETCH_LEAD + self.transfer.timeout), fetch)
             except CallTimeout:
                 continue  # on a clock that follows /clock, T may be far ahead
             except Unreachable:

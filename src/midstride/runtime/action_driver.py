@@ -22,6 +22,7 @@ from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
 from midstride.wire.commands import Command
 
@@ -224,20 +225,16 @@ class ActionDriver:
         roles = {name: instance.role for name, instance in configuration.instances.items()}
         if self.before_handover is not None:
             await self.before_handover(configuration, action)
+        # Where the outputs of other roles are swapped, nothing is replaced.
+        replaced = [(old, new) for old, new in pairs if old != new and roles[old] == roles[new]]
+        states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back)
+        lingering_readers = self.backend.lingering_readers
         handover = LiveHandover(
-            self.client,
-            self.events,
-            configuration,
-            action.swaps,
-            self.backend.lingering_readers,
-            self._is_gone,
-            # Where the outputs of other roles are swapped, nothing is replaced.
-            pairs=[(old, new) for old, new in pairs if old != new and roles[old] == roles[new]],
-            required=not self.rolling_back,
+            self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone, states
         )
         handover.before_cut = self._carry_parameters
         self.last_numbers |= await handover.run()
-        self.late |= handover.late
+        self.late |= states.late
 
     async def _carry_parameters(self, old: str, new: str) -> None:
         if self.parameters is not None and not self.rolling_back:

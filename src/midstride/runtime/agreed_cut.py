@@ -39,8 +39,6 @@ RESUME_PERIODS: Final = 10
 SHORTEST_RESUME: Final = 0.1
 # The same if no rate defines a period (s).
 RESUME_WITHOUT_RATE: Final = 2.0
-# How long state may take to move at a cut (s): the topic is silent meanwhile.
-STATE_TIMEOUT: Final = 2.0
 # How long a subscriber may take to find the new publishers (s).
 FIND_TIMEOUT: Final = 5.0
 # How often, and at which interval (s), a subscriber may still count a publisher that has left.

@@ -10,18 +10,15 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
-from collections.abc import Awaitable, Callable, Collection, Iterable, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
-
-from msgspec import structs
 
 from midstride.errors import CommandRefused, MidstrideError, StepFailed, Unreachable
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.agreed_cut import (
-    STATE_TIMEOUT,
     Cut,
     agree_cuts,
     publishers_found,
@@ -31,6 +28,7 @@ from midstride.runtime.agreed_cut import (
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.simulated_time import stretch
+from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
 
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
@@ -43,8 +41,6 @@ ATTACH_TIMEOUT: Final = 5.0
 # announces every 3 s. The limit is for readers that were killed and that the middleware still counts.
 OUTSIDE_READERS_TIMEOUT: Final = 4.0
 DETACH_TIMEOUT: Final = 2.0
-# How long the bulk of a state, which moves while the old component works, may take (s).
-BULK_TIMEOUT: Final = 30.0
 # How often, and how long each time (s), the two sides try to connect to each other.
 MEET_ATTEMPTS: Final = 10
 MEET_TIMEOUT: Final = 0.5
@@ -58,9 +54,8 @@ class LiveHandover:
     """One hand-over on the components of ``configuration``.
 
     ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
-    exited, ``is_gone`` whether a component has exited. ``before_cut(old, new)`` is called when both are ready for it.
-    ``pairs`` of old and new components transfer state; if that fails, so does the hand-over, unless state is not
-    ``required``: then the new one continues with its own.
+    exited, ``is_gone`` whether a component has exited. ``states`` moves their state. ``before_cut(old, new)`` is called
+    when both are ready for it.
     """
 
     client: ComponentClient
@@ -69,12 +64,8 @@ class LiveHandover:
     swaps: Sequence[Swap]
     lingering_readers: Callable[[str], Awaitable[int]]
     is_gone: Callable[[str], bool]
+    states: StateTransfers
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
-    pairs: Collection[tuple[str, str]] = ()
-    required: bool = True
-    # By how much the first slot of a new component was late because it waited for the state (s).
-    late: dict[str, float] = field(default_factory=dict)
-    _states: dict[tuple[str, str], commands.StateTransfer] = field(default_factory=dict)
     _begun: list[Swap] = field(default_factory=list)
     _attached: list[Swap] = field(default_factory=list)
     _cuts: list[Cut] = field(default_factory=list)
@@ -125,12 +116,12 @@ class LiveHandover:
             await self._await_probation(swap)
         for old, new in pairs:
             await self._meet(new, old)
+        await self.states.prepare()
+        for old, new in pairs:
             if self.before_cut is not None:
                 await self.before_cut(old, new)
-        for old, new in sorted(self.pairs):
-            await self._prepare_state(old, new)
         for lead in LEADS:
-            self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self._states)
+            self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self.states.agreed)
             if await self._announce(last_try=lead == LEADS[-1]):
                 break
         return await self._await_cuts()
@@ -159,15 +150,16 @@ class LiveHandover:
             moved = any(
                 (cut.old, cut.new) == (old, new) and swap in publishing for cut in self._cuts for swap in cut.swaps
             )
-            if (old, new) in self._states and not moved:
-                self.events.add("note", f"{new} keeps its own state: {old} has exited")
+            if (old, new) in self.states.agreed and not moved:
+                self.states.note_own_state(new, f"{old} has exited")
         return {}
 
     async def _publishes(self, cut: Cut) -> bool:
         """Whether the new side of ``cut`` has published, or will at the agreed moment."""
         try:
             incoming = await self.client.read(cut.new, self._await_cut(cut))
-            self._note_own_state(cut, incoming)
+            if incoming.outcome == "done":
+                self.states.ended(cut, incoming)
             return incoming.outcome == "done"
         except CommandRefused:
             return False  # it was not sent the cut
@@ -266,23 +258,6 @@ class LiveHandover:
                 refused = error
         raise refused
 
-    async def _prepare_state(self, old: str, new: str) -> None:
-        """Find out what ``old`` exports at the cut, and have ``new`` import a bulk that can move before it."""
-        prepare = commands.PrepareStateCommand(peer=old, address=self.client.address(old))
-        try:
-            offer = await self.client.change(new, prepare)
-            if offer.exports == "changes":
-                await self.client.change(new, structs.replace(prepare, bulk=True, timeout=BULK_TIMEOUT))
-        except MidstrideError as error:
-            if self.required:
-                raise
-            self.events.add("note", f"{new} keeps its own state: {error}")
-            return
-        if offer.exports != "nothing":
-            self._states[old, new] = commands.StateTransfer(
-                id="", cuts=0, at=0, changes=offer.exports == "changes", required=self.required, timeout=STATE_TIMEOUT
-            )
-
     async def _announce(self, last_try: bool) -> bool:
         """Send each cut to both sides. False if one side received it too late; then all cuts have been cancelled."""
         try:
@@ -311,26 +286,11 @@ class LiveHandover:
                 raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues{reason}")
             if incoming.outcome != "done" or outgoing.outcome != "done":
                 raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
-            self._note_own_state(cut, incoming)
-            self._note_late(cut, incoming)
+            self.states.ended(cut, incoming)
             for swap in cut.swaps:
                 write = outgoing.last.get(f"{swap.old.port} {self._topic(swap)}")
                 last[swap.old] = None if write is None else write.number
         return last
-
-    def _note_own_state(self, cut: Cut, incoming: commands.CutResult) -> None:
-        if incoming.outcome == "done" and incoming.because is not None:
-            self.events.add("note", f"{cut.new} keeps its own state: {incoming.because}")
-
-    def _note_late(self, cut: Cut, incoming: commands.CutResult) -> None:
-        """Of a cut with state: how late the slot of the cut was written, where that is more than a period."""
-        written = [write.source for write in incoming.first.values() if write is not None and write.source is not None]
-        if cut.state is None or cut.trigger != "rate" or not cut.period or not written:
-            return
-        late = (min(written) - cut.at) / 1e9
-        if late > cut.period:
-            self.late[cut.new] = max(round(late, 6), self.late.get(cut.new, 0.0))
-            self.events.add("note", f"{cut.new} wrote its first slot {late * 1e3:.0f} ms late: it waited for the state")
 
     def _await_cut(self, cut: Cut) -> commands.AwaitCutCommand:
         timeout = max(each.timeout(self._stretch(each.old)) for each in self._cuts)

@@ -80,6 +80,18 @@ class ExportedState(WireValue, frozen=True, kw_only=True):
     state: bytes | None
 
 
+class FetchedState(WireValue, frozen=True, kw_only=True):
+    """The state at a cut. ``handled``: by publisher, the time of the newest message that it includes (ns).
+
+    That is for functionalities without an output in the cut. Of other publishers, it includes what was published until
+    ``since``.
+    """
+
+    state: bytes | None
+    handled: dict[str, int]
+    since: int
+
+
 class StateOffer(WireValue, frozen=True, kw_only=True):
     """What a component exports at a cut: of ``changes``, the bulk has to move before."""
 
@@ -396,7 +408,7 @@ class OfferStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="off
     changes: bool
 
 
-class FetchStateCommand(Command[ExportedState], frozen=True, kw_only=True, tag="fetch_state"):
+class FetchStateCommand(Command[FetchedState], frozen=True, kw_only=True, tag="fetch_state"):
     """From the new side to the old one: wait for the state after the last write."""
 
     kind = "between"
