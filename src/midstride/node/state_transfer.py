@@ -48,7 +48,7 @@ TRANSIT_PER_BYTE: Final = 2e-8
 
 @dataclass(eq=False)
 class _Transfer:
-    """What both sides share. ``_armed`` is the number of cuts that the pair has agreed so far, ``_ended`` those over."""
+    """What both sides share. ``_armed``: how many cuts the pair has agreed so far; ``_ended``: those that are over."""
 
     transfer: commands.StateTransfer
     hooks: StateHooks
