@@ -48,7 +48,7 @@ TRANSIT_PER_BYTE: Final = 2e-8
 
 @dataclass(eq=False)
 class _Transfer:
-    """What both sides share. ``_armed`` holds the cuts that the pair has agreed so far, by their outcome's owner."""
+    """What both sides share. ``_armed``: how many cuts the pair has agreed so far; ``_ended``: those that are over."""
 
     transfer: commands.StateTransfer
     hooks: StateHooks
@@ -118,7 +118,7 @@ class StateExport(_Transfer):
     # When the last cut was due; and when the state was exported, or the new side last reported (steady, ns).
     _due_at: int | None = field(default=None, init=False)
     _heard_at: int | None = field(default=None, init=False)
-    # By publisher, the newest message that a functionality without an output in a cut has received since then.
+    # By publisher, the newest message that a functionality without an output in a cut has received since ``_since``.
     _handled: dict[str, int] = field(default_factory=dict, init=False)
     _since: int = field(default=0, init=False)
     _imported: bool = field(default=False, init=False)
