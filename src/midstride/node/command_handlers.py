@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
+from midstride.node.answering import Answering
 from midstride.node.attachments import Attachments
 from midstride.node.declaration import DeclaredParts
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
@@ -69,6 +70,7 @@ class CommandHandlers:
         self._data = DataExecutor(self.host, self._busy_words)
         self._attachments = Attachments(self.parts, self.host, self._data)
         self._handovers = HandoverCommands(self._attachments, self.host, self._data, self.changed, self.token)
+        answering = Answering(self.host.gate, self._handovers.call, self.changed)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._attachments.detach,
@@ -82,6 +84,8 @@ class CommandHandlers:
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
             commands.CutTakenCommand: self._handovers.taken,
+            commands.AnswerCommand: answering.answer,
+            commands.YieldCommand: answering.stop,
             commands.SetParametersCommand: self._set_parameters,
             commands.ExportStateCommand: self._export_state,
             commands.ImportStateCommand: self._import_state,
@@ -175,6 +179,8 @@ class CommandHandlers:
             stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
             simulated_time=self.host.simulated_time,
+            node=self.host.node_name,
+            answers=self.host.gate.is_open,
         )
 
     def _busy_words(self) -> str:

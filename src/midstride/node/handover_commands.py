@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
 from midstride.node.attachments import Attachments
@@ -68,7 +68,7 @@ class HandoverCommands:
         deadline = self.host.steady() + int(command.timeout * 1e9)
         while True:
             try:
-                reply = await self._call(command.address, commands.PingCommand(), MEET_ATTEMPT)
+                reply = await self.call(command.address, commands.PingCommand(), MEET_ATTEMPT)
                 break
             except BackendError as error:
                 if self.host.steady() >= deadline:
@@ -97,7 +97,7 @@ class HandoverCommands:
 
         async def report(timeout: float, failed: bool) -> bool:
             taken = commands.CutTakenCommand(cut=command.cut, failed=failed)
-            reply = await self._call(command.address, taken, timeout)
+            reply = await self.call(command.address, taken, timeout)
             return not reply.ok or result_of(reply, taken).resumed
 
         self._begin(command.cut, CutInTask(self.host, self.changed, side, report))
@@ -170,10 +170,8 @@ class HandoverCommands:
         if not task.cancelled() and (error := task.exception()) is not None:
             self.host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
 
-    async def _call(
-        self, address: str, command: Command[commands.Done] | Command[commands.Relieved], timeout: float
-    ) -> Reply:
-        """Raises CallTimeout or Unreachable."""
+    async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
+        """A peer's reply to ``command``. Raises CallTimeout or Unreachable."""
         channel = self._channels.get(address)
         if channel is None or channel.closed.is_set():
             if self.host.transport is None:

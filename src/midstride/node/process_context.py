@@ -18,7 +18,15 @@ from typing import Any, Final, cast
 
 from midstride.errors import NodeError
 from midstride.node.host import HostFactory
-from midstride.wire.environment import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
+from midstride.wire.environment import (
+    ENV_BACKEND,
+    ENV_INSTANCE,
+    ENV_NAMESPACE,
+    ENV_NODE,
+    ENV_PARAMETERS,
+    ENV_STANDBY,
+    ENV_TOKEN,
+)
 
 # Back ends that a component finds by itself: the library that shows that the platform is installed, and our module.
 # Each module has `create_host(name, namespace) -> Host`.
@@ -27,7 +35,11 @@ BACKENDS: Final = {"ros2": ("rclpy", "midstride.backends.ros2"), "ros1": ("rospy
 
 @dataclass(frozen=True, slots=True)
 class ProcessContext:
-    """``instance`` is None where the component's own name is used; ``token`` is empty where it was started by hand."""
+    """``instance`` is None where the component's own name is used; ``token`` is empty where it was started by hand.
+
+    ``node`` is the name of the ROS node, None where that is the instance's. ``standby``: another instance answers
+    requests to the node's services.
+    """
 
     factory: HostFactory | None = None
     instance: str | None = None
@@ -36,6 +48,8 @@ class ProcessContext:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     pid: int | None = None
+    node: str | None = None
+    standby: bool = False
 
 
 current: Final[ContextVar[ProcessContext | None]] = ContextVar("midstride_process_context", default=None)
@@ -52,6 +66,8 @@ def find() -> ProcessContext:
         token=os.environ.get(ENV_TOKEN, ""),
         parameters=_parameters(os.environ.get(ENV_PARAMETERS, "")),
         arguments=tuple(sys.argv[1:]),
+        node=os.environ.get(ENV_NODE) or None,
+        standby=bool(os.environ.get(ENV_STANDBY)),
     )
 
 

@@ -14,6 +14,7 @@ from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFa
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
@@ -84,7 +85,7 @@ class ActionDriver:
     async def _perform(self, action: Action, because: str) -> None:
         match action:
             case Create(instance):
-                await self.launcher.registered(instance)
+                await self.launcher.registered(instance, standby=self.system.has_instance(instance.role))
                 if (state := self._exported.get(instance.role)) is not None:
                     await self._import_state(instance.name, state)
             case Degrade() | Upgrade():
@@ -96,7 +97,11 @@ class ActionDriver:
             # The others need no command where a process has exited, or where a port keeps its endpoint because it is
             # attached to another connector of the same topic.
             case Remove(instance) if instance not in self.system.crashed:
+                await self._change_answering(instance, runs=True)
                 await self._remove(action)
+                await self._change_answering(instance, runs=False)  # if it did not respond
+            case Remove(instance):
+                await self._change_answering(instance, runs=False)
             case Attach(port, connector) if not self._has_endpoint(port, connector):
                 await self._attach(action)
             case Detach(port, connector) if not (self._is_gone(port.instance) or self._has_endpoint(port, connector)):
@@ -128,6 +133,16 @@ class ActionDriver:
             self.events.add("note", f"{action.instance} was started elsewhere: it is released, and left running")
         else:
             await self.launcher.end(action.instance)
+
+    async def _change_answering(self, leaving: str, runs: bool) -> None:
+        """If another instance has the role of one that leaves, have it answer requests from now on."""
+        role = self.configuration.instances[leaving].role
+        for other in self.configuration.instances_of(role):
+            if other.name != leaving and not self._is_gone(other.name):
+                try:
+                    await have_answer(self.client, other.name, instead_of=leaving if runs else None)
+                except MidstrideError as error:
+                    self.events.add("note", f"{other.name} does not answer requests to {role}: {error}")
 
     async def _import_state(self, instance: str, state: bytes) -> None:
         try:

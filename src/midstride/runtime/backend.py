@@ -18,7 +18,11 @@ from midstride.wire.transport import Transport
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """How to start one component: its command (split as a shell would) and the name of its instance."""
+    """How to start one component: its command (split as a shell would) and the name of its instance.
+
+    ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
+    ``standby``: another instance of that node answers requests until the new one is sent ``answer``.
+    """
 
     instance: str
     namespace: str
@@ -26,6 +30,8 @@ class Launch:
     token: str
     directory: Path
     parameters: dict[str, object] = field(default_factory=dict)
+    node: str = ""
+    standby: bool = False
 
 
 @dataclass(frozen=True, slots=True)

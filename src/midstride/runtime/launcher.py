@@ -68,10 +68,11 @@ class Launcher:
         """The connection of a component that was started by hand has closed."""
         self._backend.disconnected(name)
 
-    async def start(self, instance: Instance) -> bool:
+    async def start(self, instance: Instance, *, standby: bool = False) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 
-        Returns False if it is already starting. A component without ``run`` is started by hand. Raises StartFailed.
+        Returns False if it is already starting. A component without ``run`` is started by hand. ``standby``: another
+        instance of its role answers requests. Raises StartFailed.
         """
         name = instance.name
         if name in self._starting:
@@ -88,7 +89,8 @@ class Launcher:
                 raise StartFailed(f"{name}: component {instance.component.name} has an empty `run` command")
             namespace = instance.role.rpartition("/")[0]
             parameters: dict[str, object] = dict(instance.parameters)
-            launch = Launch(name, namespace, arguments, self._client.token, self._directory, parameters)
+            token, directory = self._client.token, self._directory
+            launch = Launch(name, namespace, arguments, token, directory, parameters, instance.role, standby)
             self.handles[name] = await self._backend.start(launch)
         except ValueError as error:
             self._forget_start(name)
@@ -106,14 +108,14 @@ class Launcher:
         """How many processes have been started and have neither registered nor exited."""
         return sum(not (registering.done() or self._exits[name].done()) for name, registering in self._starting.items())
 
-    async def registered(self, instance: Instance) -> None:
+    async def registered(self, instance: Instance, *, standby: bool = False) -> None:
         """Wait until ``instance`` registers, check it against its declaration, and accept it.
 
         As long as other components register, it has more time: the machine is busy with them. Raises StartFailed, after
         terminating the process that was started.
         """
         name = instance.name
-        await self.start(instance)
+        await self.start(instance, standby=standby)
         try:
             greeting, registration = await self._registration(instance)
             self._verify(instance, greeting, registration)
@@ -167,7 +169,7 @@ class Launcher:
         except SpecificationError as error:
             raise StartFailed(f"{name} registered something that is no component: {error}") from None
         faults = mismatches(component, registered)
-        extra = unexpected_endpoints(component, instance.name, registration.endpoints)
+        extra = unexpected_endpoints(component, {name, instance.role}, registration.endpoints)
         faults += [f"its node has {endpoint}, which component {component.name} does not allow" for endpoint in extra]
         if faults:
             raise StartFailed(f"{name} is not the {component.name} that was declared: " + "; ".join(faults))

@@ -13,6 +13,7 @@ from midstride.errors import MidstrideError, ProtocolError, Unreachable
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.specification import Specification
+from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Handle
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
@@ -53,7 +54,12 @@ async def recover(
         events.add("adopted", f"{instance.name} was reattached unchanged")
     for name in await launcher.end_orphans(found):
         events.add("ended", f"stopped {name}, which an earlier manager had just started")
-    for name in _redundant(found):
+    redundant = _redundant(found)
+    for name in sorted(found.keys() - set(redundant)):
+        # With what its predecessor, if there is one, has handled.
+        role = found[name][0].role
+        await have_answer(client, name, next((other for other in redundant if found[other][0].role == role), None))
+    for name in redundant:
         events.add("ended", f"stopped {name}, which an earlier manager had left half done")
         del found[name]
         with suppress(MidstrideError):
@@ -68,14 +74,14 @@ async def recover(
 
 
 def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
-    """All instances of each role but the one with the most open gates, which is the one that publishes."""
+    """All instances of each role but the one with the most open gates, which publishes; else the one that answers."""
     by_role: dict[str, list[str]] = {}
     for name, (instance, _) in found.items():
         by_role.setdefault(instance.role, []).append(name)
 
-    def rank(name: str) -> tuple[int, int, str]:
+    def rank(name: str) -> tuple[int, bool, int, str]:
         links = [link for topics in found[name][1].ports.values() for link in topics.values()]
-        return -sum(link.gate == "open" for link in links), len(name), name
+        return -sum(link.gate == "open" for link in links), not found[name][1].answers, len(name), name
 
     return [name for names in by_role.values() for name in sorted(names, key=rank)[1:]]
 

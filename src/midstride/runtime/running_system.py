@@ -24,6 +24,10 @@ class RunningSystem:
     missing: dict[str, Exited] = field(default_factory=dict)
     _missing_roles: dict[str, str] = field(default_factory=dict)
 
+    def has_instance(self, role: str) -> bool:
+        """Whether an instance has that role: it answers requests until its successor is to."""
+        return bool(self.configuration.instances_by_role.get(role))
+
     def moved(self, configuration: Configuration) -> None:
         """A step or an event has changed the configuration."""
         self.configuration = configuration

@@ -40,7 +40,9 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
 
-    ``simulated_time``: its ROS clock follows ``/clock``. ``stopping`` is how long it may take to end in order (s).
+    ``node``: the full name of its ROS node, None where there is none. ``answers``: it answers requests to the node's
+    services; of several instances of a role, one does. ``simulated_time``: its ROS clock follows ``/clock``.
+    ``stopping`` is how long it may take to end in order (s).
     ``ports`` maps port -> topic -> attachment.
     """
 
@@ -54,3 +56,5 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     stopping: float
     waiting: str | None = None
     simulated_time: bool = False
+    node: str | None = None
+    answers: bool = True

@@ -95,6 +95,7 @@ class Ros2Backend(ProcessBackend):
 
     async def start(self, launch: Launch) -> Handle:
         full_name = names.full(launch.instance, launch.namespace)
+        node = names.full(launch.node or launch.instance, launch.namespace)
         command = processes.command(launch.arguments, launch.directory, os.environ, lambda: sys.executable)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
@@ -102,8 +103,9 @@ class Ros2Backend(ProcessBackend):
             launch.instance in self._processes
             or await processes.listens(self.transport, launch.instance)
             or graph.has(full_name)
+            or graph.has_foreign(node)
         ):
-            raise StartFailed(f"{launch.instance}: a node {full_name} is running already; end it, or use another name")
+            raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
         return self._spawn(launch, full_name, command, environment)

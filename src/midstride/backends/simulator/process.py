@@ -62,6 +62,7 @@ class SimulatedProcess:
             parameters=dict(launch.parameters),
             arguments=self._program.arguments,
             pid=pid,
+            standby=launch.standby,
         )
         context.run(process_context.current.set, own)
         self._thread = CooperativeThread(launch.instance, self._program.run, context)
