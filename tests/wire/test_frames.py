@@ -11,6 +11,7 @@ from midstride.errors import CommandRefused, ProtocolError
 from midstride.wire.channel import result_of
 from midstride.wire.commands import (
     COMMANDS,
+    AnswerCommand,
     AttachCommand,
     Attached,
     AwaitCutCommand,
@@ -49,6 +50,8 @@ from midstride.wire.commands import (
     SetParametersCommand,
     StopCommand,
     WelcomeCommand,
+    YieldCommand,
+    Yielded,
 )
 from midstride.wire.frames import (
     PROTOCOL,
@@ -83,6 +86,8 @@ STATE = ComponentState(
     stopping=3.0,
     waiting="no manager has welcomed it yet",
     simulated_time=True,
+    node="/front/talker",
+    answers=False,
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
 ROW = Receipt(1, 2, 3, "p")
@@ -116,9 +121,11 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (CutInCommand(cut="c", swaps=SWAPS, at=1, peer="old", address="unix:/x", epoch=2, timeout=1.5), Done()),
     (CancelCutCommand(cut="c", timeout=1.5), Done()),
     (GateCommand(port="out", topic="/t", gate="closed", latch=True, timeout=1.5), Done()),
+    (AnswerCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
     (CutTakenCommand(cut="c", failed=True, timeout=1.5), Relieved(resumed=True)),
+    (YieldCommand(timeout=1.5), Yielded(handled=["1 2", "1 3"])),
 ]
 ids = [command.name for command, _ in SAMPLES]
 

@@ -38,21 +38,20 @@ class ServiceGate:
         """
         now = self._steady()
         with self._lock:
-            self._forget_old(now)
             if request in self._handled:
                 return False
             if self.is_open:
                 self._handled[request] = now
-                return True
-            self._held[request] = now, later
-            return False
+            else:
+                self._held[request] = now, later
+            self._forget_old(now)
+            return self.is_open
 
     def _forget_old(self, now: int) -> None:
-        """Make room for one more of each."""
         handled, held = self._handled, self._held
-        while handled and (len(handled) >= REMEMBERED or now - next(iter(handled.values())) > REMEMBER * 1e9):
+        while handled and (len(handled) > REMEMBERED or now - next(iter(handled.values())) > REMEMBER * 1e9):
             handled.popitem(last=False)
-        while held and (len(held) >= HELD or now - next(iter(held.values()))[0] > HOLD * 1e9):
+        while held and (len(held) > HELD or now - next(iter(held.values()))[0] > HOLD * 1e9):
             held.popitem(last=False)
 
     def close(self) -> list[str]:
@@ -75,7 +74,9 @@ class ServiceGate:
             for request in handled or ():
                 due.pop(request, None)
                 self._handled[request] = now
+                self._handled.move_to_end(request)
             self._handled.update(dict.fromkeys(due, now))
+            self._forget_old(now)
             self.is_open = True
         for later in due.values():
             later()

@@ -85,7 +85,10 @@ class ActionDriver:
     async def _perform(self, action: Action, because: str) -> None:
         match action:
             case Create(instance):
-                await self.launcher.registered(instance, standby=self.system.has_instance(instance.role))
+                standby = self.system.has_instance(instance.role)
+                await self.launcher.registered(instance, standby=standby)
+                if not standby:  # it does already, unless it was started by hand and replaced once
+                    await have_answer(self.client, instance.name)
                 if (state := self._exported.get(instance.role)) is not None:
                     await self._import_state(instance.name, state)
             case Degrade() | Upgrade():

@@ -55,15 +55,17 @@ async def recover(
     for name in await launcher.end_orphans(found):
         events.add("ended", f"stopped {name}, which an earlier manager had just started")
     redundant = _redundant(found)
-    for name in sorted(found.keys() - set(redundant)):
-        # With what its predecessor, if there is one, has handled.
-        role = found[name][0].role
-        await have_answer(client, name, next((other for other in redundant if found[other][0].role == role), None))
     for name in redundant:
         events.add("ended", f"stopped {name}, which an earlier manager had left half done")
-        del found[name]
+        instance, _ = found.pop(name)
+        with suppress(MidstrideError):
+            for other, (successor, _) in found.items():
+                if successor.role == instance.role and other not in redundant:
+                    await have_answer(client, other, instead_of=name)
         with suppress(MidstrideError):
             await launcher.end(name)
+    for name in found:
+        await have_answer(client, name)
     for name, (instance, _) in found.items():
         # A cut that was in progress may have changed its gates and modes since it was adopted.
         found[name] = (instance, await client.observe(name))
