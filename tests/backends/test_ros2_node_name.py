@@ -1,0 +1,127 @@
+"""The instances of a role share its node's name on ROS 2, and one of them answers."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.errors import StartFailed
+from midstride.wire.commands import AnswerCommand
+from tests.backends.counting import COUNTING, Caller
+from tests.backends.ros2_support import Bare, Rig, rig, run, until_async
+from tests.backends.test_ros2_host import Tools
+
+pytestmark = pytest.mark.ros2
+
+
+async def answers(r: Rig, new: str, old: str | None) -> None:
+    """Have ``new`` answer instead of ``old``, which has exited if None."""
+    command = AnswerCommand(peer=old or "", address=None if old is None else r.client.address(old))
+    await r.client.change(new, command)
+
+
+async def start_both(r: Rig) -> None:
+    await r.start("counter", COUNTING, node="counter")
+    await r.start("counter_2", COUNTING, node="counter", standby=True)
+
+
+@pytest.mark.full
+def test_the_clients_of_a_node_reach_its_replacement(tmp_path: Path) -> None:
+    """Parameters, the state that is shown as parameters, and the author's own service; the graph shows both nodes."""
+
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("counter", COUNTING, node="counter")
+            with Bare() as bare:
+                tools, caller = Tools(bare, "/counter"), Caller(bare.node, "/counter/count", clients=1)
+
+                async def instance() -> Any:
+                    (state,) = await tools.get("midstride.state")
+                    return json.loads(state)["instance"]
+
+                assert await tools.set(gain=2.0) == [(True, "")]
+                assert await instance() == "counter"
+                await r.start("counter_2", COUNTING, node="counter", standby=True)
+                await bare.until(lambda: bare.node.get_node_names().count("counter") == 2)
+                assert "counter_2" not in bare.node.get_node_names()
+                assert await tools.set(gain=3.0) == [(True, "")]
+                parameters = {name: (await r.client.observe(name)).parameters for name in ("counter", "counter_2")}
+                assert parameters == {"counter": {"gain": 3.0}, "counter_2": {"gain": 1.0}}
+
+                await answers(r, "counter_2", "counter")
+                states = {name: await r.client.observe(name) for name in ("counter", "counter_2")}
+                assert {name: state.answers for name, state in states.items()} == {"counter": False, "counter_2": True}
+                assert {state.node for state in states.values()} == {"/counter"}
+                assert await instance() == "counter_2"
+                assert await tools.set(gain=4.0) == [(True, "")]
+                parameters = {name: (await r.client.observe(name)).parameters for name in ("counter", "counter_2")}
+                assert parameters == {"counter": {"gain": 3.0}, "counter_2": {"gain": 4.0}}
+
+                await bare.until(caller.ready)
+                caller.step()
+                await bare.until(caller.finished)
+                assert caller.answered == {"counter_2": 1}
+
+                # The manager knows them by their instances.
+                await until_async(lambda: r.shows_node("/counter"))
+                await until_async(lambda: r.shows_node("/counter_2"))
+                await r.attach("counter_2", "out", "/counted")
+                await until_async(lambda: r.shows_writer("/counter_2", "/counted"))
+                r.kill("counter")
+                await until_async(lambda: not_shown(r, "/counter"))
+                assert await r.shows_node("/counter_2")
+
+    run(scenario())
+
+
+async def not_shown(r: Rig, node: str) -> bool:
+    return node not in (await r.backend.endpoints()).nodes
+
+
+@pytest.mark.full
+def test_each_request_is_handled_once_while_the_instances_change(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await start_both(r)
+            with Bare() as bare:
+                caller = Caller(bare.node, "/counter/count")
+                await bare.until(lambda: caller.ready() and bare.node.count_services("/counter/count") == 2)
+
+                async def change() -> None:
+                    for _ in range(20):
+                        for new, old in (("counter_2", "counter"), ("counter", "counter_2")):
+                            before = caller.answered.total()
+                            while caller.answered.total() < before + 20:
+                                await asyncio.sleep(0.001)
+                            await answers(r, new, old)
+
+                changing = asyncio.ensure_future(change())
+                while not changing.done():
+                    caller.step()
+                    await bare.spin()
+                await changing
+                await bare.until(caller.finished)
+            assert caller.answered["counter"] > 100 and caller.answered["counter_2"] > 100
+            caller.handled_once(tmp_path / "calls")
+
+    run(scenario(), 100.0)
+
+
+def test_a_foreign_node_of_the_roles_name_is_found_although_an_instance_has_it(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("counter", COUNTING, node="counter")
+            with Bare("counter"):
+                await until_async(lambda: shows_foreign(r, "/counter"))
+                with pytest.raises(StartFailed, match=r"counter_2: a node /counter is running already"):
+                    await r.launch("counter_2", COUNTING, node="counter", standby=True)
+
+    run(scenario())
+
+
+async def shows_foreign(r: Rig, node: str) -> bool:
+    return bool(r.backend._graph.has_foreign(node))
