@@ -68,7 +68,7 @@ class HandoverCommands:
         deadline = self.host.steady() + int(command.timeout * 1e9)
         while True:
             try:
-                reply = await self.call(command.address, commands.PingCommand(), MEET_ATTEMPT)
+                reply = await self._call(command.address, commands.PingCommand(), MEET_ATTEMPT)
                 break
             except BackendError as error:
                 if self.host.steady() >= deadline:
@@ -97,7 +97,7 @@ class HandoverCommands:
 
         async def report(timeout: float, failed: bool) -> bool:
             taken = commands.CutTakenCommand(cut=command.cut, failed=failed)
-            reply = await self.call(command.address, taken, timeout)
+            reply = await self._call(command.address, taken, timeout)
             return not reply.ok or result_of(reply, taken).resumed
 
         self._begin(command.cut, CutInTask(self.host, self.changed, side, report))
@@ -170,8 +170,8 @@ class HandoverCommands:
         if not task.cancelled() and (error := task.exception()) is not None:
             self.host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
 
-    async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
-        """A peer's reply to ``command``. Raises CallTimeout or Unreachable."""
+    async def _call(self, address: str, command: Command[Any], timeout: float) -> Reply:
+        """Raises CallTimeout or Unreachable."""
         channel = self._channels.get(address)
         if channel is None or channel.closed.is_set():
             if self.host.transport is None:
@@ -182,3 +182,5 @@ class HandoverCommands:
             if channel is not made:  # another cut has connected to the same peer meanwhile
                 made.close()
         return await channel.request(command, timeout=timeout)
+
+    call = _call

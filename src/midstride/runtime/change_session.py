@@ -57,6 +57,8 @@ class ChangeSession:
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
         specification, configuration = self.system.specification, self.system.configuration
+        instances = configuration.instances.items()
+        request = request.for_roles({name: live.role for name, live in instances if name not in specification.nodes})
         return await asyncio.to_thread(_plan, request, specification, configuration)
 
     async def change(self, request: PlanRequest, *, expected: int | None = None, verify: bool = False) -> Outcome:
