@@ -125,9 +125,9 @@ def test_names(instance: str, namespace: str, full: str) -> None:
     assert names.full(instance, namespace) == full
     name, inside = names.split(instance, namespace)
     assert names.full(name, inside) == full
-    for node in (name, "other"):
-        control = names.full(names.control(name, node), inside)
+    for node, system in ((name, ""), (name, names.system_tag("a token")), ("other", names.system_tag("a token"))):
+        control = names.full(names.control(name, node, system), inside)
         assert names.is_hidden(control)
-        assert names.controlled(control) == (full, names.full(node, inside))
+        assert names.controlled(control) == (full, names.full(node, inside), system)
     assert names.controlled(full) is None
     assert not names.is_hidden(full)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from midstride.backends.ros2 import names
 from midstride.errors import StartFailed
 from midstride.wire.commands import AnswerCommand
+from midstride.wire.environment import ENV_CONTROL
 from tests.backends.counting import COUNTING, Caller
-from tests.backends.ros2_support import Bare, Rig, rig, run, until_async
+from tests.backends.ros2_support import Bare, Rig, rig, run, until_async, without_midstride
 from tests.backends.test_ros2_host import Tools
 
 pytestmark = pytest.mark.ros2
@@ -111,17 +115,50 @@ def test_each_request_is_handled_once_while_the_instances_change(tmp_path: Path)
     run(scenario(), 100.0)
 
 
-def test_a_foreign_node_of_the_roles_name_is_found_although_an_instance_has_it(tmp_path: Path) -> None:
+@pytest.mark.full
+@pytest.mark.parametrize("foreign", ["a node", "an instance of another system"])
+def test_a_foreign_node_of_the_roles_name_is_found_although_an_instance_has_it(tmp_path: Path, foreign: str) -> None:
     async def scenario() -> None:
-        async with rig(tmp_path) as r:
-            await r.start("counter", COUNTING, node="counter")
-            with Bare("counter"):
-                await until_async(lambda: shows_foreign(r, "/counter"))
-                with pytest.raises(StartFailed, match=r"counter_2: a node /counter is running already"):
-                    await r.launch("counter_2", COUNTING, node="counter", standby=True)
+        (tmp_path / "ours").mkdir()
+        (tmp_path / "theirs").mkdir()
+        async with rig(tmp_path / "ours") as r, rig(tmp_path / "theirs") as other:
+            if foreign == "a node":
+                await r.start("counter", COUNTING, node="counter")
+                with Bare("counter"):
+                    await refused_soon(r)
+            else:
+                await other.start("counter_3", COUNTING, node="counter")
+                await until_async(lambda: r.shows_node("/counter_3"))
+                await refused_soon(r)
 
     run(scenario())
 
 
-async def shows_foreign(r: Rig, node: str) -> bool:
-    return bool(r.backend._graph.has_foreign(node))
+async def refused_soon(r: Rig) -> None:
+    """A replacement is not started once the foreign node is in the graph."""
+    await until_async(lambda: r.backend._foreign("/counter", names.system_tag(r.token)))
+    with pytest.raises(StartFailed, match=r"counter_2: a node /counter is running already"):
+        await r.launch("counter_2", COUNTING, node="counter", standby=True)
+
+
+@pytest.mark.full
+def test_a_component_started_by_hand_is_replaced_under_its_name(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            r.write("counter", COUNTING)
+            environment = without_midstride() | {ENV_CONTROL: str(r.backend.transport.folder)}
+            with subprocess.Popen([sys.executable, "counter.py"], cwd=tmp_path, env=environment) as process:
+                try:
+                    await r.welcome("counter")
+                    await until_async(lambda: r.shows_node("/counter"))
+                    await r.start("counter_2", COUNTING, node="counter", standby=True)
+                    await answers(r, "counter_2", "counter")
+                    assert [(await r.client.observe(name)).answers for name in ("counter", "counter_2")] == [
+                        False,
+                        True,
+                    ]
+                finally:
+                    process.terminate()
+                    process.wait(20)
+
+    run(scenario())

@@ -103,12 +103,21 @@ class Ros2Backend(ProcessBackend):
             launch.instance in self._processes
             or await processes.listens(self.transport, launch.instance)
             or graph.has(full_name)
-            or graph.has_foreign(node)
+            or await self._foreign(node, names.system_tag(launch.token))
         ):
             raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
         return self._spawn(launch, full_name, command, environment)
+
+    async def _foreign(self, node: str, system: str) -> bool:
+        """Whether a node of that name is in the graph that is no instance of the system."""
+        for found in self._joined().of_name(node):
+            if found is None or found.node != node or found.system not in ("", system):
+                return True
+            if not found.system and not await processes.listens(self.transport, found.instance.strip("/")):
+                return True
+        return False
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
         self._forget_node(instance)

@@ -16,12 +16,13 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final, TypeAlias
 
 from midstride.backends.ros2 import names
+from midstride.backends.ros2.names import InstanceNode
 from midstride.runtime.backend import Endpoints
 
 # For how long a dead process may stay in the graph (s): the lease of the middleware, and some time to notice.
 LINGER: Final = 25.0
-# The full names of an instance and of its node, by process.
-_Instances: TypeAlias = Mapping[bytes, tuple[str, str]]
+# The instances by process.
+_Instances: TypeAlias = Mapping[bytes, InstanceNode]
 
 
 class Graph:
@@ -55,13 +56,14 @@ class Graph:
         """Whether a living instance, or a foreign node, of that name is in the graph."""
         return any(name == full_name and self._lives(info, name) for info, name in self._every())
 
-    def has_foreign(self, node: str) -> bool:
-        """Whether a living node of that name is in the graph that is no instance's."""
+    def of_name(self, node: str) -> set[InstanceNode | None]:
+        """The living instances whose node has that name; None among them is a foreign node."""
         instances = self._instances()
-        return any(
-            name == node and names.participant(info) not in instances and self._lives(info, name)
+        return {
+            instances.get(names.participant(info))
             for info, name in self._every()
-        )
+            if _node(info) == node and self._lives(info, name)
+        }
 
     def endpoints(self) -> Endpoints:
         instances = self._instances()
@@ -118,8 +120,8 @@ def _node(info: Any) -> str:
 def _name(info: Any, instances: _Instances) -> str:
     """The name that an endpoint is shown under: of its instance, else of its node."""
     node = _node(info)
-    instance, own = instances.get(names.participant(info), (node, node))
-    return instance if node == own else node
+    found = instances.get(names.participant(info))
+    return node if found is None or node != found.node else found.instance
 
 
 def _gid(info: Any) -> bytes:

@@ -183,7 +183,7 @@ class Ros2Host:
             self._name,
             self._namespace,
             gate=self.gate,
-            managed=bool(os.environ.get(ENV_TOKEN)),
+            system=names.system_tag(os.environ.get(ENV_TOKEN, "")),
             parameters=self._given,
             failed=lambda raised: self.logger.error(
                 f"a callback raised, and the component goes on without it:\n{raised}"

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import hashlib
 import re
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from midstride.backends.naming import full as full
 from midstride.backends.naming import split as split
@@ -16,20 +17,33 @@ PREFIX: Final = "midstride."
 STATE: Final = PREFIX + "state"
 
 
-_CONTROL: Final = re.compile(r"(?P<inside>.*/)_(?P<instance>\w+?)_control(?:_of_(?P<node>\w+))?\Z")
+_CONTROL: Final = re.compile(r"(.*/)_(\w+?)_control(?:_([0-9a-f]{8})_of_(\w+))?\Z")
 
 
-def control(instance: str, node: str) -> str:
+class InstanceNode(NamedTuple):
+    """The full names of an instance and of its node. ``system`` is empty where it was started by hand."""
+
+    instance: str
+    node: str
+    system: str
+
+
+def system_tag(token: str) -> str:
+    """What distinguishes the instances of one system from those of others; the token itself is not public."""
+    return hashlib.sha256(token.encode()).hexdigest()[:8] if token else ""
+
+
+def control(instance: str, node: str, system: str) -> str:
     """The hidden node beside ``node``, in the process of ``instance``: the one name there that is the instance's."""
-    return f"_{instance}_control" + (f"_of_{node}" if node != instance else "")
+    return f"_{instance}_control" + (f"_{system}_of_{node}" if system else "")
 
 
-def controlled(full_name: str) -> tuple[str, str] | None:
-    """The full names of the instance and of its node, for that of a control node; None for any other."""
+def controlled(full_name: str) -> InstanceNode | None:
+    """The instance whose control node has that full name; None for any other node."""
     if (found := _CONTROL.match(full_name)) is None:
         return None
-    inside, instance, node = found.group("inside", "instance", "node")
-    return inside + instance, inside + (node or instance)
+    inside, instance, system, node = found.groups()
+    return InstanceNode(inside + instance, inside + (node or instance), system or "")
 
 
 def is_hidden(full_name: str) -> bool:

@@ -72,8 +72,9 @@ class ExecutorThread:
 
 
 class ComponentNodes:
-    """``managed``: a manager started the process. ``failed`` is called with the traceback of what a callback raised.
+    """``system`` is that whose manager started the process, empty if none did.
 
+    ``failed`` is called with the traceback of what a callback raised.
     Raises NodeError where the name is taken.
     """
 
@@ -84,7 +85,7 @@ class ComponentNodes:
         namespace: str,
         *,
         gate: ServiceGate,
-        managed: bool,
+        system: str,
         parameters: Mapping[str, Any],
         failed: Callable[[str], None],
     ) -> None:
@@ -93,7 +94,7 @@ class ComponentNodes:
             rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         self._context = rclpy.utilities.get_default_context()
         self._control = GatedNode(
-            names.control(instance, name),
+            names.control(instance, name, system),
             gate,
             namespace=namespace,
             use_global_arguments=False,
@@ -102,13 +103,14 @@ class ComponentNodes:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self._full_name = names.full(name, namespace)
+        self._system = system
         try:
-            if not managed:
+            if not system:
                 self._check_free()
         except NodeError:
             self._leave_ros()
             raise
-        pinned = ["--ros-args", "-r", f"__node:={name}", "-r", f"__ns:={namespace}"] if managed else None
+        pinned = ["--ros-args", "-r", f"__node:={name}", "-r", f"__ns:={namespace}"] if system else None
         self.data: Any = GatedNode(
             name,
             gate,
@@ -157,9 +159,13 @@ class ComponentNodes:
         return self._in_graph().count(self._full_name)
 
     def _instances_of_our_role(self) -> int:
-        """How many instances of our role are there, this one included: their manager has one of them answer."""
+        """How many instances of our role are there, this one included: the manager has one of them answer.
+
+        One that was started by hand may belong to any system.
+        """
         found = {seen for name in self._in_graph() if (seen := names.controlled(name)) is not None}
-        return max(1, sum(node == self._full_name for _, node in found))
+        ours = [each for each in found if each.system in ("", self._system) or not self._system]
+        return max(1, sum(each.node == self._full_name for each in ours))
 
     def _in_graph(self) -> list[str]:
         return [names.full(name, inside) for name, inside in self._control.get_node_names_and_namespaces()]
