@@ -6,13 +6,16 @@ import asyncio
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from midstride.backends.ros2 import names
 from midstride.errors import StartFailed
+from midstride.node.service_gate import ServiceGate
 from midstride.wire.commands import AnswerCommand
 from midstride.wire.environment import ENV_CONTROL
 from tests.backends.counting import COUNTING, Caller
@@ -123,7 +126,10 @@ def test_a_foreign_node_of_the_roles_name_is_found_although_an_instance_has_it(t
         (tmp_path / "theirs").mkdir()
         async with rig(tmp_path / "ours") as r, rig(tmp_path / "theirs") as other:
             if foreign == "a node":
+                from midstride.backends.ros2.nodes import LOOK_AFTER
+
                 await r.start("counter", COUNTING, node="counter")
+                await asyncio.sleep(LOOK_AFTER)  # of two that join together, either may give way
                 with Bare("counter"):
                     await refused_soon(r)
             else:
@@ -162,3 +168,34 @@ def test_a_component_started_by_hand_is_replaced_under_its_name(tmp_path: Path) 
                     process.wait(20)
 
     run(scenario())
+
+
+def test_requests_to_a_ros_action_are_handled_by_one_server_each() -> None:
+    """No package with a ROS action's type is part of the test environment, so the servers and requests are planted."""
+    from midstride.backends.ros2.gated_node import guard_action
+
+    class Server:
+        def __init__(self, *, is_open: bool) -> None:
+            self.handled: list[str] = []
+            self.gate = ServiceGate(time.monotonic_ns, is_open=is_open)
+            guard_action(self, self.gate, lambda work: asyncio.run(work()))
+
+        async def execute(self, taken: dict[str, Any]) -> None:
+            self.handled += taken
+
+    def request(goal: int, number: int, *, cancels: bool = False) -> tuple[Any, Any]:
+        goal_id = SimpleNamespace(uuid=[goal] * 16)
+        body = {"goal_info": SimpleNamespace(goal_id=goal_id)} if cancels else {"goal_id": goal_id}
+        return SimpleNamespace(sequence_number=number), SimpleNamespace(**body)
+
+    old, new = Server(is_open=True), Server(is_open=False)
+    both: list[dict[str, Any]] = [{"goal": request(1, 1)}, {"cancel": request(1, 1, cancels=True), "expired": []}]
+    for taken in both:
+        asyncio.run(old.execute(taken))
+        asyncio.run(new.execute(taken))
+    assert (old.handled, new.handled) == (["goal", "cancel", "expired"], ["expired"])
+    asyncio.run(new.execute({"goal": request(2, 2)}))
+    new.gate.open(old.gate.close())
+    asyncio.run(old.execute({"goal": request(2, 2), "result": request(1, 1)}))
+    asyncio.run(new.execute({"result": request(1, 1)}))
+    assert (old.handled, new.handled) == (["goal", "cancel", "expired"], ["expired", "goal", "result"])
