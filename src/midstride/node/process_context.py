@@ -24,6 +24,7 @@ from midstride.wire.environment import (
     ENV_NAMESPACE,
     ENV_NODE,
     ENV_PARAMETERS,
+    ENV_SET_PARAMETERS,
     ENV_STANDBY,
     ENV_TOKEN,
 )
@@ -37,6 +38,7 @@ BACKENDS: Final = {"ros2": ("rclpy", "midstride.backends.ros2"), "ros1": ("rospy
 class ProcessContext:
     """``instance`` is None where the component's own name is used; ``token`` is empty where it was started by hand.
 
+    ``set_parameters`` are values that were set while its predecessor ran, ``parameters`` those that are declared.
     ``node`` is the name of the ROS node, None where that is the instance's. ``standby``: another instance answers
     requests to the node's services.
     """
@@ -46,6 +48,7 @@ class ProcessContext:
     namespace: str = ""
     token: str = ""
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    set_parameters: Mapping[str, Any] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     pid: int | None = None
     node: str | None = None
@@ -64,7 +67,8 @@ def find() -> ProcessContext:
         instance=os.environ.get(ENV_INSTANCE) or None,
         namespace=os.environ.get(ENV_NAMESPACE, ""),
         token=os.environ.get(ENV_TOKEN, ""),
-        parameters=_parameters(os.environ.get(ENV_PARAMETERS, "")),
+        parameters=_parameters(ENV_PARAMETERS),
+        set_parameters=_parameters(ENV_SET_PARAMETERS),
         arguments=tuple(sys.argv[1:]),
         node=os.environ.get(ENV_NODE) or None,
         standby=bool(os.environ.get(ENV_STANDBY)),
@@ -95,13 +99,14 @@ def host_factory(context: ProcessContext) -> HostFactory:
     return cast(HostFactory, module.create_host)
 
 
-def _parameters(text: str) -> dict[str, Any]:
+def _parameters(variable: str) -> dict[str, Any]:
+    text = os.environ.get(variable, "")
     if not text:
         return {}
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise NodeError(f"{ENV_PARAMETERS} is not JSON: {error}") from None
+        raise NodeError(f"{variable} is not JSON: {error}") from None
     if not isinstance(document, dict):
-        raise NodeError(f"{ENV_PARAMETERS} must be a JSON object of parameter values, not {text!r}")
+        raise NodeError(f"{variable} must be a JSON object of parameter values, not {text!r}")
     return document

@@ -32,7 +32,7 @@ class ServiceGate:
         self._held: OrderedDict[str, tuple[int, Callable[[], object]]] = OrderedDict()
 
     def admit(self, request: str, later: Callable[[], object]) -> bool:
-        """Whether to handle ``request`` now. If not, ``later`` is called should the gate open before anyone has.
+        """Whether to handle ``request`` now. Else ``later`` is called if the gate opens before a peer has handled it.
 
         ``request`` identifies it: the same for every server that receives it, and unique among all requests.
         """
@@ -63,7 +63,7 @@ class ServiceGate:
     def open(self, handled: Iterable[str] | None) -> None:
         """Handle requests from now on, and those held that are not among ``handled``.
 
-        ``handled`` None: the predecessor has exited without saying, so what is held may have been handled; it is
+        ``handled`` None: the predecessor has exited without a reply, so what is held may have been handled; it is
         dropped.
         """
         now = self._steady()

@@ -20,6 +20,7 @@ from midstride.wire.transport import Transport
 class Launch:
     """How to start one component: its command (split as a shell would) and the name of its instance.
 
+    ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
     ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
     ``standby``: another instance of that node answers requests until the new one is sent ``answer``.
     """
@@ -30,6 +31,7 @@ class Launch:
     token: str
     directory: Path
     parameters: dict[str, object] = field(default_factory=dict)
+    set_parameters: dict[str, object] = field(default_factory=dict)
     node: str = ""
     standby: bool = False
 

@@ -42,8 +42,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
 
     ``node``: the full name of its ROS node, None where there is none. ``answers``: it answers requests to the node's
     services; of several instances of a role, one does. ``simulated_time``: its ROS clock follows ``/clock``.
-    ``stopping`` is how long it may take to end in order (s).
-    ``ports`` maps port -> topic -> attachment.
+    ``stopping`` is how long it may take to end in order (s). ``ports`` maps port -> topic -> attachment. ``declared``
+    has the parameters that were set while it ran, each with the value that it was started with.
     """
 
     instance: str
@@ -58,3 +58,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     simulated_time: bool = False
     node: str | None = None
     answers: bool = True
+    declared: dict[str, Any] = msgspec.field(default_factory=dict)
+
+    def set_values(self) -> dict[str, Any]:
+        """The values of the parameters that were set while it ran."""
+        return {name: self.parameters[name] for name in self.declared}

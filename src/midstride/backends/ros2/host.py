@@ -52,7 +52,7 @@ class Ros2Host:
         self.transport: Transport | None = transport
         self.logger: Any = get_logger(self.node_name.strip("/").replace("/", "."))
         # The node gets all that the manager gave, for ROS itself has parameters (``use_sim_time``).
-        self._given = context.parameters
+        self._given = {**context.parameters, **context.set_parameters}
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
         self.simulated_time = False
