@@ -31,6 +31,7 @@ from midstride.backends.ros1.subscribing import FramedTopic, PortSubscription
 from midstride.backends.ros1.timers import Ros1GridTimer, RosClock
 from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
+from midstride.node.clock_history import ClockHistory
 from midstride.node.host import MessageInfo
 from midstride.node.process_context import find
 from midstride.node.service_gate import ServiceGate
@@ -80,6 +81,8 @@ class Ros1Host:
         self._ended = threading.Event()
         self._shut_down_because = ""
         self.simulated_time = False
+        self.clock_history = ClockHistory()
+        self.publishes_ros_time = True
         self.now: Callable[[], int] = time.time_ns  # until rospy knows whether the clock is simulated
         self.steady: Callable[[], int] = time.monotonic_ns
         self.read_info: Callable[[Any], MessageInfo] = subscribing.read_info
@@ -102,6 +105,9 @@ class Ros1Host:
     @property
     def node_name(self) -> str:
         return self._node
+
+    def message_now(self) -> int:
+        return self.now()
 
     # -- data thread ---------------------------------------------------------------------------------
 
@@ -184,6 +190,7 @@ class Ros1Host:
         self._node = rospy.get_name()
         self._clock = RosClock(self._data)
         self.now, self.simulated_time = self._clock.now, self._clock.simulated
+        self.clock_history = self._clock.history
         common.with_short_pauses()
 
     def _open(self, main: asyncio.Future[None]) -> None:
