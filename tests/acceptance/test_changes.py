@@ -272,7 +272,7 @@ def test_an_endpoint_that_is_not_allowed_is_named_and_the_system_is_as_it_was(tm
             before = await whole_picture(manager, backend)
             outcome = await manager.change(REPLACE)
             assert outcome.outcome == "rolled_back"
-            assert "source_2" in str(outcome.because) and "service /source_2/reset" in str(outcome.because)
+            assert "source_2" in str(outcome.because) and "service /source/reset" in str(outcome.because)
             assert await picture(manager, backend) == before
 
     with ended():

@@ -68,4 +68,4 @@ def test_a_value_that_the_new_node_refuses_is_rolled_back_and_the_client_still_r
 
 
 # The name under which the replacement's parameter services answer.
-NODE = "/talker_2"
+NODE = "/talker"

@@ -234,8 +234,11 @@ class Bare:
         deadline = time.monotonic() + seconds
         while not condition():
             assert time.monotonic() < deadline, "it did not come true in time"
-            self.executor.spin_once(timeout_sec=0.002)
-            await asyncio.sleep(0)
+            await self.spin()
+
+    async def spin(self) -> None:
+        self.executor.spin_once(timeout_sec=0.002)
+        await asyncio.sleep(0)
 
     async def ask(self, client: Any, request: Any, seconds: float = 20.0) -> Any:
         """A service's answer, asked for again where it is lost."""

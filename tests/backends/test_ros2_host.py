@@ -536,28 +536,27 @@ def test_endpoints_that_are_no_ports_are_listed(tmp_path: Path) -> None:
     run(scenario())
 
 
-def test_ros_actions_are_listed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """No package with a ROS action's type is part of the test environment, so rclpy's own answer is planted."""
-    from rclpy import action
+def test_the_ros_actions_of_this_process_are_listed_and_none_of_another_with_a_node_of_that_name() -> None:
+    """No package with a ROS action's type is part of the test environment, so each end has its status topic alone."""
+    from rclpy.node import Node
+    from std_msgs.msg import String
 
     from midstride.backends.ros2.node_parameters import endpoints
 
-    with Bare("acting") as bare:
+    async def scenario() -> None:
+        with Bare("acting") as bare, Bare("acting") as other:
+            control = Node("_acting_control", context=bare.context, use_global_arguments=False)
+            control.create_publisher(String, "/acting/dock/_action/status", 1)
+            control.create_subscription(String, "/go/_action/status", lambda message: None, 1)
+            other.node.create_publisher(String, "/acting/undock/_action/status", 1)
+            await bare.until(lambda: bare.node.count_publishers("/acting/undock/_action/status"))
+            assert endpoints(bare.node, "/_acting_control", set()) == [
+                Endpoint(kind="ROS action", name="/acting/dock"),
+                Endpoint(kind="ROS action", name="/go"),
+            ]
+            control.destroy_node()
 
-        def planted(name: str) -> Any:
-            def of(node: Any, of_name: str, of_namespace: str) -> list[tuple[str, list[str]]]:
-                assert (node, of_name, of_namespace) == (bare.node, "acting", "/")
-                return [(name, ["some_msgs/action/Some"])]
-
-            return of
-
-        assert endpoints(bare.node, set()) == []
-        monkeypatch.setattr(action, "get_action_server_names_and_types_by_node", planted("/acting/dock"))
-        monkeypatch.setattr(action, "get_action_client_names_and_types_by_node", planted("/go"))
-        assert endpoints(bare.node, set()) == [
-            Endpoint(kind="ROS action", name="/acting/dock"),
-            Endpoint(kind="ROS action", name="/go"),
-        ]
+    run(scenario())
 
 
 def test_what_the_authors_own_callbacks_raise_does_not_take_the_component_down(tmp_path: Path) -> None:

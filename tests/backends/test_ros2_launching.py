@@ -64,6 +64,8 @@ def test_a_component_is_given_its_identity() -> None:
         "HOME": "/home/me",
         "MIDSTRIDE_BACKEND": "ros2",
         "MIDSTRIDE_INSTANCE": "front/camera",
+        "MIDSTRIDE_NODE": "",
+        "MIDSTRIDE_STANDBY": "",
         "MIDSTRIDE_NAMESPACE": "front",
         "MIDSTRIDE_TOKEN": "the-token",
         "MIDSTRIDE_CONTROL": str(HERE / "components"),
@@ -126,5 +128,9 @@ def test_names(instance: str, namespace: str, full: str) -> None:
     assert names.full(instance, namespace) == full
     name, inside = names.split(instance, namespace)
     assert names.full(name, inside) == full
-    assert names.is_hidden(names.full(names.control(name), inside))
+    for node, system in ((name, ""), (name, names.system_tag("a token")), ("other", names.system_tag("a token"))):
+        control = names.full(names.control(name, node, system), inside)
+        assert names.is_hidden(control)
+        assert names.controlled(control) == (full, names.full(node, inside), system)
+    assert names.controlled(full) is None
     assert not names.is_hidden(full)

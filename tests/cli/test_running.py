@@ -98,7 +98,7 @@ def test_a_manager_that_this_user_may_not_connect_to_is_not_said_to_have_exited(
 def test_status_verbose_shows_how_each_component_was_started_and_what_is_set(talker: Midstride) -> None:
     brief, verbose = talker("status").out, talker("status", "--verbose").out
     assert verbose.startswith(brief.partition("\n")[0]) and "python3 talker.py" not in brief
-    assert re.search(r"^talker +python3 talker.py +system +\S+/logs/talker.log *$", verbose, re.MULTILINE)
+    assert re.search(r"^talker +– +python3 talker.py +system +\S+/logs/talker.log *$", verbose, re.MULTILINE)
     assert "Middleware: none: messages stay in the manager's process" in verbose
     refused = talker("up", TALKER, "--backend", "sim", "--use-sim-time")
     assert (refused.status, "--use-sim-time is for ROS 2" in refused.err) == (2, True)

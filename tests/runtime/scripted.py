@@ -34,6 +34,7 @@ from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import StateStore
 from midstride.testing.clock import run
 from midstride.wire.commands import (
+    AnswerCommand,
     AttachCommand,
     Attached,
     AwaitCutCommand,
@@ -106,7 +107,8 @@ class Sent(NamedTuple):
 class ScriptedClient(ComponentClient):
     """Records each command, and replies as the test says: a value, an exception, or a function of the command.
 
-    A component is in the modes that it was sent last, and otherwise in the state that it reported last.
+    A component is in the modes that it was sent last, answers if it was asked to, and is otherwise in the state that it
+    reported last.
     """
 
     def __init__(self, clock: SimulatedClock) -> None:
@@ -177,6 +179,8 @@ class ScriptedClient(ComponentClient):
             state = self.states[instance]
             modes = {name: _functionality(mode) for name, mode in command.modes.items()}
             self.states[instance] = structs.replace(state, functionalities=state.functionalities | modes)
+        if isinstance(command, AnswerCommand) and instance in self.states:
+            self.states[instance] = structs.replace(self.states[instance], answers=True)
         return answer
 
     # -- the client --------------------------------------------------------------------------------

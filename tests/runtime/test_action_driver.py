@@ -23,8 +23,10 @@ from midstride.model.action import (
 )
 from midstride.model.component import Connector
 from midstride.model.configuration import Configuration, SystemContext, configure
+from midstride.runtime.backend import Exited
 from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT
 from midstride.wire.commands import (
+    AnswerCommand,
     AttachCommand,
     AwaitCutCommand,
     AwaitWriteCommand,
@@ -505,5 +507,85 @@ def test_what_a_step_itself_degraded_is_not_the_reason(tmp_path: Path) -> None:
         b.client.reply("listener", ModesCommand, PreviousModes(before={}), TIMEOUT)  # its roll-back fails
         with pytest.raises(CommandRefused):
             await perform(b, both)
+
+    bench(talking(), tmp_path, body)
+
+
+# -- requests to the node's services -----------------------------------------------------------------
+
+
+def standing_by(b: Bench, *names: str) -> None:
+    for name in names:
+        b.client.report(reported(b.configuration.instances[name], b.configuration, answers=False))
+
+
+def answering(b: Bench) -> list[tuple[str, AnswerCommand]]:
+    return [(sent.instance, sent.command) for sent in b.client.sent if isinstance(sent.command, AnswerCommand)]
+
+
+@pytest.mark.parametrize("role", ["talker", "other"])
+def test_a_replacement_answers_requests_once_it_has_taken_over(role: str, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        standing_by(b, "talker_2")
+        await perform(b, HANDOVER)
+        expected = [("talker_2", AnswerCommand(peer="talker", address=b.client.address("talker")))]
+        assert answering(b) == (expected if role == "talker" else [])
+        names = [sent.command.name for sent in b.client.sent]
+        if role == "talker":
+            assert names.index("await_cut") < names.index("answer") < names.index("detach")
+
+    bench(replacing(role), tmp_path, body)
+
+
+def test_a_replacement_that_answers_already_is_not_asked_to(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.report(reported(b.configuration.instances["talker_2"], b.configuration))
+        await perform(b, HANDOVER)
+        assert answering(b) == []
+
+    bench(replacing(), tmp_path, body)
+
+
+def test_a_replacement_without_outputs_answers_requests_before_the_old_one_ends(tmp_path: Path) -> None:
+    new = instance("listener_2", LISTENER, role="listener")
+    configuration = talking().with_instance(new).without_attachment(IN, "/chatter")
+
+    async def body(b: Bench) -> None:
+        standing_by(b, "listener_2")
+        ended: list[list[Any]] = []
+        b.client.reply("listener_2", AnswerCommand, lambda _: ended.append(list(b.backend.ended)))
+        await perform(b, Remove("listener"))
+        assert answering(b)[0] == ("listener_2", AnswerCommand(peer="listener", address=b.client.address("listener")))
+        assert ended[0] == [] and b.backend.ended
+
+    bench(configuration, tmp_path, body)
+
+
+@pytest.mark.parametrize("how", ["it has crashed", "it does not respond"])
+def test_a_replacement_answers_requests_although_the_old_one_cannot_say_which_it_handled(
+    how: str, tmp_path: Path
+) -> None:
+    new = instance("listener_2", LISTENER, role="listener")
+    configuration = talking().with_instance(new).without_attachment(IN, "/chatter")
+
+    async def body(b: Bench) -> None:
+        standing_by(b, "listener_2")
+        if how == "it has crashed":
+            b.system.crashed["listener"] = Exited("listener", -9)
+        else:
+            b.client.reply("listener_2", AnswerCommand, REFUSED)
+        await perform(b, Remove("listener"))
+        assert answering(b)[-1] == ("listener_2", AnswerCommand())
+
+    bench(configuration, tmp_path, body)
+
+
+def test_a_replacement_is_started_on_standby_and_a_first_instance_is_not(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        for name, role in (("talker_2", "talker"), ("other", "other")):
+            created = instance(name, TALKER, role)
+            b.startable(created)
+            await perform(b, Create(created))
+        assert [(launch.node, launch.standby) for launch in b.backend.launches] == [("talker", True), ("other", False)]
 
     bench(talking(), tmp_path, body)

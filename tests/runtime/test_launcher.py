@@ -55,7 +55,8 @@ def test_a_process_is_started_as_its_command_says_and_welcomed(tmp_path: Path) -
         assert await b.launcher.start(tuned)
         assert not await b.launcher.start(tuned), "it is coming up already"
         arguments = ("python3", "my camera.py", "--fast")
-        assert b.backend.launches == [Launch("front/camera", "front", arguments, TOKEN, tmp_path, {"gain": 3})]
+        launch = Launch("front/camera", "front", arguments, TOKEN, tmp_path, {"gain": 3}, node="front/camera")
+        assert b.backend.launches == [launch]
         registering = asyncio.ensure_future(b.launcher.registered(tuned))
         await asyncio.sleep(1)
         assert not registering.done() and b.client.sent == []

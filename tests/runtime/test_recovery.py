@@ -16,7 +16,7 @@ from midstride.model.specification import Node, Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.recovery import recover
 from midstride.runtime.state_store import SavedInstance
-from midstride.wire.commands import GateCommand, ObserveCommand, RecordCommand
+from midstride.wire.commands import AnswerCommand, GateCommand, ObserveCommand, RecordCommand
 from tests.model import build
 from tests.model.build import work
 from tests.runtime.scripted import REFUSED, TALKER, TIMEOUT, UNREACHABLE, Bench, bench, instance, reported, talking
@@ -131,6 +131,43 @@ def test_of_two_instances_of_a_role_the_one_behind_its_gate_is_ended(
         assert b.client.of(GateCommand) == []
 
     bench(TWICE, tmp_path, body)
+
+
+@pytest.mark.parametrize(("stays", "other"), [("talker", "talker_2"), ("talker_2", "talker")])
+def test_the_instance_that_stays_answers_requests_and_has_the_other_one_stop_first(
+    stays: str, other: str, tmp_path: Path
+) -> None:
+    async def body(b: Bench) -> None:
+        instances = b.configuration.instances
+        b.client.report(reported(instances[stays], b.configuration, answers=False))
+        b.client.report(reported(instances[other], b.configuration, gates={"out /chatter": "closed"}))
+        await recovered(b)
+        [sent] = [sent for sent in b.client.sent if isinstance(sent.command, AnswerCommand)]
+        assert sent == ("change", stays, AnswerCommand(peer=other, address=b.client.address(other)))
+        assert [name for name, _ in b.backend.ended] == [other]
+
+    bench(TWICE, tmp_path, body)
+
+
+def test_the_last_instance_of_a_role_answers_requests(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.report(reported(b.configuration.instances["talker"], b.configuration, answers=False))
+        await recovered(b)
+        assert b.client.of(AnswerCommand) == [AnswerCommand()]
+
+    bench(RUNNING, tmp_path, body)
+
+
+@pytest.mark.parametrize(("answers", "other"), [("listener", "listener_2"), ("listener_2", "listener")])
+def test_of_two_instances_without_outputs_the_one_that_answers_stays(answers: str, other: str, tmp_path: Path) -> None:
+    listener = RUNNING.instances["listener"].component
+    configuration = RUNNING.with_instance(instance("listener_2", listener, "listener"))
+
+    async def body(b: Bench) -> None:
+        b.client.report(reported(b.configuration.instances[other], b.configuration, answers=False))
+        assert await recovered(b) == b.configuration.without_instance(other)
+
+    bench(configuration, tmp_path, body)
 
 
 def test_of_two_instances_that_do_the_same_the_first_stays(tmp_path: Path) -> None:

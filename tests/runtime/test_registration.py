@@ -68,7 +68,7 @@ def test_a_node_may_not_insist_on_one_of_declared_alternatives() -> None:
 def test_endpoints_that_are_no_ports_must_be_allowed() -> None:
     component = replace(controller(), allows=(NodeEndpoint("service", "~/reset"),))
     endpoints = [ExtraEndpoint(kind="service", name="/robot/controller/reset"), ExtraEndpoint(kind="topic", name="/tf")]
-    assert unexpected_endpoints(component, "/robot/controller", endpoints) == ["topic /tf"]
+    assert unexpected_endpoints(component, {"/robot/controller_2", "/robot/controller"}, endpoints) == ["topic /tf"]
     assert unexpected_endpoints(controller(), "controller", endpoints) == [
         "service /robot/controller/reset",
         "topic /tf",

@@ -11,6 +11,7 @@ from midstride.errors import CommandRefused, ProtocolError
 from midstride.wire.channel import result_of
 from midstride.wire.commands import (
     COMMANDS,
+    AnswerCommand,
     AttachCommand,
     Attached,
     AwaitCutCommand,
@@ -57,6 +58,8 @@ from midstride.wire.commands import (
     StateTransfer,
     StopCommand,
     WelcomeCommand,
+    YieldCommand,
+    Yielded,
 )
 from midstride.wire.frames import (
     PROTOCOL,
@@ -91,6 +94,8 @@ STATE = ComponentState(
     stopping=3.0,
     waiting="no manager has welcomed it yet",
     simulated_time=True,
+    node="/front/talker",
+    answers=False,
     declared={"speed": 1.0},
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
@@ -152,9 +157,11 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     ),
     (CancelCutCommand(cut="c", timeout=1.5), Done()),
     (GateCommand(port="out", topic="/t", gate="closed", latch=True, timeout=1.5), Done()),
+    (AnswerCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
     (CutTakenCommand(cut="c", failed=True, timeout=1.5), Relieved(resumed=True)),
+    (YieldCommand(timeout=1.5), Yielded(handled=["1 2", "1 3"])),
     (OfferStateCommand(changes=True, timeout=1.5), StateOffer(exports="nothing")),
     (
         FetchStateCommand(transfer="t", timeout=1.5),

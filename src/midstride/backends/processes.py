@@ -55,6 +55,8 @@ def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
         **set_values,
         variables.ENV_BACKEND: backend,
         variables.ENV_INSTANCE: launch.instance,
+        variables.ENV_NODE: launch.node,
+        variables.ENV_STANDBY: "1" if launch.standby else "",
         variables.ENV_NAMESPACE: launch.namespace,
         variables.ENV_TOKEN: launch.token,
         variables.ENV_PARAMETERS: json.dumps(launch.parameters),

@@ -314,11 +314,11 @@ def _problems(document: Document) -> Iterable[Text]:
 
 def platform(document: Document) -> RenderableType:
     """How each component was started, and what is set for the middleware."""
-    starts = table(["node", "started with", "clock", "log"])
+    starts = table(["node", "ROS node", "started with", "clock", "log"])
     for component in document["components"]:
         clock = "/clock" if component["simulated_time"] else "system"
         run = component["run"] or Text("by hand, or by another system", style="dim")
-        starts.add_row(component["name"], run, clock, component["log_file"] or "–")
+        starts.add_row(component["name"], component["node"] or "–", run, clock, component["log_file"] or "–")
     middleware = document["middleware"]
     settings = table(["variable", "value", "set by"])
     for owner in ("set", "kept"):

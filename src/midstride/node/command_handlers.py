@@ -16,6 +16,7 @@ from functools import partial
 from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused
+from midstride.node.answering import Answering
 from midstride.node.attachments import Attachments
 from midstride.node.declaration import DeclaredParts
 from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, format_error
@@ -74,6 +75,7 @@ class CommandHandlers:
         self._handovers = HandoverCommands(
             self._attachments, self.host, self._data, self.changed, self.token, self._hooks, self._runners
         )
+        answering = Answering(self.host.gate, self._handovers.call, self.changed)
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._attachments.detach,
@@ -87,6 +89,8 @@ class CommandHandlers:
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
             commands.CutTakenCommand: self._handovers.taken,
+            commands.AnswerCommand: answering.answer,
+            commands.YieldCommand: answering.stop,
             commands.PrepareStateCommand: self._handovers.prepare_state,
             commands.OfferStateCommand: self._handovers.offer_state,
             commands.FetchStateCommand: self._handovers.fetch_state,
@@ -188,6 +192,8 @@ class CommandHandlers:
             stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
             simulated_time=self.host.simulated_time,
+            node=self.host.node_name,
+            answers=self.host.gate.is_open,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
         )

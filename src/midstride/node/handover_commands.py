@@ -86,7 +86,7 @@ class HandoverCommands:
         deadline = self.host.steady() + int(command.timeout * 1e9)
         while True:
             try:
-                return result_of(await self._call(command.address, question, MEET_ATTEMPT), question)
+                return result_of(await self.call(command.address, question, MEET_ATTEMPT), question)
             except CommandRefused as error:
                 raise CommandRefused(f"{command.peer} refused `{question.name}`: {error}") from None
             except BackendError as error:
@@ -128,7 +128,7 @@ class HandoverCommands:
 
         async def report(timeout: float, failed: bool) -> bool:
             taken = commands.CutTakenCommand(cut=command.cut, failed=failed)
-            reply = await self._call(command.address, taken, timeout)
+            reply = await self.call(command.address, taken, timeout)
             return not reply.ok or result_of(reply, taken).resumed
 
         self._begin(command.cut, CutInTask(self.host, self.changed, side, report, state))
@@ -166,7 +166,7 @@ class HandoverCommands:
     async def prepare_state(self, command: commands.PrepareStateCommand) -> commands.StateOffer:
         if command.bulk:
             export = commands.ExportStateCommand(timeout=command.timeout)
-            state = result_of(await self._call(command.address, export, command.timeout), export).state
+            state = result_of(await self.call(command.address, export, command.timeout), export).state
             if state is not None:
                 await self.hooks.import_(state, command.timeout)
             return commands.StateOffer(exports="changes")
@@ -198,7 +198,7 @@ class HandoverCommands:
         if transfer.id not in self._imports:
 
             def request(command: Command[Any], timeout: float) -> Awaitable[Reply]:
-                return self._call(address, command, timeout)
+                return self.call(address, command, timeout)
 
             state = StateImport(transfer, self.hooks, self.host, self.runners, peer, request)
             self._imports = {transfer.id: state}
@@ -250,8 +250,8 @@ class HandoverCommands:
         if not task.cancelled() and (error := task.exception()) is not None:
             self.host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
 
-    async def _call(self, address: str, command: Command[Any], timeout: float) -> Reply:
-        """Raises CallTimeout or Unreachable."""
+    async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
+        """A peer's reply. Raises CallTimeout or Unreachable."""
         channel = self._channels.get(address)
         if channel is None or channel.closed.is_set():
             if self.host.transport is None:

@@ -13,6 +13,7 @@ from typing import Any, Protocol, TypeAlias, TypeVar
 
 from midstride.model.contract import QoS
 from midstride.node.clock_history import ClockHistory
+from midstride.node.service_gate import ServiceGate
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
@@ -94,6 +95,12 @@ class Host(Protocol):
     transport: Transport | None
     reachable: str
     parameters: NodeParameters
+    # Whether the component answers requests; a platform whose instances have one node name puts its services behind it.
+    gate: ServiceGate
+
+    @property
+    def node_name(self) -> str | None:
+        """The full name of the ROS node, once it has joined; None where there is none."""
 
     def now(self) -> int:
         """The ROS clock, ns; 0 while nothing has arrived on a ``/clock`` that drives it. Cheap: on the data path."""

@@ -22,8 +22,10 @@ from midstride.wire.environment import (
     ENV_BACKEND,
     ENV_INSTANCE,
     ENV_NAMESPACE,
+    ENV_NODE,
     ENV_PARAMETERS,
     ENV_SET_PARAMETERS,
+    ENV_STANDBY,
     ENV_TOKEN,
 )
 
@@ -37,6 +39,8 @@ class ProcessContext:
     """``instance`` is None where the component's own name is used; ``token`` is empty where it was started by hand.
 
     ``set_parameters`` are values that were set while its predecessor ran, ``parameters`` those that are declared.
+    ``node`` is the name of the ROS node, None where that is the instance's. ``standby``: another instance answers
+    requests to the node's services.
     """
 
     factory: HostFactory | None = None
@@ -47,6 +51,8 @@ class ProcessContext:
     set_parameters: Mapping[str, Any] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     pid: int | None = None
+    node: str | None = None
+    standby: bool = False
 
 
 current: Final[ContextVar[ProcessContext | None]] = ContextVar("midstride_process_context", default=None)
@@ -64,6 +70,8 @@ def find() -> ProcessContext:
         parameters=_parameters(ENV_PARAMETERS),
         set_parameters=_parameters(ENV_SET_PARAMETERS),
         arguments=tuple(sys.argv[1:]),
+        node=os.environ.get(ENV_NODE) or None,
+        standby=bool(os.environ.get(ENV_STANDBY)),
     )
 
 

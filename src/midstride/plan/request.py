@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 from midstride.errors import PlanRefused
@@ -68,6 +68,19 @@ class PlanRequest:
             # Whether the contracts fit is checked by the change itself, for the instances concerned.
             _well_formed(problem for problem in check_node(target, role) if problem.code != "E020")
         return target
+
+    def for_roles(self, role_of: Mapping[str, str]) -> PlanRequest:
+        """The same request where an instance is named (``role_of`` has its role): a request is for its role."""
+
+        def role(name: str) -> str:
+            return role_of.get(name, name)
+
+        return replace(
+            self,
+            replace=tuple((role(name), component) for name, component in self.replace),
+            restart=tuple(map(role, self.restart)),
+            remove=tuple(map(role, self.remove)),
+        )
 
     def roles(self) -> list[str]:
         """The roles that are named."""

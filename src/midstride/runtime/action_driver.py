@@ -14,6 +14,7 @@ from midstride.errors import CallTimeout, CommandRefused, MidstrideError, StepFa
 from midstride.model.action import Action, Attach, Create, Degrade, Detach, Handover, Remove, SetParameters, Upgrade
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration
+from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
@@ -90,7 +91,10 @@ class ActionDriver:
     async def _perform(self, action: Action, because: str) -> None:
         match action:
             case Create(instance):
-                await self.launcher.registered(instance)
+                standby = self.system.has_instance(instance.role)
+                await self.launcher.registered(instance, standby=standby)
+                if not standby:  # it does already, unless it was started by hand and replaced once
+                    await have_answer(self.client, instance.name)
                 if self.parameters is not None:
                     await self.parameters.started(instance)
                 if (state := self._exported.get(instance.role)) is not None:
@@ -104,7 +108,11 @@ class ActionDriver:
             # The others need no command where a process has exited, or where a port keeps its endpoint because it is
             # attached to another connector of the same topic.
             case Remove(instance) if instance not in self.system.crashed:
+                await self._change_answering(instance, runs=True)
                 await self._remove(action)
+                await self._change_answering(instance, runs=False)  # if it did not respond
+            case Remove(instance):
+                await self._change_answering(instance, runs=False)
             case Attach(port, connector) if not self._has_endpoint(port, connector):
                 await self._attach(action)
             case Detach(port, connector) if not (self._is_gone(port.instance) or self._has_endpoint(port, connector)):
@@ -154,6 +162,16 @@ class ActionDriver:
             await self.launcher.end(action.instance)
         if self.parameters is not None:
             await self.parameters.leaving(action.instance, self.configuration)
+
+    async def _change_answering(self, leaving: str, runs: bool) -> None:
+        """If another instance has the role of one that leaves, have it answer requests from now on."""
+        role = self.configuration.instances[leaving].role
+        for other in self.configuration.instances_of(role):
+            if other.name != leaving and not self._is_gone(other.name):
+                try:
+                    await have_answer(self.client, other.name, instead_of=leaving if runs else None)
+                except MidstrideError as error:
+                    self.events.add("note", f"{other.name} does not answer requests to {role}: {error}")
 
     async def _import_state(self, instance: str, state: bytes) -> None:
         try:

@@ -22,6 +22,8 @@ class Launch:
     """How to start one component: its command (split as a shell would) and the name of its instance.
 
     ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
+    ``node`` is the name of its ROS node where the platform allows two nodes of one name, by default the instance's.
+    ``standby``: another instance of that node answers requests until the new one is sent ``answer``.
     """
 
     instance: str
@@ -31,6 +33,8 @@ class Launch:
     directory: Path
     parameters: dict[str, object] = field(default_factory=dict)
     set_parameters: dict[str, object] = field(default_factory=dict)
+    node: str = ""
+    standby: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -72,6 +72,8 @@ class ChangeSession:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
         system = self.system
         values = system.values.by_role(system.configuration)
+        instances, nodes = system.configuration.instances.items(), system.specification.nodes
+        request = request.for_roles({name: live.role for name, live in instances if name not in nodes})
         return await asyncio.to_thread(_plan, request, system.specification, system.configuration, values)
 
     async def change(self, request: PlanRequest, *, expected: int | None = None, verify: bool = False) -> Outcome:

@@ -239,7 +239,9 @@ class Executor:
         """Start the process of a creation unless it is starting already. Raises StartFailed."""
         instance = action.instance
         async with self._one_start:
-            if instance.name not in self.system.configuration.instances and await self.driver.launcher.start(instance):
+            if instance.name in self.system.configuration.instances:
+                return
+            if await self.driver.launcher.start(instance, standby=self.system.has_instance(instance.role)):
                 self.system.started(instance.name)
                 self.store.write_instance(instance, self.driver.launcher.handles.get(instance.name))
 

@@ -25,6 +25,7 @@ from midstride.runtime.agreed_cut import (
     require_found,
     require_same_clock,
 )
+from midstride.runtime.answering import have_answer
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.simulated_time import stretch
@@ -89,6 +90,7 @@ class LiveHandover:
         except (Exception, asyncio.CancelledError):
             await self._undo()
             raise
+        await self._change_answering()
         for swap in self.swaps:
             if self.is_gone(swap.old.instance):
                 continue
@@ -98,6 +100,16 @@ class LiveHandover:
                 words = f"{swap.old} could not be taken off {swap.connector} after the hand-over: {error}"
                 self.events.add("note", words)
         return last
+
+    async def _change_answering(self) -> None:
+        """Have each replacement answer the requests to its role's node."""
+        instances = self.configuration.instances
+        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
+            if old != new and instances[old].role == instances[new].role:
+                try:
+                    await have_answer(self.client, new, instead_of=None if self.is_gone(old) else old)
+                except MidstrideError as error:
+                    self.events.add("note", f"{new} does not answer requests to {instances[new].role} yet: {error}")
 
     async def _agree(self) -> dict[PortRef, int | None]:
         """Hand over at an agreed moment; the number of each old output's last message."""

@@ -74,11 +74,11 @@ class Launcher:
         """The connection of a component that was started by hand has closed."""
         self._backend.disconnected(name)
 
-    async def start(self, instance: Instance) -> bool:
+    async def start(self, instance: Instance, *, standby: bool = False) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 
-        Returns False if it is already starting. A component without ``run`` is started by hand. Raises StartFailed, or
-        what ``start_values`` raises.
+        Returns False if it is already starting. A component without ``run`` is started by hand. ``standby``: another
+        instance of its role answers requests. Raises StartFailed, or what ``start_values`` raises.
         """
         name = instance.name
         if name in self._starting:
@@ -98,7 +98,9 @@ class Launcher:
             parameters: dict[str, object] = {"use_sim_time": True} if self._options.use_sim_time else {}
             parameters.update(instance.parameters)
             token, directory = self._client.token, self._directory
-            launch = Launch(name, namespace, arguments, token, directory, parameters, set_values)
+            launch = Launch(
+                name, namespace, arguments, token, directory, parameters, set_values, instance.role, standby
+            )
             self.handles[name] = await self._backend.start(launch)
         except ValueError as error:
             self._forget_start(name)
@@ -127,14 +129,14 @@ class Launcher:
                     return name, StartFailed(_describe_exit(exit.result()))
         return None
 
-    async def registered(self, instance: Instance) -> None:
+    async def registered(self, instance: Instance, *, standby: bool = False) -> None:
         """Wait until ``instance`` registers, check it against its declaration, and accept it.
 
         As long as other components register, it has more time: the machine is busy with them. Raises StartFailed, after
         terminating the process that was started.
         """
         name = instance.name
-        await self.start(instance)
+        await self.start(instance, standby=standby)
         try:
             greeting, registration = await self._registration(instance)
             self._verify(instance, greeting, registration)
@@ -188,7 +190,7 @@ class Launcher:
         except SpecificationError as error:
             raise StartFailed(f"{name} registered something that is no component: {error}") from None
         faults = mismatches(component, registered)
-        extra = unexpected_endpoints(component, instance.name, registration.endpoints)
+        extra = unexpected_endpoints(component, {name, instance.role}, registration.endpoints)
         faults += [f"its node has {endpoint}, which component {component.name} does not allow" for endpoint in extra]
         if faults:
             raise StartFailed(f"{name} is not the {component.name} that was declared: " + "; ".join(faults))

@@ -13,6 +13,7 @@ from midstride.errors import MidstrideError, ProtocolError, Unreachable
 from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance, configure
 from midstride.model.specification import Specification
+from midstride.runtime.answering import have_answer
 from midstride.runtime.backend import Handle
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
@@ -59,11 +60,18 @@ async def recover(
         raise Unreachable("; ".join(hanging))
     for name in await launcher.end_orphans(found):
         events.add("ended", f"stopped {name}, which an earlier manager had just started")
-    for name in _redundant(found):
+    redundant = _redundant(found)
+    for name in redundant:
         events.add("ended", f"stopped {name}, which an earlier manager had left half done")
-        del found[name]
+        instance, _ = found.pop(name)
+        with suppress(MidstrideError):
+            for other, (successor, _) in found.items():
+                if successor.role == instance.role and other not in redundant:
+                    await have_answer(client, other, instead_of=name)
         with suppress(MidstrideError):
             await launcher.end(name)
+    for name in found:
+        await have_answer(client, name)
     for name, (instance, _) in found.items():
         # A cut that was in progress may have changed its gates and modes since it was adopted.
         found[name] = (instance, await client.observe(name))
@@ -74,14 +82,14 @@ async def recover(
 
 
 def _redundant(found: dict[str, tuple[Instance, ComponentState]]) -> list[str]:
-    """All instances of each role but the one with the most open gates, which is the one that publishes."""
+    """All instances of each role but the one with the most open gates, which publishes; else the one that answers."""
     by_role: dict[str, list[str]] = {}
     for name, (instance, _) in found.items():
         by_role.setdefault(instance.role, []).append(name)
 
-    def rank(name: str) -> tuple[int, int, str]:
+    def rank(name: str) -> tuple[int, bool, int, str]:
         links = [link for topics in found[name][1].ports.values() for link in topics.values()]
-        return -sum(link.gate == "open" for link in links), len(name), name
+        return -sum(link.gate == "open" for link in links), not found[name][1].answers, len(name), name
 
     return [name for names in by_role.values() for name in sorted(names, key=rank)[1:]]
 

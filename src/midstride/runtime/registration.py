@@ -6,7 +6,7 @@ specification: the same ports and functionalities, guarantees at least as strong
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 
 from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.contract import NOTHING, Predicate, explain
@@ -30,20 +30,24 @@ def mismatches(declared: ComponentSpec, registered: ComponentSpec) -> list[str]:
     return found
 
 
-def unexpected_endpoints(declared: ComponentSpec, role: str, endpoints: Sequence[Endpoint]) -> list[str]:
-    """The endpoints of a node, other than ports, that its component does not ``allow``."""
-    allowed = {(endpoint.kind, _resolved(endpoint.name, role)) for endpoint in declared.allows}
+def unexpected_endpoints(declared: ComponentSpec, nodes: Collection[str], endpoints: Sequence[Endpoint]) -> list[str]:
+    """The endpoints of a node, other than ports, that its component does not ``allow``.
+
+    ``nodes``: the names that the node may have, of its role or of its instance.
+    """
+    allowed = {(endpoint.kind, _resolved(endpoint.name, node)) for endpoint in declared.allows for node in nodes}
     return [
         f"{endpoint.kind} {endpoint.name}"
         for endpoint in endpoints
-        if (endpoint.kind, endpoint.name) not in allowed
-        and (endpoint.kind, _resolved(endpoint.name, role)) not in allowed
+        if allowed.isdisjoint(
+            {(endpoint.kind, endpoint.name), *((endpoint.kind, _resolved(endpoint.name, node)) for node in nodes)}
+        )
     ]
 
 
-def _resolved(name: str, role: str) -> str:
+def _resolved(name: str, node: str) -> str:
     """``~/reset`` of node ``detector`` is ``/detector/reset``; a relative name lives in the node's namespace."""
-    node = role if role.startswith("/") else f"/{role}"
+    node = node if node.startswith("/") else f"/{node}"
     if name.startswith("~"):
         return f"{node}/{name.lstrip('~/')}"
     return name if name.startswith("/") else f"{node.rpartition('/')[0]}/{name}"

@@ -147,6 +147,8 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     role: str
     component: str
     pid: int | None
+    node: Annotated[str | None, Meta(description="the full name of its ROS node; null where there is none")]
+    answers: Annotated[bool, Meta(description="it answers requests to its node's services")]
     reachable: bool
     ending: Annotated[bool, Meta(description="it has been asked to end")]
     waiting: Annotated[str | None, Meta(description="what it is waiting for")]

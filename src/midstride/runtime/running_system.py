@@ -28,6 +28,10 @@ class RunningSystem:
     values: ReportedValues = field(default_factory=ReportedValues)
     _missing_roles: dict[str, str] = field(default_factory=dict)
 
+    def has_instance(self, role: str) -> bool:
+        """Whether an instance has that role: it answers requests until its successor is to."""
+        return bool(self.configuration.instances_by_role.get(role))
+
     def live_instance(self, node: str) -> str:
         """The instance of that name, else the one of that role. Raises PlanRefused, or ManagerError if none runs."""
         if node in self.configuration.instances:

@@ -84,6 +84,8 @@ def _component(
         role=instance.role,
         component=instance.component.name,
         pid=None if process is None else process.pid,
+        node=None if state is None else state.node,
+        answers=state is not None and state.answers,
         reachable=state is not None,
         ending=instance.name in launcher.ending,
         waiting=None if state is None else state.waiting,

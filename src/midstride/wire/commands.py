@@ -160,6 +160,12 @@ class RecordingSwitched(WireValue, frozen=True, kw_only=True):
     now: int
 
 
+class Yielded(WireValue, frozen=True, kw_only=True):
+    """The requests that the component has handled lately, each as every server of the service identifies it."""
+
+    handled: list[str]
+
+
 class Relieved(WireValue, frozen=True, kw_only=True):
     """``resumed``: it is too late, and the old side writes again."""
 
@@ -391,6 +397,16 @@ class GateCommand(Command[Done], frozen=True, kw_only=True, tag="gate"):
     latch: bool = False
 
 
+class AnswerCommand(Command[Done], frozen=True, kw_only=True, tag="answer"):
+    """Answer the requests to the node's services from now on, instead of ``peer``, which is asked to stop first.
+
+    Without an ``address``, no other instance answers. Done already if the component answers them.
+    """
+
+    peer: str = ""
+    address: str | None = None
+
+
 class ReleaseCommand(Command[Done], frozen=True, kw_only=True, tag="release"):
     """A component started by hand leaves the system: last modes, no attachments, waiting for a manager."""
 
@@ -405,6 +421,12 @@ class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken")
     kind = "between"
     cut: str
     failed: bool = False
+
+
+class YieldCommand(Command[Yielded], frozen=True, kw_only=True, tag="yield"):
+    """From the instance that is to answer requests to the one that does: stop, and say which you have handled."""
+
+    kind = "between"
 
 
 class OfferStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="offer_state"):

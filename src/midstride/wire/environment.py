@@ -5,6 +5,9 @@ from __future__ import annotations
 from typing import Final
 
 ENV_INSTANCE: Final = "MIDSTRIDE_INSTANCE"
+# The name of its ROS node, which all instances of a role share on ROS 2; and whether another of them answers requests.
+ENV_NODE: Final = "MIDSTRIDE_NODE"
+ENV_STANDBY: Final = "MIDSTRIDE_STANDBY"
 ENV_NAMESPACE: Final = "MIDSTRIDE_NAMESPACE"
 ENV_TOKEN: Final = "MIDSTRIDE_TOKEN"
 ENV_BACKEND: Final = "MIDSTRIDE_BACKEND"

@@ -40,6 +40,8 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
 
+    ``node``: the full name of its ROS node, None where there is none. ``answers``: it answers requests to the node's
+    services; of several instances of a role, one does.
     ``simulated_time``: its ROS clock follows ``/clock``, and gains ``clock_speed`` seconds in each second (0: it stands
     still, or that is not known yet). ``stopping`` is how long it may take to end in order (s).
     ``ports`` maps port -> topic -> attachment. ``declared`` has the parameters that were set while it ran, each with
@@ -57,6 +59,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     waiting: str | None = None
     simulated_time: bool = False
     clock_speed: float = 1.0
+    node: str | None = None
+    answers: bool = True
     declared: dict[str, Any] = msgspec.field(default_factory=dict)
 
     def set_values(self) -> dict[str, Any]:

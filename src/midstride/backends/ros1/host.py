@@ -33,6 +33,8 @@ from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
 from midstride.node.clock_history import ClockHistory
 from midstride.node.host import MessageInfo
+from midstride.node.process_context import find
+from midstride.node.service_gate import ServiceGate
 from midstride.wire.environment import ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
@@ -84,6 +86,8 @@ class Ros1Host:
         self.now: Callable[[], int] = time.time_ns  # until rospy knows whether the clock is simulated
         self.steady: Callable[[], int] = time.monotonic_ns
         self.read_info: Callable[[Any], MessageInfo] = subscribing.read_info
+        # No service is behind it: here each instance has a node, and a node's services, under its own name.
+        self.gate = ServiceGate(self.steady, is_open=not find().standby)
 
     async def _must_be_alone(self) -> None:
         """Raises NodeError where the name is taken, BackendError where there is no master."""
@@ -97,6 +101,10 @@ class Ros1Host:
                 f"a node {self._node} is running already; end it, or give this one another name "
                 "(the master would end the first of two of one name)"
             )
+
+    @property
+    def node_name(self) -> str:
+        return self._node
 
     def message_now(self) -> int:
         return self.now()

@@ -103,6 +103,7 @@ class Ros2Backend(ProcessBackend):
 
     async def start(self, launch: Launch) -> Handle:
         full_name = names.full(launch.instance, launch.namespace)
+        node = names.full(launch.node or launch.instance, launch.namespace)
         command = processes.command(launch.arguments, launch.directory, os.environ, lambda: sys.executable)
         graph = self._joined()
         await asyncio.sleep(max(0.0, self._opened + _LISTEN - time.monotonic()))
@@ -110,11 +111,21 @@ class Ros2Backend(ProcessBackend):
             launch.instance in self._processes
             or await processes.listens(self.transport, launch.instance)
             or graph.has(full_name)
+            or await self._foreign(node, names.system_tag(launch.token))
         ):
-            raise StartFailed(f"{launch.instance}: a node {full_name} is running already; end it, or use another name")
+            raise StartFailed(f"{launch.instance}: a node {node} is running already; end it, or use another name")
         graph.starts(full_name)
         environment = launching.environment(launch, self._control, command[0], self.settings, os.environ)
         return self._spawn(launch, full_name, command, environment)
+
+    async def _foreign(self, node: str, system: str) -> bool:
+        """Whether a node of that name is in the graph that is no instance of the system."""
+        for found in self._joined().of_name(node):
+            if found is None or found.node != node or found.system not in ("", system):
+                return True
+            if not found.system and not await processes.listens(self.transport, found.instance.strip("/")):
+                return True
+        return False
 
     def _exited(self, instance: str, status: int | None, process: Process) -> None:
         self._forget_node(instance)

@@ -1,5 +1,8 @@
 """The graph as the manager's node sees it, without what the manager knows to be dead.
 
+The instances of a role have one node name. So an endpoint is shown under the name of its instance, which the control
+node of its process tells (:func:`.names.controlled`); a foreign node has none, and is shown under its node's name.
+
 A process that was killed stays in the graph until its lease runs out. Its exit is known at once, so everything under
 its name is ignored from then on. Once another process of that name is about to start, what the graph shows under the
 name is remembered by endpoint instead. A node that this manager did not start is alive as long as it has an endpoint:
@@ -9,14 +12,17 @@ every node has one, and the graph may keep the name of one that is gone, for goo
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, TypeAlias
 
 from midstride.backends.ros2 import names
+from midstride.backends.ros2.names import InstanceNode
 from midstride.runtime.backend import Endpoints
 
 # For how long a dead process may stay in the graph (s): the lease of the middleware, and some time to notice.
 LINGER: Final = 25.0
+# The instances by process.
+_Instances: TypeAlias = Mapping[bytes, InstanceNode]
 
 
 class Graph:
@@ -40,22 +46,34 @@ class Graph:
         """Ignore what the graph shows under a name now, and nothing that appears there later."""
         now = time.monotonic()
         self._dead_endpoints = {gid: at for gid, at in self._dead_endpoints.items() if now - at < LINGER}
-        self._dead_endpoints.update((_gid(info), now) for info in self._endpoints_of(full_name))
+        self._dead_endpoints.update((_gid(info), now) for info, name in self._every() if name == full_name)
 
-    def _lives(self, info: Any) -> bool:
-        died = self._died.get(_node(info))
+    def _lives(self, info: Any, name: str) -> bool:
+        died = self._died.get(name)
         return (died is None or time.monotonic() - died > LINGER) and _gid(info) not in self._dead_endpoints
 
     def has(self, full_name: str) -> bool:
-        """Whether a living node of that name is in the graph."""
-        return any(map(self._lives, self._endpoints_of(full_name)))
+        """Whether a living instance, or a foreign node, of that name is in the graph."""
+        return any(name == full_name and self._lives(info, name) for info, name in self._every())
+
+    def of_name(self, node: str) -> set[InstanceNode | None]:
+        """The living instances whose node has that name; None among them is a foreign node."""
+        instances = self._instances()
+        return {
+            instances.get(names.participant(info))
+            for info, name in self._every()
+            if _node(info) == node and self._lives(info, name)
+        }
 
     def endpoints(self) -> Endpoints:
+        instances = self._instances()
         nodes: set[str] = set()
         publishers: list[tuple[str, str]] = []
         subscribers: list[tuple[str, str]] = []
         for topic in self._topics():
-            writers, readers = self._visible(self._publishers(topic)), self._visible(self._subscriptions(topic))
+            writers, readers = (
+                self._visible(infos, instances) for infos in (self._publishers(topic), self._subscriptions(topic))
+            )
             nodes.update(writers, readers)
             if topic not in names.OF_EVERY_NODE:
                 publishers += [(name, topic) for name in writers]
@@ -64,16 +82,26 @@ class Graph:
 
     def lingering_readers(self, topic: str) -> int:
         """How many subscriptions of dead processes the graph still shows on ``topic``."""
-        return sum(not self._lives(info) for info in self._subscriptions(topic))
+        instances = self._instances()
+        return sum(not self._lives(info, _name(info, instances)) for info in self._subscriptions(topic))
 
-    def _visible(self, infos: list[Any]) -> list[str]:
-        return [name for info in infos if self._lives(info) and not names.is_hidden(name := _node(info))]
+    def _visible(self, infos: list[Any], instances: _Instances) -> list[str]:
+        named = [(info, _name(info, instances)) for info in infos if not names.is_hidden(_node(info))]
+        return [name for info, name in named if self._lives(info, name)]
 
-    def _endpoints_of(self, full_name: str) -> Iterator[Any]:
+    def _every(self) -> Iterator[tuple[Any, str]]:
+        """Every endpoint, with the name that it is shown under."""
+        instances = self._instances()
         for topic in self._topics():
             for info in (*self._publishers(topic), *self._subscriptions(topic)):
-                if _node(info) == full_name:
-                    yield info
+                yield info, _name(info, instances)
+
+    def _instances(self) -> _Instances:
+        return {
+            names.participant(info): found
+            for info in self._publishers(names.PARAMETER_EVENTS)
+            if (found := names.controlled(_node(info))) is not None
+        }
 
     def _topics(self) -> Iterator[str]:
         return (topic for topic, _ in self._node.get_topic_names_and_types())
@@ -87,6 +115,13 @@ class Graph:
 
 def _node(info: Any) -> str:
     return names.full(info.node_name, info.node_namespace)
+
+
+def _name(info: Any, instances: _Instances) -> str:
+    """The name that an endpoint is shown under: of its instance, else of its node."""
+    node = _node(info)
+    found = instances.get(names.participant(info))
+    return node if found is None or node != found.node else found.instance
 
 
 def _gid(info: Any) -> bytes:

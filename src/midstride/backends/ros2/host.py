@@ -29,6 +29,7 @@ from midstride.model.contract import QoS
 from midstride.node import process_context
 from midstride.node.clock_history import ClockHistory
 from midstride.node.host import MessageInfo, NodeParameters
+from midstride.node.service_gate import ServiceGate
 from midstride.wire.environment import ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
@@ -46,12 +47,13 @@ class Ros2Host:
 
     def __init__(self, name: str, namespace: str) -> None:
         self.instance = name
-        self._name, self._namespace = names.split(name, namespace)
+        context = process_context.find()
+        self._instance, self._namespace = names.split(name, namespace)
+        self._name, _ = names.split(context.node or name, namespace)
         transport, self.reachable = control_transport(os.environ, sys.argv[1:])
         self.transport: Transport | None = transport
-        self.logger: Any = get_logger(names.full(name, namespace).strip("/").replace("/", "."))
+        self.logger: Any = get_logger(self.node_name.strip("/").replace("/", "."))
         # The node gets all that the manager gave, for ROS itself has parameters (``use_sim_time``).
-        context = process_context.find()
         self._given = {**context.parameters, **context.set_parameters}
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
@@ -65,6 +67,11 @@ class Ros2Host:
         self.publishes_ros_time = False
         self.clock_history = ClockHistory()
         self.read_info: Callable[[Any], MessageInfo] = endpoints.read_info
+        self.gate = ServiceGate(self.steady, is_open=not context.standby)
+
+    @property
+    def node_name(self) -> str:
+        return names.full(self._name, self._namespace)
 
     # -- time ----------------------------------------------------------------------------------------
 
@@ -136,10 +143,11 @@ class Ros2Host:
 
     def publish_state(self, state: ComponentState) -> None:
         if self._nodes is not None:
-            self._nodes.parameter_services.show(parameters_of(state), self.now())
+            self._nodes.parameter_services.show(parameters_of(state), self.now(), publish=state.answers)
 
     def extra_endpoints(self) -> list[Endpoint]:
-        return node_parameters.endpoints(self.ros_node, self._ports)
+        nodes = self._nodes
+        return [] if nodes is None else node_parameters.endpoints(self.ros_node, nodes.control_name, self._ports)
 
     # -- life ----------------------------------------------------------------------------------------
 
@@ -181,15 +189,18 @@ class Ros2Host:
     def _join(self) -> ComponentNodes:
         """Not on the loop's thread, which serves commands meanwhile."""
         nodes = ComponentNodes(
+            self._instance,
             self._name,
             self._namespace,
-            managed=bool(os.environ.get(ENV_TOKEN)),
+            gate=self.gate,
+            system=names.system_tag(os.environ.get(ENV_TOKEN, "")),
             parameters=self._given,
             failed=lambda raised: self.logger.error(
                 f"a callback raised, and the component goes on without it:\n{raised}"
             ),
         )
         self.ros_node: Any = nodes.data
+        self._name, self._namespace = nodes.data.get_name(), nodes.data.get_namespace()
         self._executor = nodes.data_executor
         self._group = ReentrantCallbackGroup()
         self.parameters: NodeParameters = node_parameters.Ros2NodeParameters(self.ros_node, self._given)

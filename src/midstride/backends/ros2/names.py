@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Final
+import hashlib
+import re
+from typing import Any, Final, NamedTuple
 
 from midstride.backends.naming import full as full
 from midstride.backends.naming import split as split
@@ -15,11 +17,40 @@ PREFIX: Final = "midstride."
 STATE: Final = PREFIX + "state"
 
 
-def control(name: str) -> str:
-    """The hidden node that serves the parameter services of the node ``name``."""
-    return f"_{name}_control"
+_CONTROL: Final = re.compile(r"(.*/)_(\w+?)_control(?:_([0-9a-f]{8})_of_(\w+))?\Z")
+
+
+class InstanceNode(NamedTuple):
+    """The full names of an instance and of its node. ``system`` is empty where it was started by hand."""
+
+    instance: str
+    node: str
+    system: str
+
+
+def system_tag(token: str) -> str:
+    """What distinguishes the instances of one system from those of others; the token itself is not public."""
+    return hashlib.sha256(token.encode()).hexdigest()[:8] if token else ""
+
+
+def control(instance: str, node: str, system: str) -> str:
+    """The hidden node beside ``node``, in the process of ``instance``: the one name there that is the instance's."""
+    return f"_{instance}_control" + (f"_{system}_of_{node}" if system else "")
+
+
+def controlled(full_name: str) -> InstanceNode | None:
+    """The instance whose control node has that full name; None for any other node."""
+    if (found := _CONTROL.match(full_name)) is None:
+        return None
+    inside, instance, system, node = found.groups()
+    return InstanceNode(inside + instance, inside + (node or instance), system or "")
 
 
 def is_hidden(full_name: str) -> bool:
     """Whether ROS's tools leave the node out: a part of its name starts with an underscore."""
     return "/_" in full_name
+
+
+def participant(info: Any) -> bytes:
+    """Which process has an endpoint of the graph: the first 12 bytes of its identity, by the standard (DDSI-RTPS)."""
+    return bytes(info.endpoint_gid)[:12]

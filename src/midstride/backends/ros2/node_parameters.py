@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 from typing import Any, Final, Literal, TypeAlias
 
 from rcl_interfaces.msg import SetParametersResult
-from rclpy import action
 from rclpy.exceptions import (
     InvalidParameterTypeException,
     InvalidParameterValueException,
@@ -14,6 +13,7 @@ from rclpy.exceptions import (
 )
 from rclpy.parameter import Parameter
 
+from midstride.backends.ros2.names import PARAMETER_EVENTS, full, participant
 from midstride.errors import CommandRefused, NodeError
 from midstride.wire.state import Endpoint
 
@@ -22,6 +22,8 @@ Kind: TypeAlias = Literal["topic", "service", "ROS action"]
 # What every node of rclpy has.
 _OF_ROS: Final = frozenset({"/parameter_events", "/rosout", "/clock"})
 _SERVICES_OF_ROS: Final = ("/get_type_description",)
+# The topic that each end of a ROS action has.
+_ACTION_STATUS: Final = "/_action/status"
 
 
 class Ros2NodeParameters:
@@ -92,8 +94,11 @@ class Ros2NodeParameters:
         return SetParametersResult(successful=True)
 
 
-def endpoints(node: Any, ports: Collection[int]) -> list[Endpoint]:
-    """The topics, services and ROS actions of ``node`` that are neither ROS's own nor in ``ports`` (by ``id``)."""
+def endpoints(node: Any, control: str, ports: Collection[int]) -> list[Endpoint]:
+    """The topics, services and ROS actions of ``node`` that are neither ROS's own nor in ``ports`` (by ``id``).
+
+    ``control`` is the full name of the node beside it.
+    """
     found: set[tuple[Kind, str]] = set()
     for topic in (*node.publishers, *node.subscriptions):
         if id(topic) not in ports and topic.topic_name not in _OF_ROS:
@@ -102,10 +107,26 @@ def endpoints(node: Any, ports: Collection[int]) -> list[Endpoint]:
         name = _service_name(node, service)
         if not name.endswith(_SERVICES_OF_ROS):
             found.add(("service", name))
-    # The graph knows the actions, for rclpy keeps no list. One's own ends are in it at once.
-    for actions in (action.get_action_server_names_and_types_by_node, action.get_action_client_names_and_types_by_node):
-        found |= {("ROS action", name) for name, _ in actions(node, node.get_name(), node.get_namespace())}
+    found |= {("ROS action", name) for name in _actions(node, control)}
     return [Endpoint(kind=kind, name=name) for kind, name in sorted(found)]
+
+
+def _actions(node: Any, control: str) -> Iterator[str]:
+    """The ROS actions that this process serves or calls.
+
+    The graph knows them, for rclpy keeps no list. One's own ends are in it at once. Another node may have the same
+    name, so they are recognized by the process.
+    """
+    own = {
+        participant(info)
+        for info in node.get_publishers_info_by_topic(PARAMETER_EVENTS)
+        if full(info.node_name, info.node_namespace) == control
+    }
+    for topic, _ in node.get_topic_names_and_types():
+        if topic.endswith(_ACTION_STATUS):
+            ends = (*node.get_publishers_info_by_topic(topic), *node.get_subscriptions_info_by_topic(topic))
+            if any(participant(info) in own for info in ends):
+                yield topic.removesuffix(_ACTION_STATUS)
 
 
 def _service_name(node: Any, service: Any) -> str:

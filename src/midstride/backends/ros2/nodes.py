@@ -1,7 +1,7 @@
 """The two nodes of a component's process, each spun by a thread: data and control.
 
-The *data* node has the instance's name and runs user code. The hidden *control* node serves its parameter services, and
-answers while user code runs.
+The *data* node has the name of the role (started by hand: of the instance) and runs user code. The hidden *control*
+node serves its parameter services, and answers while user code runs.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from typing import Any, Final
 
 import rclpy
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.signals import SignalHandlerOptions
 
 from midstride.backends.ros2 import names
+from midstride.backends.ros2.gated_node import GatedNode
 from midstride.backends.ros2.parameter_services import ParameterServices
 from midstride.errors import NodeError
+from midstride.node.service_gate import ServiceGate
 
 # A node that was started by hand looks for another one of its name before it joins (s); each looks after it has joined.
 # So of two, the one that was started by hand gives way.
@@ -71,20 +72,30 @@ class ExecutorThread:
 
 
 class ComponentNodes:
-    """``managed``: a manager started the process. ``failed`` is called with the traceback of what a callback raised.
+    """``system`` is that whose manager started the process, empty if none did.
 
+    ``failed`` is called with the traceback of what a callback raised.
     Raises NodeError where the name is taken.
     """
 
     def __init__(
-        self, name: str, namespace: str, *, managed: bool, parameters: Mapping[str, Any], failed: Callable[[str], None]
+        self,
+        instance: str,
+        name: str,
+        namespace: str,
+        *,
+        gate: ServiceGate,
+        system: str,
+        parameters: Mapping[str, Any],
+        failed: Callable[[str], None],
     ) -> None:
         self._own_context = not rclpy.ok()
         if self._own_context:
             rclpy.init(args=sys.argv, signal_handler_options=SignalHandlerOptions.NO)
         self._context = rclpy.utilities.get_default_context()
-        self._control = Node(
-            names.control(name),
+        self._control = GatedNode(
+            names.control(instance, name, system),
+            gate,
             namespace=namespace,
             use_global_arguments=False,
             enable_rosout=False,
@@ -92,20 +103,24 @@ class ComponentNodes:
             parameter_overrides=[Parameter("start_type_description_service", value=False)],
         )
         self._full_name = names.full(name, namespace)
+        self._system = system
         try:
-            self._check_alone(others=0, seconds=0.0 if managed else LOOK_BEFORE)
+            if not system:
+                self._check_free()
         except NodeError:
             self._leave_ros()
             raise
-        pinned = ["--ros-args", "-r", f"__node:={name}", "-r", f"__ns:={namespace}"] if managed else None
-        self.data: Any = Node(
+        pinned = ["--ros-args", "-r", f"__node:={name}", "-r", f"__ns:={namespace}"] if system else None
+        self.data: Any = GatedNode(
             name,
+            gate,
             namespace=namespace,
             cli_args=pinned,
             start_parameter_services=False,
             parameter_overrides=[Parameter(name, value=value) for name, value in parameters.items()],
         )
         self._full_name = self.data.get_fully_qualified_name()
+        self.control_name = self._control.get_fully_qualified_name()
         self._checked_until = time.monotonic() + LOOK_AFTER
         self._data_thread = ExecutorThread("midstride-data", self._context, failed)
         self._control_thread = ExecutorThread("midstride-control", self._context, failed)
@@ -127,22 +142,39 @@ class ComponentNodes:
             raise NodeError("rclpy was shut down from within the component; leave that to start()")
         if time.monotonic() >= self._checked_until:
             return False
-        self._check_alone(others=1, seconds=0.0)
+        if self._nodes_of_our_name() > self._instances_of_our_role():
+            self._refuse_name()
         return True
 
-    def _check_alone(self, others: int, seconds: float) -> None:
-        """Raises NodeError where more than ``others`` nodes of our name are in the graph within ``seconds``."""
-        deadline = time.monotonic() + seconds
-        while True:
-            seen = [names.full(name, inside) for name, inside in self._control.get_node_names_and_namespaces()]
-            if seen.count(self._full_name) > others:
-                raise NodeError(
-                    f"a node {self._full_name} is running already; end it, or give this one another name "
-                    "(two of one name would both answer)"
-                )
+    def _check_free(self) -> None:
+        """Raises NodeError where a node of our name appears soon, before ours has joined."""
+        deadline = time.monotonic() + LOOK_BEFORE
+        while self._nodes_of_our_name() == 0:
             if time.monotonic() >= deadline:
                 return
             time.sleep(0.02)
+        self._refuse_name()
+
+    def _nodes_of_our_name(self) -> int:
+        return self._in_graph().count(self._full_name)
+
+    def _instances_of_our_role(self) -> int:
+        """How many instances of our role are there, this one included: the manager has one of them answer.
+
+        One that was started by hand may belong to any system.
+        """
+        found = {seen for name in self._in_graph() if (seen := names.controlled(name)) is not None}
+        ours = [each for each in found if each.system in ("", self._system) or not self._system]
+        return max(1, sum(each.node == self._full_name for each in ours))
+
+    def _in_graph(self) -> list[str]:
+        return [names.full(name, inside) for name, inside in self._control.get_node_names_and_namespaces()]
+
+    def _refuse_name(self) -> None:
+        raise NodeError(
+            f"a node {self._full_name} is running already; end it, or give this one another name "
+            "(two of one name would both answer)"
+        )
 
     def leave(self) -> bool:
         """Leave ROS; False where user code does not return, and the process has to leave without it."""

@@ -43,6 +43,7 @@ class ParameterServices:
         self._control_executor = control_executor
         self._data_executor = data_executor
         self._values: Mapping[str, Any] = {}
+        self._published: Mapping[str, Any] = {}
         self._full_name = data_node.get_fully_qualified_name()
         self._events = control_node.create_publisher(ParameterEvent, PARAMETER_EVENTS, qos_profile_parameter_events)
         group = ReentrantCallbackGroup()
@@ -50,9 +51,17 @@ class ParameterServices:
             serve = getattr(self, f"_{name}")
             control_node.create_service(type_, f"{self._full_name}/{name}", serve, callback_group=group)
 
-    def show(self, values: Mapping[str, Any], now: int) -> None:
-        """The values of all parameters under ``midstride.`` from now (ns) on; what has changed is published."""
-        before, self._values = self._values, values
+    def show(self, values: Mapping[str, Any], now: int, publish: bool) -> None:
+        """The values of all parameters under ``midstride.`` from now (ns) on.
+
+        With ``publish``, what has changed since the last publication is published: under the node's name one instance
+        does so at a time.
+        """
+        self._values = values
+        if not publish:
+            self._published = {}
+            return
+        before, self._published = self._published, values
         event = ParameterEvent(node=self._full_name)
         event.stamp.sec, event.stamp.nanosec = divmod(now, 1_000_000_000)
         event.changed_parameters = [

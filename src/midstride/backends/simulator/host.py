@@ -16,6 +16,8 @@ from midstride.backends.simulator.process import SimulatedProcess
 from midstride.model.contract import QoS
 from midstride.node.contracts import type_name
 from midstride.node.host import MessageInfo, NodeParameters
+from midstride.node.process_context import find
+from midstride.node.service_gate import ServiceGate
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
@@ -36,6 +38,7 @@ class SimulatedHost:
     """Implements :class:`midstride.node.host.Host`."""
 
     ros_node = None
+    node_name = None
     publishes_ros_time = False
     reachable = "in this simulation"
 
@@ -47,6 +50,7 @@ class SimulatedHost:
         self.message_now = process.clock.system_now
         self.clock_history = process.clock.history
         self.steady = process.clock.steady_ns
+        self.gate = ServiceGate(self.steady, is_open=not find().standby)
         self.logger = logging.Logger(instance)
         self._process = process
         self._network = network

@@ -65,6 +65,7 @@ class SimulatedProcess:
             set_parameters=dict(launch.set_parameters),
             arguments=self._program.arguments,
             pid=pid,
+            standby=launch.standby,
         )
         context.run(process_context.current.set, own)
         self._thread = CooperativeThread(launch.instance, self._program.run, context)

@@ -1,0 +1,148 @@
+"""A node keeps its name on ROS 2: bare clients call it across replacements, and every request is handled once.
+
+MIDSTRIDE_REPLACEMENTS says how many replacements the long test makes, where 200 take too long.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Coroutine
+from pathlib import Path
+from typing import Any
+
+import pytest
+from immutables import Map
+
+from midstride.model.component import ComponentSpec, Connector, FunctionalitySpec, Mode, NodeEndpoint
+from midstride.model.contract import Predicate
+from midstride.model.specification import Node, Specification
+from tests.acceptance.support import ended, managed, other_source
+from tests.acceptance.test_manager_killed import manage
+from tests.backends.counting import COUNTING, Caller
+from tests.backends.ros2_support import Bare, run
+from tests.backends.test_ros2_host import Tools
+
+pytestmark = pytest.mark.ros2
+
+REPLACEMENTS = int(os.environ.get("MIDSTRIDE_REPLACEMENTS", "200"))
+# Where the manager's death might leave none of the instances to answer, or both.
+POINTS = [("cut_in", "1", "after"), ("answer", "1", "before"), ("answer", "1", "after"), ("detach", "1", "after")]
+
+
+def specification(folder: Path) -> Specification:
+    """A ``source`` with a service that notes each request; two components run the same program."""
+    program = folder / "counter.py"
+    program.write_text(COUNTING.replace('Component("counter")', 'Component("source")'))
+    modes = (Mode("normal", (), Map({"out": Predicate("std_msgs/msg/String", 50)})), Mode("degraded"))
+    components = {
+        name: ComponentSpec.of(
+            name,
+            outputs=("out",),
+            functionalities=(FunctionalitySpec("work", modes, (), ("out",)),),
+            run=f"{sys.executable} {program}",
+            allows=(NodeEndpoint("service", "~/count"),),
+        )
+        for name in ("Source", "OtherSource")
+    }
+    return Specification(
+        "counting",
+        connectors=Map({"/swap": Connector("/swap", Predicate("std_msgs/msg/String", 50))}),
+        components=Map(components),
+        nodes=Map({"source": Node("source", "Source", Map({"out": ("/swap",)}))}),
+    )
+
+
+async def called_meanwhile(bare: Bare, caller: Caller, work: Coroutine[Any, Any, None]) -> None:
+    """Call without a pause until ``work`` is done."""
+    task = asyncio.ensure_future(work)
+    while not task.done():
+        caller.step()
+        await bare.spin()
+    await task
+
+
+def replaced_often(folder: Path, number: int) -> None:
+    async def main() -> None:
+        async with managed(folder / "system", specification(folder), folder) as (manager, _):
+            with Bare() as bare:
+                caller, tools = Caller(bare.node, "/source/count"), Tools(bare, "/source")
+                await bare.until(caller.ready)
+
+                async def replace_often() -> None:
+                    for _ in range(number):
+                        outcome = await manager.change(other_source(manager))
+                        assert outcome.outcome == "done", outcome.because
+
+                assert await tools.set(gain=2.0) == [(True, "")]
+                await called_meanwhile(bare, caller, replace_often())
+                assert await tools.set(gain=3.0) == [(True, "")]
+                await bare.until(caller.finished)
+                (component,) = (await manager.status()).components
+                assert component.role == "source" and component.name in ("source_2", "source_3")
+                assert (component.node, component.answers) == ("/source", True)
+                assert (await manager.peek(component.name)).parameters == {"gain": 3.0}
+        caller.handled_once(folder / "calls")
+        assert set(caller.answered) == {"source", "source_2", "source_3"}
+        print(f"{sum(caller.answered.values())} requests, the longest took {caller.longest * 1e3:.1f} ms")
+        assert caller.longest < 2.0
+
+    with ended():
+        run(main(), 60.0 + 10.0 * number)
+
+
+@pytest.mark.full
+def test_a_client_calls_the_same_node_across_replacements(tmp_path: Path) -> None:
+    replaced_often(tmp_path, 4)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_a_client_calls_the_same_node_across_very_many_replacements(tmp_path: Path) -> None:
+    replaced_often(tmp_path, REPLACEMENTS)
+
+
+@pytest.mark.full
+@pytest.mark.timeout(240)
+def test_exactly_one_instance_answers_whenever_the_manager_is_killed(tmp_path: Path) -> None:
+    system = tmp_path / "system"
+
+    async def main() -> None:
+        from midstride import backends
+        from midstride.runtime.manager import Manager
+        from midstride.runtime.workspace import Workspace
+
+        system.mkdir()
+        manager = Manager(
+            specification(tmp_path), backends.make("ros2", Workspace(system)), Workspace(system), tmp_path
+        )
+        await manager.up()
+        await manager.close()
+        with Bare() as bare:
+            caller = Caller(bare.node, "/source/count")
+            await bare.until(caller.ready)
+
+            async def kill_at(*point: str) -> None:
+                killed = await asyncio.to_thread(manage, system, "swap", *point)
+                assert killed.returncode == -signal.SIGKILL, f"{point}: {killed.stdout}{killed.stderr}"
+                before = caller.answered.total()  # without a manager, too
+                while caller.answered.total() < before + 20:
+                    await asyncio.sleep(0.01)
+
+            for point in POINTS:
+                await called_meanwhile(bare, caller, kill_at(*point))
+
+            async def change_once_more() -> None:
+                done = await asyncio.to_thread(manage, system, "swap")
+                assert done.returncode == 0 and "done None" in done.stdout, done.stdout + done.stderr
+
+            await called_meanwhile(bare, caller, change_once_more())
+            await bare.until(caller.finished)
+        down = await asyncio.to_thread(manage, system, "down")
+        assert down.returncode == 0, down.stdout + down.stderr
+        caller.handled_once(tmp_path / "calls")
+
+    with ended():
+        run(main(), 200.0)

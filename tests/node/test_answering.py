@@ -1,0 +1,145 @@
+"""Which instance of a role answers: the gate before its services, and the commands that open and close it."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from midstride.errors import CallTimeout, CommandRefused, Unreachable
+from midstride.node.answering import YIELD_ATTEMPTS, Answering
+from midstride.node.service_gate import HELD, HOLD, REMEMBER, REMEMBERED, ServiceGate
+from midstride.wire.commands import AnswerCommand, Command, Done, YieldCommand
+from midstride.wire.frames import Reply, encode_value
+
+
+class Server:
+    """A gate, with the requests that were handled behind it."""
+
+    def __init__(self, *, is_open: bool) -> None:
+        self.time = 0.0
+        self.handled: list[str] = []
+        self.gate = ServiceGate(lambda: int(self.time * 1e9), is_open=is_open)
+
+    def receives(self, *requests: str) -> None:
+        for request in requests:
+            if self.gate.admit(request, lambda request=request: self.handled.append(request)):  # type: ignore[misc]
+                self.handled.append(request)
+
+
+@given(st.lists(st.one_of(st.tuples(st.sampled_from("ab"), st.integers(0, 9)), st.just("change"))))
+def test_each_request_is_handled_exactly_once_however_the_two_receive_it(events: list[Any]) -> None:
+    """Each of two servers receives each request, in an order of its own; in between, the other one's turn comes."""
+    servers = {"a": Server(is_open=True), "b": Server(is_open=False)}
+    open_, closed = "ab"
+    received = {"a": set[int](), "b": set[int]()}
+    rest = [(name, number) for number in range(10) for name in "ab"]
+    for event in [*events, *rest]:
+        if event == "change":
+            open_, closed = closed, open_
+            servers[open_].gate.open(servers[closed].gate.close())
+        elif event[1] not in received[event[0]]:
+            received[event[0]].add(event[1])
+            servers[event[0]].receives(str(event[1]))
+    assert Counter(servers["a"].handled + servers["b"].handled) == {str(number): 1 for number in range(10)}
+
+
+def test_what_came_while_the_predecessor_closed_is_handled_in_order() -> None:
+    new = Server(is_open=False)
+    new.receives("1", "2", "3")
+    assert new.handled == []
+    new.gate.open(["2"])
+    assert new.handled == ["1", "3"]
+    new.receives("4", "2", "1")
+    assert new.handled == ["1", "3", "4"]
+
+
+def test_what_a_predecessor_may_have_handled_before_it_exited_is_not_handled_again() -> None:
+    new = Server(is_open=False)
+    new.receives("1")
+    new.gate.open(None)
+    new.receives("2")
+    assert new.handled == ["2"]
+
+
+def test_a_request_is_held_for_a_bounded_time_and_in_bounded_number() -> None:
+    new = Server(is_open=False)
+    new.receives("old")
+    new.time = HOLD + 1
+    new.receives(*map(str, range(HELD + 1)))
+    new.gate.open([])
+    assert new.handled == list(map(str, range(1, HELD + 1)))
+
+
+def test_handled_requests_are_remembered_longer_than_they_are_held_and_not_for_ever() -> None:
+    old = Server(is_open=True)
+    old.receives("1")
+    old.time = HOLD + 1
+    old.receives("2")
+    assert old.gate.close() == ["1", "2"]
+    old.time = REMEMBER + 1
+    old.receives("3")
+    assert old.gate.close() == ["2"]
+    old.gate.open(f"other {number}" for number in range(2 * REMEMBERED))
+    old.receives("last")
+    assert len(old.gate.close()) == REMEMBERED
+    assert old.handled == ["1", "2", "3", "last"]
+
+
+# -- the commands --------------------------------------------------------------------------------------
+
+
+class Peer:
+    """The instance that answers, with its own gate; ``faults`` are raised by its next calls."""
+
+    def __init__(self, *faults: Exception) -> None:
+        self.server = Server(is_open=True)
+        self.faults = list(faults)
+        self.calls: list[Command[Any]] = []
+
+    async def call(self, address: str, command: Command[Any], timeout: float) -> Reply:
+        assert address == "its address" and isinstance(command, YieldCommand)
+        self.calls.append(command)
+        if self.faults:
+            raise self.faults.pop(0)
+        result = await Answering(self.server.gate, self.call, lambda: None).stop(command)
+        return Reply(id="1", revision=1, result=encode_value(result))
+
+
+def answer(server: Server, peer: Peer, address: str | None = "its address") -> Done:
+    command = AnswerCommand(peer="talker", address=address)
+    return asyncio.run(Answering(server.gate, peer.call, lambda: None).answer(command))
+
+
+@pytest.mark.parametrize("lost", [0, YIELD_ATTEMPTS - 1])
+def test_the_successor_takes_over_with_what_was_handled(lost: int) -> None:
+    new, peer = Server(is_open=False), Peer(*[CallTimeout("its reply is lost")] * lost)
+    peer.server.receives("1")
+    new.receives("1", "2")
+    answer(new, peer)
+    peer.server.receives("2", "3")
+    new.receives("3")
+    assert (peer.server.handled, new.handled) == (["1"], ["2", "3"])
+    answer(new, peer)
+    assert len(peer.calls) == lost + 1, "it answers already"
+
+
+def test_a_predecessor_that_has_exited_is_not_waited_for() -> None:
+    new, peer = Server(is_open=False), Peer(Unreachable("it has exited"))
+    new.receives("1")
+    answer(new, peer)
+    new.receives("2")
+    assert new.handled == ["2"]
+
+
+def test_a_predecessor_that_may_still_answer_keeps_the_successor_closed() -> None:
+    new, peer = Server(is_open=False), Peer(*[CallTimeout("it is busy")] * YIELD_ATTEMPTS)
+    with pytest.raises(CommandRefused, match=r"talker did not respond within 1\.5 s"):
+        answer(new, peer)
+    assert not new.gate.is_open
+    answer(new, peer, address=None)
+    assert new.gate.is_open
