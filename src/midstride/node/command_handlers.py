@@ -156,7 +156,7 @@ class CommandHandlers:
 
     # -- state -------------------------------------------------------------------------------------
 
-    def state(self, instance: str, uuid: str, pid: int, waiting: str | None) -> ComponentState:
+    def state(self, instance: str, uuid: str, pid: int, waiting: str | None, imported: int) -> ComponentState:
         """The component's state, read without waiting for the data thread."""
         ports = {
             port.name: {
@@ -175,6 +175,7 @@ class CommandHandlers:
             stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
             simulated_time=self.host.simulated_time,
+            imported=imported,
         )
 
     def _busy_words(self) -> str:

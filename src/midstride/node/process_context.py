@@ -18,6 +18,7 @@ from typing import Any, Final, cast
 
 from midstride.errors import NodeError
 from midstride.node.host import HostFactory
+from midstride.node.program import process_started
 from midstride.wire.environment import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
 
 # Back ends that a component finds by itself: the library that shows that the platform is installed, and our module.
@@ -36,6 +37,9 @@ class ProcessContext:
     parameters: Mapping[str, Any] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     pid: int | None = None
+    # What it has imported, and when it started (unix ns).
+    modules: Mapping[str, Any] = field(default_factory=lambda: sys.modules)
+    started: int = 0
 
 
 current: Final[ContextVar[ProcessContext | None]] = ContextVar("midstride_process_context", default=None)
@@ -52,6 +56,7 @@ def find() -> ProcessContext:
         token=os.environ.get(ENV_TOKEN, ""),
         parameters=_parameters(os.environ.get(ENV_PARAMETERS, "")),
         arguments=tuple(sys.argv[1:]),
+        started=process_started(),
     )
 
 

@@ -161,7 +161,7 @@ def _plan(
     request: PlanRequest, specification: Specification, configuration: Configuration
 ) -> tuple[Plan, Specification]:
     target = request.target(specification)
-    if len(request.roles()) == 1:
+    if request.to is None and len(request.roles()) == 1:
         change = requested_change(configuration, specification, request, target)
     else:
         change = change_between(configuration, specification, target, renewed=request.renewed())

@@ -29,14 +29,24 @@ from midstride.runtime import status
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
 from midstride.runtime.change_session import ChangeSession
-from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.component_client import ComponentClient, ComponentEvent
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import observe
+from midstride.runtime.programs import Programs
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recovery import recover
-from midstride.runtime.reports import Event, LiveConfiguration, Outcome, RunningCommand, Status, UpReport, Why
+from midstride.runtime.reports import (
+    Event,
+    LiveConfiguration,
+    Outcome,
+    ProgramStatus,
+    RunningCommand,
+    Status,
+    UpReport,
+    Why,
+)
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.silence import SilenceMonitor
@@ -78,7 +88,8 @@ class Manager:
             self._reconciler_lock,
             self._is_busy,
         )
-        self._client.on_event = self._reconciler.on_component_event
+        self._programs = Programs(self._client, directory)
+        self._client.on_event = self._on_component_event
         self._session = ChangeSession(
             self.system,
             self._client,
@@ -90,6 +101,11 @@ class Manager:
             verifier or Verifier(),
             self._executor,
         )
+
+    def _on_component_event(self, event: ComponentEvent) -> None:
+        if isinstance(event, ComponentState):
+            self._programs.on_report(event)
+        self._reconciler.on_component_event(event)
 
     def _executor(self) -> Executor:
         driver = ActionDriver(self._client, self._launcher, self._backend, self.system, self.events)
@@ -164,6 +180,7 @@ class Manager:
     async def close(self) -> None:
         """Disconnect; the components keep running."""
         await self._reconciler.close()
+        await self._programs.close()
         self._client.close()
         self._store.close()
         await self._backend.close()
@@ -199,12 +216,25 @@ class Manager:
 
     async def status(self) -> Status:
         """The live components and their modes, with reasons, as they report them; silent ones are marked."""
+        programs = await self._programs.status(self.configuration)
         running = None
         if self._current is not None:
             running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
         return status.status(
-            self.system, self._client, self._monitor, self._launcher, self._backend.name, running, self._store.unwritten
+            self.system,
+            self._client,
+            self._monitor,
+            self._launcher,
+            self._backend.name,
+            programs,
+            running,
+            self._store.unwritten,
         )
+
+    async def programs(self) -> list[ProgramStatus]:
+        """The files of the programs that run, and which of them have changed on disk since."""
+        await self._programs.settled()
+        return await self._programs.status(self.configuration)
 
     async def live(self) -> LiveConfiguration:
         """The configuration as its components report it; ``silent`` are those that have reported nothing lately."""

@@ -26,6 +26,7 @@ from midstride.runtime.reports import (
     LiveConfiguration,
     Outcome,
     PlannedChange,
+    ProgramStatus,
     Service,
     Status,
     UpReport,
@@ -108,6 +109,11 @@ def _reading(lifecycle: Lifecycle, backend: str) -> APIRouter:
     async def status() -> Response:
         """The live components and their modes, as they report them."""
         return answer(await manager.status())
+
+    @router.get("/programs", responses=answers(list[ProgramStatus]))
+    async def programs() -> Response:
+        """The files of the programs that run, and which of them have changed on disk since they started."""
+        return answer(await manager.programs())
 
     @router.get("/configuration", responses=answers(LiveConfiguration))
     async def configuration() -> Response:

@@ -26,6 +26,7 @@ FORMS: Final = (
     reports.LiveConfiguration,
     reports.Outcome,
     reports.PlannedChange,
+    reports.ProgramStatus,
     reports.Service,
     reports.Status,
     reports.UpReport,

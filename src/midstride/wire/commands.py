@@ -14,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Final, Generic, Literal, TypeAlias,
 
 import msgspec
 
+from midstride.wire.program import Program
 from midstride.wire.state import ComponentState, GateState, WireValue
 
 R_co = TypeVar("R_co", covariant=True)
@@ -149,6 +150,12 @@ class PingCommand(Command[Done], frozen=True, kw_only=True, tag="ping"):
 
 class ObserveCommand(Command[ComponentState], frozen=True, kw_only=True, tag="observe"):
     """The component's state."""
+
+    kind = "reading"
+
+
+class ProgramCommand(Command[Program], frozen=True, kw_only=True, tag="program"):
+    """The files of the component's program, as it has read them."""
 
     kind = "reading"
 

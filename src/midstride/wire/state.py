@@ -41,7 +41,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
 
     ``simulated_time``: its ROS clock follows ``/clock``. ``stopping`` is how long it may take to end in order (s).
-    ``ports`` maps port -> topic -> attachment.
+    ``ports`` maps port -> topic -> attachment. ``imported`` counts the modules that its process has imported: where it
+    has grown, so may have the files of its program.
     """
 
     instance: str
@@ -54,3 +55,4 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     stopping: float
     waiting: str | None = None
     simulated_time: bool = False
+    imported: int = 0
