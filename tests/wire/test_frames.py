@@ -39,6 +39,7 @@ from midstride.wire.commands import (
     ModesCommand,
     ObserveCommand,
     PingCommand,
+    ProgramCommand,
     Receipt,
     RecordCommand,
     RecordingSwitched,
@@ -65,6 +66,7 @@ from midstride.wire.frames import (
     encode,
     encode_value,
 )
+from midstride.wire.program import Program, ProgramFile
 from midstride.wire.state import ComponentState, Endpoint, FunctionalityState, LinkState, WireValue
 
 from .support import GREETING, HELLO, REGISTRATION
@@ -83,6 +85,7 @@ STATE = ComponentState(
     stopping=3.0,
     waiting="no manager has welcomed it yet",
     simulated_time=True,
+    imported=512,
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
 ROW = Receipt(1, 2, 3, "p")
@@ -93,12 +96,23 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (PingCommand(timeout=1.5), Done()),
     (ObserveCommand(timeout=1.5), STATE),
     (
+        ProgramCommand(timeout=1.5),
+        Program(
+            files=[ProgramFile(path="/talker.py", size=9, modified=10**18, digest=None)],
+            started=10**18,
+            complete=False,
+        ),
+    ),
+    (
         GridCommand(port="out", topic="/chatter", timeout=1.5),
         Grid(trigger="rate", now=10**18, epoch=10**18 - 1, period=0.1, readers=2),
     ),
     (RecordsCommand(input="in", timeout=1.5), Records(rows=[ROW], publisher_identity=True, now=9)),
     (ExportStateCommand(timeout=1.5), ExportedState(state=b"\x00\xff\n")),
-    (AwaitWriteCommand(port="out", topic="/t", timeout=1.5), GatedWrites(gated=3, wrong_type="a String")),
+    (
+        AwaitWriteCommand(port="out", topic="/t", calls=3, patience=0.5, timeout=1.5),
+        GatedWrites(gated=3, wrong_type="a String", failed=True),
+    ),
     (AwaitMatchCommand(port="in", topic="/t", peers=2, timeout=1.5), Attached(matched=1)),
     (AwaitCutCommand(cut="c", timeout=1.5), CutResult(outcome="resumed", last=WRITE, first=WRITE)),
     (WelcomeCommand(manager="m", timeout=1.5), STATE),

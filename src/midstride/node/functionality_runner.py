@@ -88,6 +88,7 @@ class FunctionalityRunner(OutputOwner):
         self.index = index
         self.because = because
         self.since = self._steady()
+        self.calls = 0
         self.failed = failed
 
     def start_calls(self) -> None:
@@ -133,6 +134,7 @@ class FunctionalityRunner(OutputOwner):
         self._postponed.append((function, arguments, info))
 
     def _ended(self) -> None:
+        self.calls += 1
         self.busy = None
         self.slots = None
         self.info = None

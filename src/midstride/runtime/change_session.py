@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import cast
 
 from msgspec import UNSET, UnsetType, structs
@@ -40,7 +40,8 @@ from midstride.verify.verdict import Verdict
 class ChangeSession:
     """Carries out one change at a time; the caller holds the manager's lock. ``executor`` makes an executor.
 
-    ``measuring`` is true once all steps are done and only the measurement is left.
+    ``measuring`` is true once all steps are done and only the measurement is left. ``another_waits`` is set while the
+    next command waits.
     """
 
     system: RunningSystem
@@ -53,13 +54,16 @@ class ChangeSession:
     verifier: Verifier
     executor: Callable[[], Executor]
     measuring: bool = False
+    another_waits: asyncio.Event = field(default_factory=asyncio.Event)
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
         specification, configuration = self.system.specification, self.system.configuration
         return await asyncio.to_thread(_plan, request, specification, configuration)
 
-    async def change(self, request: PlanRequest, *, expected: int | None = None, verify: bool = False) -> Outcome:
+    async def change(
+        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, brief: bool = False
+    ) -> Outcome:
         """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
         if expected is not None and expected != self.system.revision:
             because = "the configuration has changed since the plan was shown; look at the new plan"
@@ -70,7 +74,7 @@ class ChangeSession:
         except (PlanRefused, ManagerError) as error:
             return self._refuse(str(error))
         if not verify:
-            return await self.carry_out(plan, target)
+            return await self.carry_out(plan, target, brief=brief)
         self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
         verdict = await self.verifier.plan(plan)
         self._verified(verdict)
@@ -78,7 +82,7 @@ class ChangeSession:
             return self._refuse(verdict.words, verdict)
         configurations = tuple(plan.configurations())
         step_verifier = StepVerifier(self.verifier, configurations, self.client, self.system.crashed, self._verified)
-        return structs.replace(await self.carry_out(plan, target, step_verifier), verdict=verdict)
+        return structs.replace(await self.carry_out(plan, target, step_verifier, brief=brief), verdict=verdict)
 
     def _verified(self, verdict: Verdict) -> None:
         self.events.add("verified", str(verdict), verdict=verdict)
@@ -87,9 +91,11 @@ class ChangeSession:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
         return Outcome(outcome="refused", because=because, verdict=verdict)
 
-    async def carry_out(self, plan: Plan, target: Specification, verifier: StepVerifier | None = None) -> Outcome:
-        """Carry out ``plan``, measure, and report."""
-        recording = Recording(self.client, self.clock)
+    async def carry_out(
+        self, plan: Plan, target: Specification, verifier: StepVerifier | None = None, *, brief: bool = False
+    ) -> Outcome:
+        """Carry out ``plan``, measure, and report. ``brief``: the next command does not wait for the measurement."""
+        recording = Recording(self.client, self.clock, self.another_waits if brief else None)
         try:
             return await self._carry_out(plan, target, recording, verifier)
         finally:

@@ -72,6 +72,7 @@ class Manager:
         self._workspace = workspace
         self._lock = asyncio.Lock()
         self._current: str | None = None  # the command in progress
+        self._waiting = 0  # how many commands wait for it
         self._since = 0.0  # when it started (steady s)
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
@@ -265,24 +266,31 @@ class Manager:
     # -- changing -----------------------------------------------------------------------------------
 
     async def change(
-        self, request: PlanRequest, *, expected: int | None = None, verify: bool = False, id: str | None = None
+        self,
+        request: PlanRequest,
+        *,
+        expected: int | None = None,
+        verify: bool = False,
+        brief: bool = False,
+        id: str | None = None,
     ) -> Outcome:
         """Carry out ``request``.
 
         ``expected`` is the revision that the previewed plan was made for: at any other one the change is refused, since
         its plan may differ. With ``verify``, Alloy verifies the plan first, and the change is refused unless the plan
-        holds; the live configuration is verified after each step, and the step fails unless it is valid. The events
+        holds; the live configuration is verified after each step, and the step fails unless it is valid. If ``brief``,
+        the next command does not wait until this one has been measured over 20 periods. The events
         `waiting` and `command` contain ``id``, so that a client can distinguish its own from others.
         """
         async with self._command(request.describe(), id):
-            return await self._session.change(request, expected=expected, verify=verify)
+            return await self._session.change(request, expected=expected, verify=verify, brief=brief)
 
     @contextlib.asynccontextmanager
     async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:
         """Run one command at a time, in order of arrival; an event says which command another one waits for."""
         if self._current is not None:
             self.events.add("waiting", f"`{words}` waits for `{self._current}`", command=words, id=id)
-        async with self._lock:
+        async with self._turn():
             self._current, self._since = words, self._backend.clock.steady()
             self.events.add("command", words, id=id)
             try:
@@ -290,6 +298,23 @@ class Manager:
                     yield
             finally:
                 self._current = None
+
+    @contextlib.asynccontextmanager
+    async def _turn(self) -> AsyncIterator[None]:
+        """Hold the lock; the session knows whether a command waits for it."""
+        self._waiting += 1
+        if self._current is not None:
+            self._session.another_waits.set()
+        try:
+            await self._lock.acquire()
+        finally:
+            self._waiting -= 1
+            if not self._waiting:
+                self._session.another_waits.clear()
+        try:
+            yield
+        finally:
+            self._lock.release()
 
     def _is_busy(self) -> bool:
         """Whether a command is changing the system. One that only measures does not prevent reconciling."""

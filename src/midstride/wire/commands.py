@@ -68,10 +68,14 @@ class ExportedState(WireValue, frozen=True, kw_only=True):
 
 
 class GatedWrites(WireValue, frozen=True, kw_only=True):
-    """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one."""
+    """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one.
+
+    ``failed``: user code has raised.
+    """
 
     gated: int
     wrong_type: str | None
+    failed: bool = False
 
 
 class LastWrite(WireValue, frozen=True, kw_only=True):
@@ -182,11 +186,16 @@ class ExportStateCommand(Command[ExportedState], frozen=True, kw_only=True, tag=
 
 
 class AwaitWriteCommand(Command[GatedWrites], frozen=True, kw_only=True, tag="await_write"):
-    """Wait for a write behind the gate."""
+    """Wait for a write behind the gate, and then until user code has returned from ``calls`` calls of its mode.
+
+    For these it waits at most ``patience`` seconds.
+    """
 
     kind = "reading"
     port: str
     topic: str
+    calls: int = 1
+    patience: Seconds = 0.0
     timeout: Seconds = 5.0
 
 
