@@ -34,6 +34,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "status": ("running", "show nodes, modes and topics"),
         "why": ("running", "explain why a functionality is in its mode"),
         "log": ("running", "show past events"),
+        "dev": ("dev", "run a system, and swap its nodes whenever a file is saved"),
         "watch": ("running", "watch the system live"),
         "down": ("running", "stop all components and the manager"),
     },

@@ -55,6 +55,7 @@ class ChangeSession:
     executor: Callable[[], Executor]
     measuring: bool = False
     another_waits: asyncio.Event = field(default_factory=asyncio.Event)
+    _measured_until: int = 0
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
@@ -95,7 +96,7 @@ class ChangeSession:
         self, plan: Plan, target: Specification, verifier: StepVerifier | None = None, *, brief: bool = False
     ) -> Outcome:
         """Carry out ``plan``, measure, and report. ``brief``: the next command does not wait for the measurement."""
-        recording = Recording(self.client, self.clock, self.another_waits if brief else None)
+        recording = Recording(self.client, self.clock, self.another_waits if brief else None, self._measured_until)
         try:
             return await self._carry_out(plan, target, recording, verifier)
         finally:
@@ -145,6 +146,8 @@ class ChangeSession:
             swaps = await recording.finish(executor.driver.last_numbers, resumed=outcome != "done")
         finally:
             self.measuring = False
+            hurried = recording.hurried is not None and recording.hurried.is_set()
+            self._measured_until = int(self.clock.steady() * 1e9) if hurried else 0
         await self.reconciler.reconcile()  # the report includes unexpected degradations
         silences = {fault.words: fault for fault in [*recording.silences, *self.monitor.faults(system.configuration)]}
         if swaps:

@@ -74,12 +74,14 @@ class RecordedInput:
 class Recording:
     """The recording of one plan. Failures do not affect the plan: their figures are reported as unknown.
 
-    Where ``hurried`` is set meanwhile, it ends as soon as the figures mean something.
+    Where ``hurried`` is set meanwhile, it ends as soon as the figures mean something. What was received before
+    ``earliest`` (steady ns) belongs to another change.
     """
 
     client: ComponentClient
     clock: Clock
     hurried: asyncio.Event | None = None
+    earliest: int = 0
     recorded: list[RecordedInput] = field(default_factory=list)
     unknown: list[SwapReport] = field(default_factory=list)
     # Subscribers that received nothing while the new publisher published.
@@ -167,6 +169,7 @@ class Recording:
             sources = None if driving is None else [row.source for row in driving.rows if row.source is not None]
             last = last_numbers.get(old)
             seen = replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources, resumed=resumed)
+            seen = replace(seen, watched=watched, earliest=self.earliest)
             reports.append(report(seen))
             attachment = old, seen.topic
             published = after.get(attachment, 0) - before.get(attachment, after.get(attachment, 0))
