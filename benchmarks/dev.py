@@ -218,9 +218,7 @@ class Bench:
     def gaps(self) -> list[str]:
         """Where a number is not the one before it and one."""
         pairs = zip(self.heard, self.heard[1:], strict=False)
-        return [
-            f"{a.version} {a.number}, then {b.version} {b.number}" for a, b in pairs if b.number != a.number + 1
-        ]
+        return [f"{a.version} {a.number}, then {b.version} {b.number}" for a, b in pairs if b.number != a.number + 1]
 
 
 def measure(rate: float, saves: int) -> tuple[list[float], list[str]]:

@@ -8,6 +8,7 @@ was refused is tried again when a file that may have to do with it has another c
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import partial
@@ -47,19 +48,22 @@ class Screen(Protocol):
 class DevSession:
     """``carry_out(request, finished)`` requests a change and returns why it was refused, if it was.
 
-    It calls ``finished`` with the outcome when that is known.
+    It calls ``finished`` with the outcome when that is known. Without a save, the manager is asked every ``interval``
+    seconds: a program may import a module late.
     """
 
     specification: WatchedSpecification
     manager: Manager
     carry_out: Callable[[Document, Callable[[Document], None]], str | None]
     screen: Screen
+    interval: float = 1.0
     _contents: FileContents = field(default_factory=FileContents)
     _programs: list[Document] = field(default_factory=list)
     _seen: Contents | None = None
     _read: Contents | None = None
     # Whether the files may have another specification than the one that runs.
     _differs: bool = True
+    _ask_next: float = 0.0  # (monotonic s)
     _refused: dict[str, Contents] = field(default_factory=dict)
 
     def folders(self) -> frozenset[str]:
@@ -69,10 +73,11 @@ class DevSession:
     def look(self) -> None:
         """Something may have been saved: make what runs equal to the files."""
         now = self._contents.of(self._watched())
-        if now == self._seen:
+        if now == self._seen and time.monotonic() < self._ask_next:
             return
         self._seen = now
         self._read_specification()
+        self._ask_next = time.monotonic() + self.interval
         self._programs = list(self.manager.get("/programs"))
         changes = dict(self._changes())
         if not changes:
