@@ -61,6 +61,7 @@ class Owner:
     busy: int | None = None
     watch: Any = None
     failed: bool = False
+    calls: int = 0
 
 
 class Wire:
