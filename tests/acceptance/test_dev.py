@@ -26,8 +26,8 @@ FAULTS = {
     "an import error": ("from midstride", "import no_such_module\nfrom midstride", "No module named 'no_such_module'"),
     "an exception on the third call": (
         "    count += 1\n",
-        "    global calls\n    calls += 1\n    count += 1\n    if calls == 3:\n        raise ValueError('third call')\n",
-        "ValueError: third call",
+        "    count += 1\n    calls.append(1)\n    if len(calls) == 3:\n        raise ValueError('the third call')\n",
+        "ValueError: the third call",
     ),
     "no message at all": ("    out.write(", "    str(", "has written nothing within"),
 }
@@ -44,7 +44,7 @@ def bench() -> Iterator[Any]:
 
 def faulty(bench: Any, fault: str) -> str:
     old, new, _ = FAULTS[fault]
-    text: str = bench.talker("faulty").replace("count = 0\n", "count = 0\ncalls = 0\n")
+    text: str = bench.talker("faulty").replace("count = 0\n", "count = 0\ncalls = []\n")
     assert text.count(old) == 1, old
     return text.replace(old, new)
 

@@ -64,6 +64,13 @@ def test_what_was_modified_after_the_process_had_started_may_not_be_what_it_has_
     assert not read(script, started=script.stat().st_mtime_ns).has_changed()
 
 
+def test_a_time_of_modification_to_come_says_nothing(tmp_path: Path) -> None:
+    script = tmp_path / "talker.py"
+    script.write_text("hello")
+    os.utime(script, ns=(LATER, LATER))
+    assert not read(script, started=1).has_changed()
+
+
 def test_a_large_file_is_compared_without_being_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(wire_program, "LARGEST_HASHED", 4)
     library = tmp_path / "library.so"

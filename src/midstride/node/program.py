@@ -53,9 +53,12 @@ class ProgramFiles:
 
 
 def process_started() -> int:
-    """When this process started (unix ns), to the tick of the kernel, 10 ms, and never later than it did."""
-    after_name = Path("/proc/self/stat").read_text().rpartition(")")[2]
-    since_boot = int(after_name.split()[19]) / os.sysconf("SC_CLK_TCK")
+    """When this process started (unix ns), to the tick of the kernel, 10 ms; now where that is not known."""
+    try:
+        after_name = Path("/proc/self/stat").read_text().rpartition(")")[2]
+        since_boot = int(after_name.split()[19]) / os.sysconf("SC_CLK_TCK")
+    except (OSError, ValueError, IndexError):
+        return time.time_ns()
     return time.time_ns() - int((time.clock_gettime(time.CLOCK_BOOTTIME) - since_boot) * 1e9)
 
 

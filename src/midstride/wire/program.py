@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import os
 import stat
+import time
 from collections.abc import Iterable, Iterator
 from typing import Final
 
@@ -38,7 +39,8 @@ class ProgramFile(WireValue, frozen=True, kw_only=True):
             found = os.stat(path)
             if not stat.S_ISREG(found.st_mode):
                 return None
-            digest = UNKNOWN if found.st_mtime_ns > started else _digest(path, found.st_size)
+            since_start = started < found.st_mtime_ns <= time.time_ns()  # else the time was set, to one to come
+            digest = UNKNOWN if since_start else _digest(path, found.st_size)
         except (OSError, ValueError):
             return None
         return cls(path=path, size=found.st_size, modified=found.st_mtime_ns, digest=digest)

@@ -64,7 +64,9 @@ class DevSession:
     # Whether the files may have another specification than the one that runs.
     _differs: bool = True
     _ask_next: float = 0.0  # (monotonic s)
-    _refused: dict[str, Contents] = field(default_factory=dict)
+    # With which contents of its files each change was requested last, and those that were refused then.
+    _tried: dict[str, Contents] = field(default_factory=dict)
+    _refused: set[str] = field(default_factory=set)
 
     def folders(self) -> frozenset[str]:
         """The folders of all files that matter."""
@@ -106,23 +108,28 @@ class DevSession:
         wanted = self.specification.wanted
         if self._differs and decode_specification(self.manager.get("/specification")) == wanted:
             self._differs = False
-            self._refused.pop(_SPECIFICATION, None)
+            self._settle(_SPECIFICATION)
         elif self._differs and self._is_new(_SPECIFICATION):
             yield _SPECIFICATION, [str(self.specification.path)]
         for program in self._programs:
             role = str(program["role"])
             if not program["changed"]:
-                self._refused.pop(role, None)
+                self._settle(role)
             elif role in wanted.nodes and self._is_new(role):
                 if program["startable"]:
                     yield role, program["changed"]
                 else:
-                    self._refused[role] = self._related(role)
+                    self._tried[role] = self._related(role)
                     self.screen.refused(_what({role: program["changed"]}), f"{role} was started by hand: restart it")
 
     def _is_new(self, name: str) -> bool:
-        """Whether a change has not been refused with the files as they are."""
-        return self._refused.get(name) != self._related(name)
+        """Whether a change has not been requested yet with the files as they are."""
+        return self._tried.get(name) != self._related(name)
+
+    def _settle(self, name: str) -> None:
+        """What runs is what the files have."""
+        self._tried.pop(name, None)
+        self._refused.discard(name)
 
     def _attempt(self, changes: dict[str, list[str]], names: set[str]) -> str | None:
         """Request some of the changes; why they were refused, if they were."""
@@ -131,10 +138,12 @@ class DevSession:
         if _SPECIFICATION in names:
             request["to"] = encode_specification(wanted)
         what = _what({name: changes[name] for name in sorted(names)})
-        related = {name: self._related(name) for name in names}
+        self._refused |= names  # from here on, the modules beside are watched, too
+        self._tried |= {name: self._related(name) for name in names}
         refused = self.carry_out(request, partial(self.screen.swapped, what))
-        if refused is not None:
-            self._refused |= related
+        if refused is None:
+            self._refused -= names
+        else:
             self.screen.refused(what, refused)
         return refused
 
