@@ -22,7 +22,7 @@ from midstride.runtime.manager import Manager
 from midstride.runtime.reports import ProgramStatus
 from midstride.runtime.workspace import Workspace
 from midstride.wire import program as wire_program
-from midstride.wire.program import ProgramFile, files_named
+from midstride.wire.program import FileFingerprint, files_named
 from tests.runtime.systems import EXAMPLES, example, managed, stateful_talkers
 
 # Later than any file of a test was written: its process has read the files as they are.
@@ -36,8 +36,8 @@ def kept(path: Path, text: str) -> None:
     os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
 
 
-def read(path: Path, started: int = LATER) -> ProgramFile:
-    file = ProgramFile.read(str(path), started)
+def read(path: Path, started: int = LATER) -> FileFingerprint:
+    file = FileFingerprint.read(str(path), started)
     assert file is not None
     return file
 
@@ -83,8 +83,8 @@ def test_a_large_file_is_compared_without_being_read(tmp_path: Path, monkeypatch
 
 
 def test_only_regular_files_are_files_of_a_program(tmp_path: Path) -> None:
-    assert ProgramFile.read(str(tmp_path), LATER) is None
-    assert ProgramFile.read(str(tmp_path / "none"), LATER) is None
+    assert FileFingerprint.read(str(tmp_path), LATER) is None
+    assert FileFingerprint.read(str(tmp_path / "none"), LATER) is None
 
 
 def test_the_files_that_a_command_names(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ from midstride.wire.frames import (
     encode,
     encode_value,
 )
-from midstride.wire.program import Program, ProgramFile
+from midstride.wire.program import FileFingerprint, Program
 from midstride.wire.state import ComponentState, Endpoint, FunctionalityState, LinkState, WireValue
 
 from .support import GREETING, HELLO, REGISTRATION
@@ -98,7 +98,7 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (
         ProgramCommand(timeout=1.5),
         Program(
-            files=[ProgramFile(path="/talker.py", size=9, modified=10**18, digest=None)],
+            files=[FileFingerprint(path="/talker.py", size=9, modified=10**18, digest=None)],
             started=10**18,
             complete=False,
         ),

@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from midstride.wire.program import Program, ProgramFile
+from midstride.wire.program import FileFingerprint, Program
 
 # How many files are listed at most.
 MOST_FILES: Final = 1000
@@ -31,13 +31,13 @@ class ProgramFiles:
 
     modules: Mapping[str, Any]
     started: int
-    _read: dict[str, ProgramFile] = field(default_factory=dict)
+    _read: dict[str, FileFingerprint] = field(default_factory=dict)
 
     def listed(self) -> Program:
         """The files, the script first. Reads them, so not for an event loop's thread."""
         paths = list(dict.fromkeys(self._paths()))
         for path in paths[:MOST_FILES]:
-            if path not in self._read and (file := ProgramFile.read(path, self.started)) is not None:
+            if path not in self._read and (file := FileFingerprint.read(path, self.started)) is not None:
                 self._read[path] = file
         return Program(files=list(self._read.values()), started=self.started, complete=len(paths) <= MOST_FILES)
 

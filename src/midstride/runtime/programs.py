@@ -17,7 +17,7 @@ from midstride.model.configuration import Configuration, Instance
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.reports import ProgramStatus
 from midstride.wire.commands import ProgramCommand
-from midstride.wire.program import Program, ProgramFile, files_named
+from midstride.wire.program import FileFingerprint, Program, files_named
 from midstride.wire.state import ComponentState
 
 # How long to wait for the answers of components that are being asked (s).
@@ -31,7 +31,7 @@ class _Known:
     uuid: str
     imported: int
     program: Program | None = None
-    named: list[ProgramFile] | None = None
+    named: list[FileFingerprint] | None = None
 
 
 @dataclass
@@ -77,7 +77,7 @@ class Programs:
 
     def _of(self, instance: Instance, known: _Known | None) -> ProgramStatus:
         program = None if known is None else known.program
-        files: list[ProgramFile] = []
+        files: list[FileFingerprint] = []
         if known is not None and program is not None:
             if known.named is None:
                 known.named = self._named(instance, program)
@@ -91,14 +91,14 @@ class Programs:
             startable=instance.component.run is not None,
         )
 
-    def _named(self, instance: Instance, program: Program) -> list[ProgramFile]:
+    def _named(self, instance: Instance, program: Program) -> list[FileFingerprint]:
         try:
             words = shlex.split(instance.component.run or "")
         except ValueError:
             words = []
         listed = {file.path for file in program.files}
         paths = dict.fromkeys(path for path in files_named(words, str(self.directory)) if path not in listed)
-        return [file for path in paths if (file := ProgramFile.read(path, program.started)) is not None]
+        return [file for path in paths if (file := FileFingerprint.read(path, program.started)) is not None]
 
     async def close(self) -> None:
         for asking in self._asking.values():

@@ -24,7 +24,7 @@ UNKNOWN: Final = ""
 _READ: Final = frozenset(".py .sh .bash .yaml .yml .json .toml .ini .cfg .xml .urdf".split())
 
 
-class ProgramFile(WireValue, frozen=True, kw_only=True):
+class FileFingerprint(WireValue, frozen=True, kw_only=True):
     """One file. ``modified``: when it was modified last (unix ns); ``digest``: of its content, None if it is large."""
 
     path: str
@@ -33,7 +33,7 @@ class ProgramFile(WireValue, frozen=True, kw_only=True):
     digest: str | None
 
     @classmethod
-    def read(cls, path: str, started: int) -> ProgramFile | None:
+    def read(cls, path: str, started: int) -> FileFingerprint | None:
         """The file as a program has read it that started at ``started`` (unix ns); None if it is no regular file."""
         try:
             found = os.stat(path)
@@ -61,7 +61,7 @@ class ProgramFile(WireValue, frozen=True, kw_only=True):
 class Program(WireValue, frozen=True, kw_only=True):
     """What is known of a running program. ``started``: unix ns; ``complete``: whether all its modules are listed."""
 
-    files: list[ProgramFile]
+    files: list[FileFingerprint]
     started: int
     complete: bool = True
 

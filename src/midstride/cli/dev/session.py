@@ -25,7 +25,7 @@ from midstride.errors import SpecificationError
 _SPECIFICATION: Final = ""
 
 
-class Manager(Protocol):
+class ManagerQueries(Protocol):
     """The part of a client of the manager that is needed here."""
 
     def get(self, path: str) -> Any: ...
@@ -53,7 +53,7 @@ class DevSession:
     """
 
     specification: WatchedSpecification
-    manager: Manager
+    manager: ManagerQueries
     carry_out: Callable[[Document, Callable[[Document], None]], str | None]
     screen: Screen
     interval: float = 1.0
