@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import py_compile
 import threading
 import time
 from collections.abc import Callable
@@ -137,6 +138,20 @@ def test_a_module_that_two_nodes_import_swaps_both_at_once(robot: Robot) -> None
     robot.edit("shared.py", "1", "2")
     assert robot.asked() == [restart("listener", "talker")]
     assert robot.shown == ["swapped listener (shared.py), talker (shared.py)"]
+
+
+def test_python_cannot_run_what_it_has_compiled_before_the_save(robot: Robot) -> None:
+    """It would, where the size and the second are the same."""
+    helper = robot.folder / "helper.py"
+    helper.write_text("word = 1")
+    robot.more_files = {"talker": [str(helper)]}
+    robot.code["talker"] = robot._texts("talker")
+    robot.session.look()
+    compiled = Path(py_compile.compile(str(helper)) or "")
+    assert compiled.exists()
+    robot.edit("helper.py", "1", "2")
+    assert robot.asked() == [restart("talker")]
+    assert not compiled.exists()
 
 
 def test_what_was_refused_is_tried_again_when_its_files_change_and_not_before(robot: Robot) -> None:

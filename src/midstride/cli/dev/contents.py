@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from pathlib import Path
 from typing import Final, TypeAlias
 
 # A save is complete when nothing has been written for this long, or after so long at most (ms).
@@ -46,6 +49,17 @@ class FileContents:
             return known[1]
         except OSError:
             return None
+
+
+def remove_compiled(path: str) -> None:
+    """Remove what Python has compiled from a module.
+
+    Python compares whole seconds and sizes, so it would run the old code after two saves of one size in a second.
+    """
+    module = Path(path)
+    for compiled in module.parent.glob(f"__pycache__/{glob.escape(module.stem)}.*.pyc"):
+        with suppress(OSError):
+            compiled.unlink()
 
 
 def saves(folders: Callable[[], frozenset[str]]) -> Iterator[None]:

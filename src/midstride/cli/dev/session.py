@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from midstride.cli.client import Document
-from midstride.cli.dev.contents import Contents, FileContents
+from midstride.cli.dev.contents import Contents, FileContents, remove_compiled
 from midstride.cli.dev.specification import WatchedSpecification
 from midstride.codec.specification import decode_specification, encode_specification
 from midstride.errors import SpecificationError
@@ -137,6 +137,8 @@ class DevSession:
         request: Document = {"restart": sorted(names - {_SPECIFICATION})}
         if _SPECIFICATION in names:
             request["to"] = encode_specification(wanted)
+        for path in {path for name in names for path in changes[name]}:
+            remove_compiled(path)
         what = _what({name: changes[name] for name in sorted(names)})
         self._refused |= names  # from here on, the modules beside are watched, too
         self._tried |= {name: self._related(name) for name in names}
