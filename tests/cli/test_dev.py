@@ -313,7 +313,7 @@ def test_dev_swaps_what_is_saved_and_refuses_what_is_faulty(midstride: Midstride
     with Terminal(midstride, "dev", file, "--backend", "sim") as terminal:
         terminal.until("Swapping on save; Ctrl-C stops the system.")
         write(project / "talker.py", "hello world", "hello new world")
-        shown = terminal.until("missed 0")
+        shown = terminal.until(", missed ")  # in real time: how many depends on the machine
         assert "talker (talker.py): swapped in" in shown
         write(project / "talker.py", "def normal()", "def normal(")
         shown = terminal.until("SyntaxError")

@@ -86,6 +86,7 @@ STATE = ComponentState(
     waiting="no manager has welcomed it yet",
     simulated_time=True,
     imported=512,
+    declared={"speed": 1.0},
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
 ROW = Receipt(1, 2, 3, "p")
@@ -122,7 +123,10 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     ),
     (DetachCommand(port="out", topic="/t", timeout=1.5), Detached(acknowledged=None, last=7)),
     (ModesCommand(modes={"talk": "normal"}, because="why not", timeout=1.5), Before(before={"talk": "off"})),
-    (SetParametersCommand(parameters={"a": [1, 2], "b": "x"}, timeout=1.5), Before(before={"a": 0.5})),
+    (
+        SetParametersCommand(parameters={"a": [1, 2], "b": "x"}, declared={"a": [1]}, timeout=1.5),
+        Before(before={"a": 0.5}),
+    ),
     (ImportStateCommand(state=b"\x00\xff\n", timeout=1.5), Done()),
     (RecordCommand(inputs=["in"], on=True, timeout=1.5), RecordingSwitched(now=3)),
     (MeetCommand(peer="old", address="unix:/x", timeout=1.5), Done()),

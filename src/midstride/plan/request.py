@@ -18,6 +18,7 @@ class PlanRequest:
 
     A role in ``replace`` or ``restart`` gets a new instance, also of the same component: its program may have changed.
     ``restart`` may accompany a whole specification.
+    With ``declared_parameters``, parameter values that were set at run time are not kept.
     """
 
     replace: tuple[tuple[str, str], ...] = ()
@@ -27,6 +28,7 @@ class PlanRequest:
     to: Specification | None = None
     components: tuple[ComponentSpec, ...] = ()
     strategy: str = "minimal"
+    declared_parameters: bool = False
 
     def target(self, specification: Specification) -> Specification:
         """The specification to change to. Raises PlanRefused for an unknown name or a malformed declaration."""

@@ -86,11 +86,20 @@ def _component(
         changed_files=[] if program is None else program.changed,
         unknown_files=None if program is None else program.unknown,
         functionalities=functionalities,
+        parameters=[] if state is None else parameters(state),
         attachments=[
             reports.AttachmentStatus(str(port), connector, _gate(state, port, configuration.topic(connector)))
             for port, connector in configuration.attached_ports(instance.name)
         ],
     )
+
+
+def parameters(state: ComponentState) -> list[reports.ParameterStatus]:
+    """The parameters of a component, by name."""
+    return [
+        reports.ParameterStatus(name, value, state.declared.get(name, value), name in state.declared)
+        for name, value in sorted(state.parameters.items())
+    ]
 
 
 def _gate(state: ComponentState | None, port: PortRef, topic: str) -> GateState | None:

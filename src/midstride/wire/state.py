@@ -42,7 +42,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
 
     ``simulated_time``: its ROS clock follows ``/clock``. ``stopping`` is how long it may take to end in order (s).
     ``ports`` maps port -> topic -> attachment. ``imported`` counts the modules that its process has imported: where it
-    has grown, so may have the files of its program.
+    has grown, so may have the files of its program. ``declared`` has the parameters that were set while it ran, each
+    with the value that it was started with.
     """
 
     instance: str
@@ -56,3 +57,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     waiting: str | None = None
     simulated_time: bool = False
     imported: int = 0
+    declared: dict[str, Any] = msgspec.field(default_factory=dict)
+
+    def set_values(self) -> dict[str, Any]:
+        """The values of the parameters that were set while it ran."""
+        return {name: self.parameters[name] for name in self.declared}

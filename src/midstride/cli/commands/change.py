@@ -36,21 +36,33 @@ def _components_option(function: Any) -> Any:
 @click.argument("node", shell_complete=completion.nodes)
 @click.argument("component", shell_complete=completion.components)
 @_components_option
+@change_options.declared_parameters_option
 @_change_options
 def replace_command(
-    node: str, component: str, file: Path | None, system: str | None, strategy: str, verify: bool, yes: bool
+    node: str,
+    component: str,
+    file: Path | None,
+    declared_parameters: bool,
+    system: str | None,
+    strategy: str,
+    verify: bool,
+    yes: bool,
 ) -> int:
     """Replace the component of NODE with COMPONENT, on the same topics."""
     request = {"replace": [[node, component]], "components": _components(file), "strategy": strategy}
+    request["declared_parameters"] = declared_parameters
     return change(system, request, f"replace {node} with {component}", yes, verify)
 
 
 @click.command("restart")
 @click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=completion.nodes)
+@change_options.declared_parameters_option
 @_change_options
-def restart_command(nodes: tuple[str, ...], system: str | None, strategy: str, verify: bool, yes: bool) -> int:
+def restart_command(
+    nodes: tuple[str, ...], declared_parameters: bool, system: str | None, strategy: str, verify: bool, yes: bool
+) -> int:
     """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
-    request = {"restart": list(nodes), "strategy": strategy}
+    request = {"restart": list(nodes), "strategy": strategy, "declared_parameters": declared_parameters}
     return change(system, request, f"restart {', '.join(nodes)}", yes, verify)
 
 
@@ -90,8 +102,17 @@ def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, ve
 @click.command("apply")
 @click.argument("new", type=click.Path(path_type=Path))
 @click.option("--keep-code", is_flag=True, help="Do not replace nodes only because their code has changed on disk.")
+@change_options.declared_parameters_option
 @_change_options
-def apply_command(new: Path, keep_code: bool, system: str | None, strategy: str, verify: bool, yes: bool) -> int:
+def apply_command(
+    new: Path,
+    keep_code: bool,
+    declared_parameters: bool,
+    system: str | None,
+    strategy: str,
+    verify: bool,
+    yes: bool,
+) -> int:
     """Change the running system to the specification NEW, and to the code that its programs have now."""
     from midstride.cli.files import load
     from midstride.cli.programs import changed_code, code_words
@@ -108,7 +129,12 @@ def apply_command(new: Path, keep_code: bool, system: str | None, strategy: str,
             out.print(f"component {before} is renamed {after}, and its nodes go on", markup=False)
         for node, files in sorted(changed.items()):
             out.print(f"{node}: {code_words(files)}", markup=False)
-        return {"to": encode_specification(target), "restart": sorted(changed), "strategy": strategy}
+        return {
+            "to": encode_specification(target),
+            "restart": sorted(changed),
+            "strategy": strategy,
+            "declared_parameters": declared_parameters,
+        }
 
     return change(system, request, f"apply {new.name}", yes, verify)
 
