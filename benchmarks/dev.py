@@ -227,7 +227,7 @@ def measure(rate: float, saves: int) -> tuple[list[float], list[str]]:
         bench, latencies = Bench(Path(folder), rate), []
         with bench.running():
             for number in range(1, saves + 1):
-                time.sleep(0.3)
+                time.sleep(1.0)  # a person does not save more often
                 saved = bench.save(bench.talker(f"v{number}"))
                 latencies.append(bench.first(f"v{number}").at - saved)
             time.sleep(1.0)

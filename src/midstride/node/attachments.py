@@ -73,10 +73,8 @@ class Attachments:
                     f"only {max(matched, 0)} of {command.peers} endpoints on {topic} were found within {timeout:g} s; "
                     "the others are missing, or have another type or incompatible QoS"
                 )
-            if command.peers:
-                await self.host.sleep(SETTLE)
             matched = await self._match(link, command.everyone, command.patience)
-            if command.everyone > command.peers:  # endpoints outside the system as well
+            if command.peers or command.everyone:
                 await self.host.sleep(SETTLE)
             if isinstance(link, OutputLink) and command.gate == "open":
                 await self.data.run(partial(self._open, link), timeout)
