@@ -47,6 +47,7 @@ IN_PROCESS = {
     "diff",
     "export",
     "log",
+    "logs",
     "param",
     "plan",
     "remove",

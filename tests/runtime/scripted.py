@@ -22,7 +22,7 @@ from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.runtime.action_driver import ActionDriver
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient, LatestState
 from midstride.runtime.events import EventLog
@@ -52,11 +52,13 @@ from midstride.wire.commands import (
     GridCommand,
     ModesCommand,
     ObserveCommand,
+    PrepareStateCommand,
     RecordCommand,
     RecordingSwitched,
     Records,
     RecordsCommand,
     SetParametersCommand,
+    StateOffer,
     WelcomeCommand,
 )
 from midstride.wire.frames import PROTOCOL, Greeting, Registration
@@ -85,6 +87,7 @@ REPLIES: dict[type[Command[Any]], Any] = {
     ExportStateCommand: ExportedState(state=None),
     GridCommand: Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=1),
     ModesCommand: Before(before={}),
+    PrepareStateCommand: StateOffer(exports="nothing"),
     RecordCommand: RecordingSwitched(now=0),
     RecordsCommand: Records(rows=[], publisher_identity=True, now=0),
     SetParametersCommand: Before(before={}),
@@ -266,6 +269,9 @@ class ScriptedBackend:
 
     def disconnected(self, instance: str) -> None:
         self.disconnections.append(instance)
+
+    def middleware(self) -> Middleware:
+        return Middleware(name="scripted")
 
     async def endpoints(self) -> Endpoints:
         return Endpoints()

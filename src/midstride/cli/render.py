@@ -165,6 +165,10 @@ def outcome(document: Document) -> RenderableType:
         for swap in document["swaps"]:
             swaps.add_row(swap["topic"], swap["subscriber"], *measurements(swap))
         lines.append(swaps)
+    late = sorted((document.get("late") or {}).items())
+    lines += [
+        Text(f"The first slot of {name} was {seconds(spent)} late; its state moved before.") for name, spent in late
+    ]
     return Group(*lines)
 
 
@@ -279,6 +283,24 @@ def _problems(document: Document) -> Iterable[Text]:
     if document.get("unwritten"):
         problems.append(document["unwritten"])
     return [Text(problem, style="red") for problem in problems]
+
+
+def platform(document: Document) -> RenderableType:
+    """How each component was started, and what is set for the middleware."""
+    starts = table(["node", "started with", "clock", "log"])
+    for component in document["components"]:
+        clock = "/clock" if component["simulated_time"] else "system"
+        run = component["run"] or Text("by hand, or by another system", style="dim")
+        starts.add_row(component["name"], run, clock, component["log_file"] or "–")
+    middleware = document["middleware"]
+    settings = table(["variable", "value", "set by"])
+    for owner in ("set", "kept"):
+        for name, value in middleware[owner].items():
+            settings.add_row(name, value, "Midstride" if owner == "set" else "you: it is left")
+    lines: list[RenderableType] = [Text(""), starts, Text(f"\nMiddleware: {middleware['name']}")]
+    if middleware["set"] or middleware["kept"]:
+        lines.append(settings)
+    return Group(*lines, *(Text(note, style="dim") for note in middleware["notes"]))
 
 
 def _silence(fault: Document) -> str:

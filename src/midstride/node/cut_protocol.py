@@ -14,6 +14,7 @@ from typing import Final
 from midstride.errors import BackendError
 from midstride.node.cut import GRACE, IncomingCut, OutgoingCut
 from midstride.node.host import Host
+from midstride.node.state_transfer import StateExport, StateImport
 from midstride.wire.commands import CutOutcome, CutResult
 
 # How often a side checks whether it can go on (s): shorter than a period at 200 Hz.
@@ -21,18 +22,24 @@ TICK: Final = 0.002
 # How long one attempt to report to the peer may take (s), and how many there are: a dead peer cannot write.
 REPORT_TIMEOUT: Final = 0.25
 REPORT_ATTEMPTS: Final = 20
+# A side whose clock has gone back by more than this gives the cut up (s): T may be far ahead again.
+JUMP: Final = 1.0
+# A new side may be late by so much, however fast the ROS clock runs (s).
+SHORTEST_SILENCE: Final = 0.1
 # How often a side that waits for T looks at the clock, and at what has happened meanwhile (s).
 LONGEST_WAIT: Final = 0.01
 
 
-@dataclass
+@dataclass(eq=False)
 class _CutTask:
     """What both sides share: an outcome, and cancellation."""
 
     host: Host
     changed: Callable[[], None]
+    side: OutgoingCut | IncomingCut
     outcome: CutOutcome | None = field(default=None, init=False)
     finished: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+    _latest: int = field(default=0, init=False)  # what the clock of the cut has shown
 
     def _going(self) -> bool:
         """Whether there is no outcome yet; a cancellation may come at any await."""
@@ -42,9 +49,17 @@ class _CutTask:
         """Whether this side will not write at T."""
         return False
 
+    def _jumped_back(self) -> bool:
+        """Whether the clock of the cut has been set back since this was first asked: a simulation has started again."""
+        now = self.side.now()
+        self._latest = max(self._latest, now)
+        return self._latest - now > JUMP * 1e9
+
     async def _until(self, at: int) -> None:
-        """Wait until ``at`` on the ROS clock, which may not run like the steady one; less long if this side fails."""
-        while self._going() and not self._failed() and (left := (at - self.host.now()) / 1e9) > 0:
+        """Wait until ``at`` on the clock of the cut, which may not run like the steady one; less long if it fails."""
+        while self._going() and not self._failed() and (left := (at - self.side.now()) / 1e9) > 0:
+            if self._jumped_back():
+                return
             await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
 
     async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
@@ -55,32 +70,69 @@ class _CutTask:
         self.changed()
 
 
-@dataclass
+@dataclass(eq=False)
 class CutOutTask(_CutTask):
     """The old side: writes up to T, and resumes where `taken` does not arrive in time."""
 
     side: OutgoingCut
     resume_after: float
+    export: StateExport | None = None
     _taken: bool = field(default=False, init=False)
 
     async def run(self) -> None:
         await self._until(self.side.at)
         passed_at = self.host.steady()
         while self._going():
+            if self._jumped_back() and not self._taken:
+                await self._end("resumed", self.side.reopen)
+                return
             passed = self.side.over or await self.host.on_data(self.side.passed)
             if not self._going():
                 return
+            if passed and self.export is not None:
+                await self.export.passed(self)
+                if not self._going():
+                    return
             if passed and self._taken:
                 await self._end("done", self.side.relieved)
-            elif self._silent_for(passed_at) > self.resume_after and not self._taken:
+            elif not self._taken and self._given_up(passed_at):
                 await self._end("resumed", self.side.reopen)
             else:
-                await self.host.sleep(TICK)
+                await (self.host.sleep(TICK) if self.export is None else self.export.pause())
 
-    def _silent_for(self, passed_at: int) -> float:
-        """For how long the new side should have written (s); where messages drive it, since one arrived."""
+    def _given_up(self, passed_at: int) -> bool:
+        if self.export is not None and self.export.given_up(self.resume_after):
+            return True
+        return self._is_overdue(passed_at)
+
+    def _is_overdue(self, passed_at: int) -> bool:
+        """Whether the new side should have written ``resume_after`` ago; where messages drive it, since one arrived.
+
+        A new side on a time grid that ``/clock`` drives writes nothing while that stands still.
+        """
         since = self.side.newer_at if self.side.driven_by_messages else passed_at
-        return 0.0 if since is None else (self.host.steady() - since) / 1e9
+        if since is not None and self.export is not None:
+            since = max(since, self.export.heard_at)
+        if since is None:
+            return False
+        silent = (self.host.steady() - since) / 1e9
+        if self.side.clock == "ros" and self.host.simulated_time:
+            on_clock = (self.side.now() - self.side.at) / 1e9
+            return on_clock > self.resume_after and silent > min(SHORTEST_SILENCE, self.resume_after)
+        return silent > self.resume_after
+
+    async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
+        export = self.export
+        if export is None:
+            await super()._end(outcome, gates)
+            return
+        export.end(self, resumed=outcome != "done")
+
+        def gates_then_calls() -> None:
+            gates()
+            export.release_if_over()
+
+        await super()._end(outcome, gates_then_calls)
 
     async def taken(self, failed: bool) -> bool:
         """The new side has written, or has failed. Returns whether this one writes again."""
@@ -95,20 +147,24 @@ class CutOutTask(_CutTask):
         await self._end("cancelled", self.side.reopen)
 
     def result(self) -> CutResult:
-        return CutResult(outcome=self.outcome or "waiting", last=self.side.last())
+        because = None if self.export is None else self.export.because
+        return CutResult(outcome=self.outcome or "waiting", because=because, last=self.side.last())
 
 
-@dataclass
+@dataclass(eq=False)
 class CutInTask(_CutTask):
     """The new side: writes from T on, and reports its first write to its peer."""
 
     side: IncomingCut
     # Reports the first write, or a failure, to the old side within so many seconds; returns whether that has resumed.
     report: Callable[[float, bool], Awaitable[bool]]
+    state: StateImport | None = None
 
     async def run(self) -> None:
         latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
         await self._until(self.side.at)
+        if self.state is not None and self._going():
+            await self.state.settled()
         waited_from = self.host.steady()
         while self._going() and not self.side.written and not self._failed():
             # A message in transit at T may still make the new side write; nothing else will.
@@ -120,17 +176,30 @@ class CutInTask(_CutTask):
                 await self.host.sleep(TICK)
         failed = self._failed()
         if self._going() and (await self._resumed(failed) or failed):
-            await self._end("cancelled", self.side.close)
+            await self._end("cancelled", self._close)
         if self._going():
             self.outcome = "done"
             self.finished.set()
             self.changed()
             await self.host.sleep(GRACE)  # messages from before T may still be in transit to here
-            await self.host.on_data(self.side.conclude)
+            await self.host.on_data(self._conclude)
+
+    def _conclude(self) -> None:
+        self.side.conclude()
+        if self.state is not None:
+            self.state.end(self)
+
+    def _close(self) -> None:
+        self.side.close()
+        if self.state is not None:
+            self.state.end(self)
 
     def _failed(self) -> bool:
-        """Whether the author's code has raised before the first write."""
-        return not self.side.written and any(link.output.owner.failed for link in self.side.links)
+        """Whether, before the first write, the author's code has raised, the clock jumped back, or no state came."""
+        if self.state is not None and self.state.failed:
+            return True
+        failed = self._jumped_back() or any(link.output.owner.failed for link in self.side.links)
+        return failed and not self.side.written
 
     async def _resumed(self, failed: bool) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""
@@ -144,7 +213,10 @@ class CutInTask(_CutTask):
         return False
 
     async def cancel(self) -> None:
-        await self._end("cancelled", self.side.close)
+        if self.state is not None:
+            await self.state.cancel()
+        await self._end("cancelled", self._close)
 
     def result(self) -> CutResult:
-        return CutResult(outcome=self.outcome or "waiting", first=self.side.first())
+        because = None if self.state is None else self.state.problem
+        return CutResult(outcome=self.outcome or "waiting", because=because, first=self.side.first())

@@ -16,6 +16,7 @@ from midstride.codec.parameter import Value
 from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.step_forms import AnyStep
+from midstride.runtime.backend import Middleware
 from midstride.runtime.measure import SwapReport
 from midstride.verify.verdict import Verdict
 
@@ -60,6 +61,10 @@ class Outcome(Report, frozen=True, kw_only=True):
     seconds: float = 0.0
     fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
     swaps: list[SwapReport] = []
+    late: Annotated[
+        dict[str, float],
+        Meta(description="seconds by which a new component's first slot waited for its state, over a period"),
+    ] = {}
     because: str | None = None
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
@@ -147,6 +152,11 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     functionalities: list[FunctionalityStatus]
     attachments: list[AttachmentStatus]
     parameters: Annotated[list[ParameterStatus], Meta(description="none where it does not answer")] = []
+    simulated_time: Annotated[bool, Meta(description="/clock drives its ROS clock")] = False
+    run: Annotated[str | None, Meta(description="the command it was started with; null: it was started elsewhere")] = (
+        None
+    )
+    log_file: str | None = None
 
 
 class CrashedInstance(Report, frozen=True):
@@ -187,6 +197,7 @@ class Status(Report, frozen=True, kw_only=True):
     revision: int
     running: RunningCommand | None
     unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
+    middleware: Middleware
 
 
 class LiveConfiguration(Report, frozen=True):

@@ -9,6 +9,7 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime import reports
+from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.running_system import RunningSystem
@@ -21,7 +22,7 @@ def status(
     client: ComponentClient,
     monitor: SilenceMonitor,
     launcher: Launcher,
-    backend: str,
+    backend: Backend,
     programs: Iterable[reports.ProgramStatus],
     running: reports.RunningCommand | None,
     unwritten: str | None,
@@ -55,10 +56,11 @@ def status(
             for name in sorted(configuration.context.connectors)
         ],
         system=system.specification.name,
-        backend=backend,
+        backend=backend.name,
         revision=system.revision,
         running=running,
         unwritten=unwritten,
+        middleware=backend.middleware(),
     )
 
 
@@ -69,7 +71,8 @@ def _component(
     launcher: Launcher,
     program: reports.ProgramStatus | None,
 ) -> reports.ComponentStatus:
-    process = state or launcher.handles.get(instance.name)
+    handle = launcher.handles.get(instance.name)
+    process = state or handle
     reported = {} if state is None else state.functionalities
     functionalities = [
         _functionality(configuration, ref, reported.get(ref.functionality)) for ref in instance.functionality_refs()
@@ -91,6 +94,9 @@ def _component(
             reports.AttachmentStatus(str(port), connector, _gate(state, port, configuration.topic(connector)))
             for port, connector in configuration.attached_ports(instance.name)
         ],
+        simulated_time=state is not None and state.simulated_time,
+        run=instance.component.run,
+        log_file=None if handle is None else handle.log,
     )
 
 

@@ -23,6 +23,11 @@ Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=0)]
 Kind: TypeAlias = Literal["reading", "changing", "between"]
 Trigger: TypeAlias = Literal["rate", "message", "none"]
 CutOutcome: TypeAlias = Literal["waiting", "done", "resumed", "cancelled"]
+# On which clock a cut is agreed: that of time grids, or that of messages' times of publication. They differ where
+# ``/clock`` drives the ROS clock.
+CutClock: TypeAlias = Literal["ros", "message"]
+# A moment of the steady clock, and what the ROS clock then showed (ns).
+ClockMoment: TypeAlias = tuple[int, int]
 
 # -- replies -----------------------------------------------------------------------------------------
 
@@ -32,13 +37,16 @@ class Done(WireValue, frozen=True, kw_only=True):
 
 
 class Grid(WireValue, frozen=True, kw_only=True):
-    """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``; ``now`` is the ROS clock.
+    """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``.
 
-    ``readers`` is the number of matched subscriptions on the topic asked about.
+    ``now`` is on the clock on which a cut of that output is agreed: ``clock``, which gains ``speed`` seconds in each
+    second. ``readers`` is the number of matched subscriptions on the topic asked about.
     """
 
     trigger: Trigger
     now: int
+    clock: CutClock = "ros"
+    speed: float = 1.0
     epoch: int | None = None
     period: float | None = None
     readers: int | None = None
@@ -54,17 +62,41 @@ class Receipt(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Records(WireValue, frozen=True, kw_only=True):
-    """What an input has recorded. ``now`` is the steady clock (ns)."""
+    """What an input has recorded. ``now`` is the steady clock (ns).
+
+    ``moments``: how the ROS clock has moved meanwhile, where ``/clock`` drives it; else None. ``ros_sources``: times of
+    publication are on that clock.
+    """
 
     rows: list[Receipt]
     publisher_identity: bool
     now: int
+    moments: list[ClockMoment] | None = None
+    ros_sources: bool = False
 
 
 class ExportedState(WireValue, frozen=True, kw_only=True):
     """``state`` is None where the component keeps none."""
 
     state: bytes | None
+
+
+class FetchedState(WireValue, frozen=True, kw_only=True):
+    """The state at a cut. ``handled``: by publisher, the time of the newest message that it includes (ns).
+
+    That is for functionalities without an output in the cut. Of other publishers, it includes what was published until
+    ``since``.
+    """
+
+    state: bytes | None
+    handled: dict[str, int]
+    since: int
+
+
+class StateOffer(WireValue, frozen=True, kw_only=True):
+    """What a component exports at a cut: of ``changes``, the bulk has to move before."""
+
+    exports: Literal["nothing", "whole", "changes"]
 
 
 class GatedWrites(WireValue, frozen=True, kw_only=True):
@@ -89,9 +121,11 @@ class CutResult(WireValue, frozen=True, kw_only=True):
     """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
 
     Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
+    ``because``: what was wrong with the transfer of state.
     """
 
     outcome: CutOutcome
+    because: str | None = None
     last: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
     first: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
 
@@ -296,17 +330,44 @@ class CutSwap(WireValue, frozen=True, kw_only=True):
     latch: bool = False
 
 
+class StateTransfer(WireValue, frozen=True, kw_only=True):
+    """State moves from the old component to the new one once the last of their ``cuts`` has passed.
+
+    That is at ``at`` on ``clock``. ``changes``: a bulk has moved before, and only what has changed since follows. It
+    may take ``timeout`` seconds. If it fails, the new side does not take over where the state is ``required``; else it
+    continues with its own.
+    """
+
+    id: str
+    cuts: int
+    at: int
+    clock: CutClock = "ros"
+    changes: bool = False
+    required: bool = True
+    timeout: Seconds = 2.0
+
+
+class PrepareStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="prepare_state"):
+    """The new side: ask the peer what it exports at the cut, or, with ``bulk``, import the whole of it now."""
+
+    peer: str
+    address: str
+    bulk: bool = False
+
+
 class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     """The old side: write up to ``at``, then close the gates.
 
     It writes again if the new side has not reported its first write within ``resume_after`` seconds after ``at``; where
-    messages drive the output, after the first input newer than ``at``.
+    messages drive the output, after the first input newer than ``at``. Both are on ``clock``.
     """
 
     cut: str
     swaps: list[CutSwap]
     at: int
     resume_after: Seconds
+    clock: CutClock = "ros"
+    state: StateTransfer | None = None
 
 
 class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
@@ -321,6 +382,8 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     peer: str
     address: str
     epoch: int | None = None
+    clock: CutClock = "ros"
+    state: StateTransfer | None = None
 
 
 class CancelCutCommand(Command[Done], frozen=True, kw_only=True, tag="cancel_cut"):
@@ -352,6 +415,28 @@ class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken")
     kind = "between"
     cut: str
     failed: bool = False
+
+
+class OfferStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="offer_state"):
+    """From the new side to the old one, before the cut. ``changes``: it can import changes."""
+
+    kind = "between"
+    changes: bool
+
+
+class FetchStateCommand(Command[FetchedState], frozen=True, kw_only=True, tag="fetch_state"):
+    """From the new side to the old one: wait for the state after the last write."""
+
+    kind = "between"
+    transfer: str
+
+
+class ImportingCommand(Command[Relieved], frozen=True, kw_only=True, tag="importing"):
+    """From the new side to the old one: it is importing the state, or has ``done`` so and is about to write."""
+
+    kind = "between"
+    transfer: str
+    done: bool = False
 
 
 # Every command by its name on the wire.
