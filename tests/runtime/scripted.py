@@ -39,7 +39,6 @@ from midstride.wire.commands import (
     AwaitCutCommand,
     AwaitMatchCommand,
     AwaitWriteCommand,
-    Before,
     Command,
     CutResult,
     DetachCommand,
@@ -53,6 +52,8 @@ from midstride.wire.commands import (
     ModesCommand,
     ObserveCommand,
     PrepareStateCommand,
+    PreviousModes,
+    PreviousParameters,
     RecordCommand,
     RecordingSwitched,
     Records,
@@ -86,11 +87,11 @@ REPLIES: dict[type[Command[Any]], Any] = {
     DetachCommand: Detached(acknowledged=True, last=None),
     ExportStateCommand: ExportedState(state=None),
     GridCommand: Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=1),
-    ModesCommand: Before(before={}),
+    ModesCommand: PreviousModes(before={}),
     PrepareStateCommand: StateOffer(exports="nothing"),
     RecordCommand: RecordingSwitched(now=0),
     RecordsCommand: Records(rows=[], publisher_identity=True, now=0),
-    SetParametersCommand: Before(before={}),
+    SetParametersCommand: PreviousParameters(before={}),
 }
 
 

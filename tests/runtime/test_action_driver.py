@@ -28,7 +28,6 @@ from midstride.wire.commands import (
     AttachCommand,
     AwaitCutCommand,
     AwaitWriteCommand,
-    Before,
     Command,
     CutInCommand,
     CutOutCommand,
@@ -44,6 +43,8 @@ from midstride.wire.commands import (
     LastWrite,
     ModesCommand,
     PrepareStateCommand,
+    PreviousModes,
+    PreviousParameters,
     ReleaseCommand,
     SetParametersCommand,
     StateOffer,
@@ -257,7 +258,9 @@ def test_parameters_are_set_as_given(tmp_path: Path) -> None:
 
 def test_a_setting_that_is_rolled_back_restores_what_was_set_at_run_time(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.client.reply("talker", SetParametersCommand, Before(before={"gain": 4, "rate": 1}, declared={"gain": 0}))
+        b.client.reply(
+            "talker", SetParametersCommand, PreviousParameters(before={"gain": 4, "rate": 1}, declared={"gain": 0})
+        )
         await perform(b, SetParameters("talker", Map(gain=2, rate=2)))
         b.driver.rolling_back = True
         await perform(b, SetParameters("talker", Map(gain=1, rate=1)))
@@ -499,7 +502,7 @@ def test_what_a_step_itself_degraded_is_not_the_reason(tmp_path: Path) -> None:
 
     async def body(b: Bench) -> None:
         b.client.reply("talker", ModesCommand, REFUSED)
-        b.client.reply("listener", ModesCommand, Before(before={}), TIMEOUT)  # its roll-back fails
+        b.client.reply("listener", ModesCommand, PreviousModes(before={}), TIMEOUT)  # its roll-back fails
         with pytest.raises(CommandRefused):
             await perform(b, both)
 

@@ -199,7 +199,7 @@ class CommandHandlers:
 
     # -- modes -------------------------------------------------------------------------------------
 
-    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.Before:
+    async def _modes(self, command: commands.ModesCommand, expected: int | None) -> commands.PreviousModes:
         indices = {name: self._mode_index(name, mode) for name, mode in command.modes.items()}
         targets = {runner: indices[runner.name] for runner in self._runners if runner.name in indices}
         settled = asyncio.Event()
@@ -222,7 +222,7 @@ class CommandHandlers:
         await settled.wait()
         if switch.refused is not None:
             raise CommandRefused(switch.refused)
-        return commands.Before(before=switch.before)
+        return commands.PreviousModes(before=switch.before)
 
     def _log_failure(self, work: asyncio.Future[Any]) -> None:
         if not work.cancelled() and (error := work.exception()) is not None:
@@ -240,7 +240,7 @@ class CommandHandlers:
 
     # -- parameters and state ----------------------------------------------------------------------
 
-    async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.Before:
+    async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.PreviousParameters:
         declared = self.parts.parameters
         for name in command.parameters:
             if name.startswith("midstride."):
@@ -252,14 +252,14 @@ class CommandHandlers:
         started_with = command.parameters if command.declared is None else command.declared
         fitted = {name: declared[name].fitted(value) for name, value in started_with.items() if name in declared}
 
-        def set_all() -> commands.Before:
+        def set_all() -> commands.PreviousParameters:
             parameters = [declared[name] for name in command.parameters]
             before = {each.name: each.value for each in parameters}
             set_before = {each.name: each.declared for each in parameters if each.value != each.declared}
             self.host.parameters.set(command.parameters)
             for name, value in fitted.items():
                 declared[name].declared = value
-            return commands.Before(before=before, declared=set_before)
+            return commands.PreviousParameters(before=before, declared=set_before)
 
         return await self._data.run(set_all, command.timeout)
 

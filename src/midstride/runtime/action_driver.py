@@ -52,7 +52,7 @@ class ActionDriver:
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
     late: dict[str, float] = field(default_factory=dict)
     parameters: ParameterTransfer | None = None
-    _before_setting: dict[str, commands.Before] = field(default_factory=dict)  # by instance
+    _before_setting: dict[str, commands.PreviousParameters] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
     @property

@@ -143,8 +143,14 @@ class Detached(WireValue, frozen=True, kw_only=True):
     last: int | None
 
 
-class Before(WireValue, frozen=True, kw_only=True):
-    """What was changed, as it was before: modes by functionality, or values by parameter.
+class PreviousModes(WireValue, frozen=True, kw_only=True):
+    """The modes before a change, by functionality."""
+
+    before: dict[str, str]
+
+
+class PreviousParameters(WireValue, frozen=True, kw_only=True):
+    """The values before a change, by parameter.
 
     ``declared``: those of these parameters that had been set while the component ran, as in its state.
     """
@@ -283,14 +289,14 @@ class DetachCommand(Command[Detached], frozen=True, kw_only=True, tag="detach"):
     topic: str
 
 
-class ModesCommand(Command[Before], frozen=True, kw_only=True, tag="modes"):
+class ModesCommand(Command[PreviousModes], frozen=True, kw_only=True, tag="modes"):
     """Change modes between two calls of user code; refused, and withdrawn, if a call does not return in time."""
 
     modes: dict[str, str]
     because: str = "the manager requested it"
 
 
-class SetParametersCommand(Command[Before], frozen=True, kw_only=True, tag="set"):
+class SetParametersCommand(Command[PreviousParameters], frozen=True, kw_only=True, tag="set"):
     """Set changeable parameters, all of them or none.
 
     ``declared``: the values with which it counts as started from now on, by default those of ``parameters``. A
