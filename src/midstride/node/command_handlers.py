@@ -172,7 +172,7 @@ class CommandHandlers:
 
     # -- state -------------------------------------------------------------------------------------
 
-    def state(self, instance: str, uuid: str, pid: int, waiting: str | None) -> ComponentState:
+    def state(self, instance: str, uuid: str, pid: int, waiting: str | None, imported: int) -> ComponentState:
         """The component's state, read without waiting for the data thread."""
         ports = {
             port.name: {
@@ -194,6 +194,7 @@ class CommandHandlers:
             simulated_time=self.host.simulated_time,
             node=self.host.node_name,
             answers=self.host.gate.is_open,
+            imported=imported,
             clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
         )

@@ -18,6 +18,7 @@ from typing import Any, Final, cast
 
 from midstride.errors import NodeError
 from midstride.node.host import HostFactory
+from midstride.node.program import process_started
 from midstride.wire.environment import (
     ENV_BACKEND,
     ENV_INSTANCE,
@@ -53,6 +54,9 @@ class ProcessContext:
     pid: int | None = None
     node: str | None = None
     standby: bool = False
+    # What it has imported, and when it started (unix ns).
+    modules: Mapping[str, Any] = field(default_factory=lambda: sys.modules)
+    started: int = 0
 
 
 current: Final[ContextVar[ProcessContext | None]] = ContextVar("midstride_process_context", default=None)
@@ -72,6 +76,7 @@ def find() -> ProcessContext:
         arguments=tuple(sys.argv[1:]),
         node=os.environ.get(ENV_NODE) or None,
         standby=bool(os.environ.get(ENV_STANDBY)),
+        started=process_started(),
     )
 
 

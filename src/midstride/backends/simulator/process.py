@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextvars
+import time
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -66,6 +67,8 @@ class SimulatedProcess:
             arguments=self._program.arguments,
             pid=pid,
             standby=launch.standby,
+            modules=self._program.modules,
+            started=time.time_ns(),
         )
         context.run(process_context.current.set, own)
         self._thread = CooperativeThread(launch.instance, self._program.run, context)
