@@ -13,16 +13,19 @@ _SCALARS = (bool, int, float, str)
 
 
 class Parameter:
-    """Made by ``Component.parameter``; ``value`` is its current value."""
+    """A ROS parameter of the component. Created by ``Component.parameter``."""
 
     def __init__(self, name: str, default: ParameterValue, on_change: Callable[[Any], None] | None) -> None:
+        #: The parameter's name.
         self.name = name
+        #: The value if the specification states none.
         self.default = default
         self.on_change = on_change
         self._value: Any = default
 
     @property
     def value(self) -> Any:
+        """The current value, of the type of the default."""
         return self._value
 
     def begin_with(self, value: Any) -> None:
