@@ -13,7 +13,7 @@ from typing import ClassVar
 
 from docutils import nodes
 from pygments.lexer import RegexLexer, words
-from pygments.lexers import JsonLexer, PythonLexer
+from pygments.lexers import JsonLexer
 from pygments.token import Comment, Keyword, Literal, Name, Number, Operator, String, Text
 from sphinx.addnodes import pending_xref
 from sphinx.application import Sphinx
@@ -127,7 +127,6 @@ def add_index(app: Sphinx, exception: Exception | None) -> None:
 def setup(app: Sphinx) -> None:
     app.add_lexer("stride", StrideLexer)
     app.add_lexer("json-example", JsonLexer)
-    app.add_lexer("edit", PythonLexer)  # the tutorial's changes to a generated file
     app.connect("source-read", add_navigation)
     app.connect("doctree-read", unlink_folders)
     app.connect("missing-reference", link_to_api)
