@@ -15,6 +15,7 @@ import pytest
 
 from midstride.plan.request import PlanRequest
 from midstride.runtime.manager import Manager
+from midstride.runtime.reports import Event
 from midstride.wire.commands import Receipt
 from tests.acceptance.support import (
     PERIOD,
@@ -91,6 +92,7 @@ def test_every_component_is_matched_after_very_many_replacements(tmp_path: Path)
 def test_the_status_is_true_while_readers_come_and_go(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """No living component is ever shown as silent, and a bare recorder has the messages of every report."""
     seen = kept_observations(monkeypatch)
+    notes: list[list[Event]] = []
 
     async def body() -> tuple[list[Receipt], list[str]]:
         async with managed(tmp_path / "system", swap_specification()) as (manager, _):
@@ -100,7 +102,9 @@ def test_the_status_is_true_while_readers_come_and_go(tmp_path: Path, monkeypatc
             others = [asyncio.create_task(poll(manager)), asyncio.create_task(readers(tmp_path))]
             given_up = []
             for number in range(POLLED_REPLACEMENTS):
+                last = manager.log()[-1].n
                 outcome = await manager.change(other_source(manager))
+                notes.append([event for event in manager.log(last) if event.kind == "note"])
                 assert outcome.silences == [], number
                 if outcome.outcome != "done":
                     given_up.append(f"{number}: {outcome.because}")
@@ -118,9 +122,17 @@ def test_the_status_is_true_while_readers_come_and_go(tmp_path: Path, monkeypatc
     assert len(given_up) <= GIVEN_UP_AT_MOST * POLLED_REPLACEMENTS, given_up
     assert len(seen) == POLLED_REPLACEMENTS
     outside = by_source(rows)
-    for observed in seen:
+    disagreeing = []
+    for number, observed in enumerate(seen):
         own = by_source(window(observed))
-        assert own.keys() == {source for source in outside if min(own) <= source <= max(own)}
+        heard = {source for source in outside if min(own) <= source <= max(own)}
+        if own.keys() != heard:
+            missed, extra = sorted(own.keys() - heard), sorted(heard - own.keys())
+            at = [round((source - observed.begun) / 1e9, 3) for source in (*missed, *extra)]
+            disagreeing.append(
+                f"{number}: {len(missed)} only inside, {len(extra)} only outside, at {at} s; {notes[number]}"
+            )
+    assert not disagreeing, "\n".join(disagreeing)
 
 
 async def poll(manager: Manager) -> None:

@@ -6,14 +6,17 @@ must follow the same clock, and the subscribers must have found the new publishe
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import math
 import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
 from midstride.errors import CallTimeout, StepFailed, Unreachable
 from midstride.model.action import Swap
+from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
 from midstride.wire.commands import AwaitMatchCommand, CutInCommand, CutOutCommand, CutSwap, GridCommand, Trigger
@@ -26,6 +29,9 @@ SHORTEST_RESUME: Final = 0.1
 RESUME_WITHOUT_RATE: Final = 2.0
 # How long a subscriber may take to find the new publishers (s).
 FIND_TIMEOUT: Final = 5.0
+# How often, and at which interval (s), a subscriber may still count a publisher that has left.
+LEAVE_ATTEMPTS: Final = 10
+LEAVE_INTERVAL: Final = 0.05
 
 
 @dataclass(slots=True)
@@ -96,30 +102,52 @@ async def agree_cuts(
     return list(cuts.values())
 
 
+async def publishers_found(
+    client: ComponentClient, configuration: Configuration, connector: str, is_gone: Callable[[str], bool]
+) -> dict[PortRef, int]:
+    """How many publishers each subscriber of ``connector`` that answers is matched with, before new ones attach.
+
+    A publisher that has just left may still be counted, so a subscriber that counts more than there are in the model is
+    asked again for a while.
+    """
+    living = sum(not is_gone(port.instance) for port in configuration.publishers_on(connector))
+    found: dict[PortRef, int] = {}
+    for port in sorted(configuration.subscribers_on(connector)):
+        asked = AwaitMatchCommand(port=port.port, topic=configuration.topic(connector), peers=0, timeout=0.0)
+        with contextlib.suppress(CallTimeout, Unreachable):  # a fault that is reported by itself
+            for _ in range(LEAVE_ATTEMPTS):
+                found[port] = (await client.read(port.instance, asked)).matched
+                if found[port] <= living:
+                    break
+                await asyncio.sleep(LEAVE_INTERVAL)
+    return found
+
+
 async def require_found(
     client: ComponentClient,
     configuration: Configuration,
     swaps: Iterable[Swap],
     connector: str,
-    is_gone: Callable[[str], bool],
+    before: Mapping[PortRef, int],
 ) -> None:
     """Raises StepFailed unless the subscribers of ``connector`` have found the new publishers.
 
     That the publishers have found them is not enough: a subscriber whose middleware does not discover endpoints any
-    more would receive nothing after the cut.
+    more would receive nothing after the cut. ``before`` is what :func:`publishers_found` returned. Such a subscriber
+    may also not have noticed who left, so the number of publishers there are would not do.
     """
-    attached = {*configuration.publishers_on(connector), *(swap.new for swap in swaps if swap.connector == connector)}
-    living = sum(not is_gone(port.instance) for port in attached)
+    new = {swap.new for swap in swaps if swap.connector == connector}
     topic = configuration.topic(connector)
-    for port in sorted(configuration.subscribers_on(connector)):
-        await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=living, timeout=FIND_TIMEOUT)
+    for port, counted in before.items():
+        wanted = counted + len(new)
+        await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=wanted, timeout=FIND_TIMEOUT)
         try:
             matched = (await client.read(port.instance, await_match)).matched
         except (CallTimeout, Unreachable):
-            continue  # a fault that is reported by itself
-        if matched < living:
+            continue
+        if matched < wanted:
             raise StepFailed(
-                f"{port} has found only {matched} of {living} publishers on {topic} within {FIND_TIMEOUT:g} s "
+                f"{port} has found only {matched} of {wanted} publishers on {topic} within {FIND_TIMEOUT:g} s "
                 "and would receive nothing after the hand-over; its middleware may have stopped discovering endpoints: "
                 f"replace {port.instance} first"
             )

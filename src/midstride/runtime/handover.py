@@ -17,7 +17,7 @@ from midstride.errors import CommandRefused, MidstrideError, StepFailed, Unreach
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
-from midstride.runtime.agreed_cut import Cut, agree_cuts, require_found, require_same_clock
+from midstride.runtime.agreed_cut import Cut, agree_cuts, publishers_found, require_found, require_same_clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.wire import commands
@@ -92,10 +92,14 @@ class LiveHandover:
         pairs = sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps})
         for old, new in pairs:
             await require_same_clock(self.client, old, new)
+        connectors = sorted({swap.connector for swap in self.swaps})
+        found = {
+            name: await publishers_found(self.client, self.configuration, name, self.is_gone) for name in connectors
+        }
         for swap in self.swaps:
             await self._attach_gated(swap)
-        for connector in sorted({swap.connector for swap in self.swaps}):
-            await require_found(self.client, self.configuration, self.swaps, connector, self.is_gone)
+        for connector in connectors:
+            await require_found(self.client, self.configuration, self.swaps, connector, found[connector])
         for swap in self.swaps:
             await self._await_probation(swap)
         for old, new in pairs:
