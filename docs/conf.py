@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parent.parent
 NAVIGATION = {
     "Start": ["docs/tutorial"],
     "Examples": [f"examples/{name}/README" for name in ("talker", "obstacle", "filter", "autoware_control")],
-    "How to": ["docs/how-to/ros1", "docs/how-to/control-sockets", "docs/how-to/verify"],
+    "How to": ["docs/how-to/*"],
     "Reference": [*(f"docs/reference/{page}" for page in ("commands", "language", "diagnostics", "api")), "docs/http"],
     "Explanation": [
         *(f"docs/{page}" for page in ("semantics", "architecture", "assurance", "benchmarks", "design", "paper")),
@@ -88,7 +88,7 @@ def add_navigation(app: Sphinx, document: str, source: list[str]) -> None:
     if document == app.config.root_doc:
         for caption, pages in NAVIGATION.items():
             listed = "\n".join(f"/{page}" for page in pages)
-            source[0] += f"\n```{{toctree}}\n:hidden:\n:caption: {caption}\n\n{listed}\n```\n"
+            source[0] += f"\n```{{toctree}}\n:hidden:\n:glob:\n:caption: {caption}\n\n{listed}\n```\n"
 
 
 def unlink_folders(app: Sphinx, page: nodes.document) -> None:
