@@ -13,12 +13,10 @@ _SCALARS = (bool, int, float, str)
 
 
 class Parameter:
-    """A ROS parameter of the component. Created by ``Component.parameter``."""
+    """Made by ``Component.parameter``; ``value`` is its current value."""
 
     def __init__(self, name: str, default: ParameterValue, on_change: Callable[[Any], None] | None) -> None:
-        #: The parameter's name.
         self.name = name
-        #: The value if the specification states none.
         self.default = default
         self.on_change = on_change
         self._value: Any = default
