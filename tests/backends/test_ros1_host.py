@@ -128,6 +128,26 @@ comp.start()
 """
 
 
+def test_a_replacement_starts_with_what_was_set_at_run_time_and_the_server_shows_it(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            await r.start("talker", AUTHORS_ENDPOINTS, parameters={"speed": 7}, set_parameters={"speed": 8})
+            master = r.backend._master
+
+            async def shows(value: int) -> bool:
+                return bool(await master.call("getParam", "/test", "/talker/speed") == value)
+
+            await until_async(lambda: shows(8))
+            assert (await r.client.observe("talker")).declared == {"speed": 7}
+            await master.call("setParam", "/test", "/talker/speed", 5)  # only shown there
+            assert (await r.client.observe("talker")).set_values() == {"speed": 8}
+            await r.client.change("talker", SetParametersCommand(parameters={"speed": 9}, declared={}))
+            assert (await r.client.observe("talker")).set_values() == {"speed": 9}
+            await until_async(lambda: shows(9))
+
+    run(scenario())
+
+
 def test_the_authors_endpoints_are_listed_and_parameters_are_shown(tmp_path: Path) -> None:
     async def scenario() -> None:
         async with rig(tmp_path) as r:

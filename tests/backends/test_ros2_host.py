@@ -234,6 +234,65 @@ def test_own_parameters_are_set_by_tools_and_by_the_manager_alike(tmp_path: Path
     run(scenario())
 
 
+def test_what_is_set_at_run_time_is_in_the_state_at_once_and_a_replacement_starts_with_it(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            states: list[Any] = []
+            r.client.on_event = states.append
+            given = {"gain": 3.0, "label": "given"}
+            await r.start("tuned", TUNED, parameters=given, set_parameters={"gain": 4.0})
+            with Bare() as bare:
+                tools = Tools(bare, "/tuned")
+                assert await tools.get("gain", "label") == [4.0, "given"]
+                state = await r.client.observe("tuned")
+                assert (state.parameters, state.declared) == ({"gain": 4.0, "label": "given"}, {"gain": 3.0})
+                assert await tools.set(label="set") == [(True, "")]
+                await until(lambda: states[-1].set_values() == {"gain": 4.0, "label": "set"})
+                assert states[-1].revision == state.revision, "the manager's commands are still expected at it"
+                events: list[tuple[str, Any]] = []
+                hear_parameters(bare, events)
+                await bare.until(lambda: bare.node.count_publishers("/parameter_events") > 2)
+                for value in range(100):  # the first may be lost
+                    await r.client.change("tuned", SetParametersCommand(parameters={"gain": float(value)}, declared={}))
+                    asked = time.monotonic()
+                    await bare.until(lambda asked=asked: events or time.monotonic() > asked + 0.1)  # type: ignore[misc]
+                    if events:
+                        break
+                assert events[-1] == ("/tuned", float(value))
+                assert await tools.set(gain=3.0) == [(True, "")]
+                await until(lambda: states[-1].set_values() == {"label": "set"})
+
+    run(scenario())
+
+
+def test_a_list_is_set_by_tools_as_well(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        async with rig(tmp_path) as r:
+            listed = TUNED.replace('"label", "plain"', '"label", [0.5]')
+            await r.start("tuned", listed, parameters={"label": [1.0]}, set_parameters={"label": [1.5, 2.5]})
+            assert (await r.client.observe("tuned")).set_values() == {"label": [1.5, 2.5]}
+            with Bare() as bare:
+                tools = Tools(bare, "/tuned")
+                assert await tools.set(label=[2.0, 3.0]) == [(True, "")]
+                assert (await r.client.observe("tuned")).set_values() == {"label": [2.0, 3.0]}
+                await r.client.change("tuned", SetParametersCommand(parameters={"label": [4]}, declared={}))
+                assert [list(value) for value in await tools.get("label")] == [[4.0]]
+
+    run(scenario())
+
+
+def hear_parameters(bare: Bare, events: list[tuple[str, Any]]) -> None:
+    """Append the node and the value of each change of a `gain` that is published."""
+    from rcl_interfaces.msg import ParameterEvent
+
+    def on_parameters(event: Any) -> None:
+        for parameter in event.changed_parameters:
+            if parameter.name == "gain":
+                events.append((event.node, parameter.value.double_value))
+
+    bare.node.create_subscription(ParameterEvent, "/parameter_events", on_parameters, 100)
+
+
 def test_changes_are_published_on_parameter_events(tmp_path: Path) -> None:
     async def scenario() -> None:
         from rcl_interfaces.msg import ParameterEvent

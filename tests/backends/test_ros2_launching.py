@@ -70,6 +70,9 @@ def test_a_component_is_given_its_identity() -> None:
         "MIDSTRIDE_PARAMETERS": json.dumps({"gain": 2.0}),
         "PYTHONUNBUFFERED": "1",
     }
+    values = launch(parameters={"gain": 2.0}, set_parameters={"gain": 3.0})
+    found = environment(values, sys.executable, DEFAULTS, {"HOME": "/home/me"})
+    assert found == {**given, "MIDSTRIDE_SET_PARAMETERS": json.dumps({"gain": 3.0})}
 
 
 def test_the_same_interpreter_keeps_its_libraries_and_another_one_finds_its_own() -> None:

@@ -41,7 +41,20 @@ class Done:
 
 
 # Commands that only talk to the manager or compute: they run in this process, which saves the start of an interpreter.
-IN_PROCESS = {"add", "apply", "export", "log", "plan", "remove", "replace", "status", "verify", "why"}
+IN_PROCESS = {
+    "add",
+    "apply",
+    "export",
+    "log",
+    "param",
+    "plan",
+    "remove",
+    "replace",
+    "restart",
+    "status",
+    "verify",
+    "why",
+}
 
 
 @dataclass

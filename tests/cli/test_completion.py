@@ -113,7 +113,19 @@ def test_names_of_the_file(complete: Complete, line: str, candidates: list[str])
 
 
 @pytest.mark.usefixtures("nothing_runs")
-@pytest.mark.parametrize("line", ["replace ", "replace talker ", "remove ", "why ", "add ear Ear ", "down --system "])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "replace ",
+        "replace talker ",
+        "remove ",
+        "why ",
+        "add ear Ear ",
+        "param set ",
+        "param get talker ",
+        "down --system ",
+    ],
+)
 def test_nothing_is_offered_where_nothing_runs(complete: Complete, line: str) -> None:
     assert complete(line) == []
 
@@ -124,6 +136,8 @@ def test_nothing_is_offered_where_nothing_runs(complete: Complete, line: str) ->
 @pytest.mark.parametrize(
     ("line", "candidates"),
     [
+        ("param ", ["get", "list", "set"]),
+        ("param set ", ["listener", "talker"]),
         ("replace ", ["listener", "talker"]),
         ("replace t", ["talker"]),
         ("replace talker ", ["Listener", "NewTalker", "Talker"]),

@@ -434,6 +434,47 @@ comp.start()
     simulate(tmp_path, main)
 
 
+def test_the_state_shows_what_was_set_at_run_time(tmp_path: Path) -> None:
+    async def main(bench: Bench) -> None:
+        await bench.start(
+            "node",
+            HEAD
+            + """
+speed = comp.parameter("speed", 1.5, on_change=lambda value: print("speed", value))
+frame = comp.parameter("frame", "map")
+f = comp.create_functionality("f")
+f.set_normal_mode(lambda: None, rate=1)
+f.set_degraded_mode(lambda: None)
+
+@comp.on_stop
+def stop():
+    try:
+        speed.change(9)
+    except Exception as error:
+        print(error)
+
+comp.start()
+""",
+            speed=2,
+        )
+        assert bench.state("node").declared == {}
+        await bench.send("node", "set", parameters={"speed": 3}, declared={})
+        assert (bench.state("node").declared, bench.state("node").set_values()) == ({"speed": 2.0}, {"speed": 3.0})
+        await bench.send("node", "set", parameters={"frame": "map"}, declared={})  # the value that it has
+        await bench.send("node", "set", parameters={"speed": 4})
+        assert (bench.state("node").declared, bench.state("node").set_values()) == ({}, {})
+        await bench.send("node", "set", parameters={"speed": 5}, declared={"speed": 1})
+        assert bench.state("node").declared == {"speed": 1.0}
+        refused = await bench.refusal("node", "set", parameters={"speed": 6}, declared={"speed": "fast"})
+        assert "takes a value like 1.5" in refused and bench.state("node").set_values() == {"speed": 5.0}
+        assert "shows the state" in await bench.refusal("node", "set", parameters={"midstride.mode.f": "normal"})
+        await bench.send("node", "stop")
+        await bench.sleep(0.5)
+        assert "parameter speed cannot be set any more: the component is ending" in bench.exits()[0].log_tail
+
+    simulate(tmp_path, main)
+
+
 def test_set_up_comes_first_and_start_values_are_there(tmp_path: Path) -> None:
     async def main(bench: Bench) -> None:
         await bench.start(

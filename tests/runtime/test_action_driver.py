@@ -252,6 +252,20 @@ def test_parameters_are_set_as_given(tmp_path: Path) -> None:
     bench(talking(), tmp_path, body)
 
 
+def test_a_setting_that_is_rolled_back_restores_what_was_set_at_run_time(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker", SetParametersCommand, Before(before={"gain": 4, "rate": 1}, declared={"gain": 0}))
+        await perform(b, SetParameters("talker", Map(gain=2, rate=2)))
+        b.driver.rolling_back = True
+        await perform(b, SetParameters("talker", Map(gain=1, rate=1)))
+        assert b.client.commands("talker") == [
+            SetParametersCommand(parameters={"gain": 2, "rate": 2}),
+            SetParametersCommand(parameters={"gain": 4, "rate": 1}, declared={"gain": 0, "rate": 1}),
+        ]
+
+    bench(talking(), tmp_path, body)
+
+
 # -- state ---------------------------------------------------------------------------------------------
 
 

@@ -70,7 +70,7 @@ def test_who_answers() -> None:
 def test_the_openapi_document_has_every_operation() -> None:
     async def test(client: httpx.AsyncClient, _: ScriptedManager, __: Lifecycle) -> None:
         document = (await client.get("/openapi.json")).json()
-        assert {f"/api/v1{path}" for path in ("/plan", "/change", "/down")} == {
+        assert {f"/api/v1{path}" for path in ("/plan", "/change", "/parameters", "/down")} == {
             path for path, operations in document["paths"].items() if "post" in operations
         }
         reading = ("", "/up", "/status", "/configuration", "/specification", "/why", "/log", "/events")
@@ -114,6 +114,7 @@ def test_the_openapi_document_describes_every_body_and_refers_to_nothing_else() 
         assert bodies == {
             "/api/v1/plan": ["#/components/schemas/ChangeRequest"],
             "/api/v1/change": ["#/components/schemas/SubmittedChange"],
+            "/api/v1/parameters": ["#/components/schemas/ParameterSetting"],
             "/api/v1/down": [],
         }
         for name, needed in {"Outcome": "plan", "Status": "crashed", "Event": "words"}.items():

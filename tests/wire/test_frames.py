@@ -83,6 +83,7 @@ STATE = ComponentState(
     stopping=3.0,
     waiting="no manager has welcomed it yet",
     simulated_time=True,
+    declared={"speed": 1.0},
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
 ROW = Receipt(1, 2, 3, "p")
@@ -108,7 +109,10 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     ),
     (DetachCommand(port="out", topic="/t", timeout=1.5), Detached(acknowledged=None, last=7)),
     (ModesCommand(modes={"talk": "normal"}, because="why not", timeout=1.5), Before(before={"talk": "off"})),
-    (SetParametersCommand(parameters={"a": [1, 2], "b": "x"}, timeout=1.5), Before(before={"a": 0.5})),
+    (
+        SetParametersCommand(parameters={"a": [1, 2], "b": "x"}, declared={"a": [1]}, timeout=1.5),
+        Before(before={"a": 0.5}),
+    ),
     (ImportStateCommand(state=b"\x00\xff\n", timeout=1.5), Done()),
     (RecordCommand(inputs=["in"], on=True, timeout=1.5), RecordingSwitched(now=3)),
     (MeetCommand(peer="old", address="unix:/x", timeout=1.5), Done()),

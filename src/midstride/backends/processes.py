@@ -50,7 +50,9 @@ def command(
 
 def identity(launch: Launch, backend: str, control: Path) -> dict[str, str]:
     """The environment variables that make a process this component; ``control`` is the folder of the sockets."""
+    set_values = {variables.ENV_SET_PARAMETERS: json.dumps(launch.set_parameters)} if launch.set_parameters else {}
     return {
+        **set_values,
         variables.ENV_BACKEND: backend,
         variables.ENV_INSTANCE: launch.instance,
         variables.ENV_NAMESPACE: launch.namespace,

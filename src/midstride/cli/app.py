@@ -43,6 +43,7 @@ GROUPS: Final[dict[str, dict[str, tuple[str, str]]]] = {
         "add": ("change", "add a node"),
         "remove": ("change", "remove nodes"),
         "apply": ("change", "change the system to another specification"),
+        "param": ("param", "show and set parameters of running nodes"),
     },
     "Tools": {
         "demo": ("demo", "run an example from start to finish"),

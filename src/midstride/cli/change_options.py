@@ -21,6 +21,11 @@ def strategy_option(function: Any) -> Any:
     )(function)
 
 
+def declared_parameters_option(function: Any) -> Any:
+    summary = "Start with the declared values of parameters instead of those that were set at run time."
+    return click.option("--declared-parameters", is_flag=True, help=summary)(function)
+
+
 def parse_pair(text: str, form: str) -> tuple[str, str]:
     """``NAME=VALUE``. Raises UsageError, which names the expected form."""
     name, equals, value = text.partition("=")

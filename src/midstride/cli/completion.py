@@ -140,6 +140,14 @@ def functionalities(context: click.Context, _: str) -> Iterable[str]:
 
 
 @_completer
+def parameters(context: click.Context, _: str) -> Iterable[str]:
+    """Parameters of the running node that the line names."""
+    node, status = context.params["node"], _ask(context, "/status")
+    components = [each for each in status["components"] if node in (each["name"], each["role"])]
+    return [parameter["name"] for component in components for parameter in component["parameters"]]
+
+
+@_completer
 def attachments(context: click.Context, _: str) -> Iterable[str]:
     """``PORT=TOPIC`` for the component that the line names."""
     component = _components(context)[context.params["component"]]
@@ -199,6 +207,11 @@ def _file(path: Path) -> Document:
 
 def _running(context: click.Context) -> Document:
     """The specification of the running system that ``--system`` names, else of the only one."""
+    return _ask(context, "/specification")
+
+
+def _ask(context: click.Context, path: str) -> Document:
+    """What the manager of that system answers."""
     from midstride.cli.client import Client
     from midstride.runtime.workspace import Workspace
 
@@ -207,6 +220,6 @@ def _running(context: click.Context) -> Document:
     for workspace in Workspace.all():
         if system in (None, workspace.name):
             with suppress(MidstrideError):
-                found.append(Client(workspace.socket).get("/specification", timeout=TIMEOUT))
+                found.append(Client(workspace.socket).get(path, timeout=TIMEOUT))
     (only,) = found
     return only

@@ -74,7 +74,14 @@ def plan(document: Document, title: str) -> RenderableType:
     steps.columns[0].justify = "right"
     for number, step in enumerate(document["steps"], 1):
         steps.add_row(Text(str(number), style="dim"), Text(step_text(step)), seconds(step.get("seconds")))
-    return Group(Text(title, style="bold"), steps, Text.from_markup(falls(document)), Text(cost(document), style="dim"))
+    parts = [Text.from_markup(falls(document)), *_runtime_values(document), Text(cost(document), style="dim")]
+    return Group(Text(title, style="bold"), steps, *parts)
+
+
+def _runtime_values(document: Document) -> Iterable[Text]:
+    """What becomes of parameter values that were set at run time."""
+    for value in document.get("parameters") or ():
+        yield Text(value["words"], style="default" if value["fate"] == "kept" else "yellow")
 
 
 def falls(document: Document) -> str:
@@ -151,6 +158,7 @@ def outcome(document: Document) -> RenderableType:
     lines: list[RenderableType] = [Text.from_markup(headline + (f": {escape(str(because))}" if because else "."))]
     if kind != "refused":
         lines += map(Text, _fallen_lines(document))
+    lines += _runtime_values(document)
     if document.get("swaps"):
         swaps = table(["topic", "subscriber"], MEASUREMENTS)
         for swap in document["swaps"]:
@@ -197,7 +205,7 @@ def status(document: Document) -> RenderableType:
         for row in rows:
             live.add_row(*first, *_functionality(row, component))
             first = ["", "", ""]
-    return Group(Text.from_markup(_heading(document)), live, *_topics(document), *_problems(document))
+    return Group(Text.from_markup(_heading(document)), live, *_topics(document), *_set(document), *_problems(document))
 
 
 def _heading(document: Document) -> str:
@@ -240,6 +248,15 @@ def _topics(document: Document) -> Iterable[Text]:
         style = "dim" if topic["satisfied"] else "yellow"
         remark = "" if topic["satisfied"] else "  (not satisfied)"
         yield Text(f"{topic['name']}: {publishers} → {subscribers}{remark}", style=style)
+
+
+def _set(document: Document) -> Iterable[Text]:
+    """The parameters that have other values than they were started with."""
+    for component in document["components"]:
+        for each in component.get("parameters") or ():
+            if each["set_at_run_time"]:
+                words = f"{component['name']}: {each['name']} = {each['value']!r}, set at run time"
+                yield Text(f"{words} (started with {each['declared']!r})")
 
 
 def _problems(document: Document) -> Iterable[Text]:

@@ -71,6 +71,8 @@ class Agent:
     async def main(self) -> None:
         """Run from set-up to the end. Cancelled by a signal, it ends in order as well."""
         self._loop = asyncio.get_running_loop()
+        for parameter in self.parts.parameters.values():
+            parameter.changed = self._parameter_changed
         handlers, host = self._handlers, self.host
         if host.transport is not None and self.standalone is None:
             await self._server.open(host.transport)
@@ -248,6 +250,11 @@ class Agent:
         self._revision.bump(words)
         if self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._report_degraded, words)
+
+    def _parameter_changed(self) -> None:
+        """On the data thread: a parameter has been set, by a command or by the platform's tools."""
+        if self._loop is not None and not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self.report_state)
 
     def _report_degraded(self, words: str) -> None:
         self.host.logger.error(words)

@@ -101,7 +101,8 @@ class CommandHandlers:
         """On the data thread, first of all: parameters and the author's set-up. If this raises, the start fails."""
         for parameter in self.parts.parameters.values():
             value = self.host.parameters.declare(parameter.name, parameter.value, parameter.change)
-            parameter.begin_with(value)
+            if parameter.fitted(value) != parameter.value:  # the platform has another one, of a launch file for example
+                parameter.begin_with(value)
         if self.parts.callbacks.setup is not None:
             self.parts.callbacks.setup(self.host.ros_node)
 
@@ -143,6 +144,8 @@ class CommandHandlers:
             await self._attachments.close_all(0.5)
 
     def _stop_calls(self) -> None:
+        for parameter in self.parts.parameters.values():
+            parameter.closed = "the component is ending"
         for runner in self._runners:
             runner.stop_calls()
 
@@ -164,6 +167,7 @@ class CommandHandlers:
             }
             for port in self.parts.ports.values()
         }
+        parameters = list(self.parts.parameters.values())
         return ComponentState(
             instance=instance,
             uuid=uuid,
@@ -171,10 +175,11 @@ class CommandHandlers:
             revision=self.revision.value,
             functionalities={runner.name: runner.state() for runner in self._runners},
             ports=ports,
-            parameters={parameter.name: parameter.value for parameter in self.parts.parameters.values()},
+            parameters={each.name: each.value for each in parameters},
             stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
             simulated_time=self.host.simulated_time,
+            declared={each.name: each.declared for each in parameters if each.value != each.declared},
         )
 
     def _busy_words(self) -> str:
@@ -227,13 +232,25 @@ class CommandHandlers:
     async def _set_parameters(self, command: commands.SetParametersCommand) -> commands.Before:
         declared = self.parts.parameters
         for name in command.parameters:
+            if name.startswith("midstride."):
+                raise CommandRefused(f"{name} shows the state of the component and cannot be set")
             if name not in declared:
                 raise CommandRefused(
                     f"there is no parameter {name}; the parameters are: {', '.join(declared) or 'none'}"
                 )
-        before = {name: declared[name].value for name in command.parameters}
-        await self._data.run(lambda: self.host.parameters.set(command.parameters), command.timeout)
-        return commands.Before(before=before)
+        started_with = command.parameters if command.declared is None else command.declared
+        fitted = {name: declared[name].fitted(value) for name, value in started_with.items() if name in declared}
+
+        def set_all() -> commands.Before:
+            parameters = [declared[name] for name in command.parameters]
+            before = {each.name: each.value for each in parameters}
+            set_before = {each.name: each.declared for each in parameters if each.value != each.declared}
+            self.host.parameters.set(command.parameters)
+            for name, value in fitted.items():
+                declared[name].declared = value
+            return commands.Before(before=before, declared=set_before)
+
+        return await self._data.run(set_all, command.timeout)
 
     async def _export_state(self, command: commands.ExportStateCommand) -> commands.ExportedState:
         export = self.parts.callbacks.export_state

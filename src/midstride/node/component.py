@@ -121,18 +121,22 @@ class Component:
         """A ROS parameter. Its ``value`` is the current one; with ``on_change(value)`` it can change at run time.
 
         ``on_change`` is called between two calls of the modes; if it raises, the change is refused. Without it, another
-        value requires another instance (docs/semantics.md section 6). Values are booleans, numbers, strings, or lists
-        of one of these, of the type of ``default``. Before ``start()``, ``value`` is the one that the manager passed,
-        else the default. Raises NodeError.
+        value requires another instance (docs/semantics.md section 6). A value that was set at run time travels to a
+        replacement, which is started with it and whose ``on_change`` is then called with it (section 7).
+
+        Values are booleans, numbers, strings, or lists of one of these, of the type of ``default``. Before ``start()``,
+        ``value`` is the one that the manager passed, else the default. Raises NodeError.
         """
         self._declaring(f"parameter {name}")
         check_parameter(name, default)
         if name in self._parts.parameters:
             raise NodeError(f"parameter {name} exists already")
         parameter = Parameter(name, default, on_change)
-        given = find().parameters
-        if name in given:
-            parameter.begin_with(given[name])
+        context = find()
+        if name in context.parameters:
+            parameter.begin_with(context.parameters[name])
+        if name in context.set_parameters:
+            parameter.keep(context.set_parameters[name])
         self._parts.parameters[name] = parameter
         return parameter
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from array import array
 from collections.abc import Callable
 from typing import Any
 
@@ -13,12 +14,19 @@ _SCALARS = (bool, int, float, str)
 
 
 class Parameter:
-    """Made by ``Component.parameter``; ``value`` is its current value."""
+    """Made by ``Component.parameter``; ``value`` is its current value.
+
+    ``declared`` is the value that it was started with. ``changed`` is called on the data thread when it has been set.
+    ``closed`` says why it cannot be set any more.
+    """
 
     def __init__(self, name: str, default: ParameterValue, on_change: Callable[[Any], None] | None) -> None:
         self.name = name
         self.default = default
         self.on_change = on_change
+        self.declared: Any = default
+        self.changed: Callable[[], object] = lambda: None
+        self.closed = ""
         self._value: Any = default
 
     @property
@@ -28,24 +36,34 @@ class Parameter:
 
     def begin_with(self, value: Any) -> None:
         """The value it starts with, from the platform. Raises NodeError where it is of another type."""
+        self.declared = self._value = self.fitted(value)
+
+    def keep(self, value: Any) -> None:
+        """The value that was set while its predecessor ran. Raises NodeError where it is of another type."""
         self._value = self.fitted(value)
 
     def change(self, value: Any) -> None:
         """Called on the data thread when it is set. If the author's function raises, the value stays as it was.
 
-        Raises NodeError where there is no such function: code that reads the value once would not notice.
+        Raises NodeError for another value where there is no such function: code that reads it once would not notice.
         """
+        fitted = self.fitted(value)
+        if self.closed:
+            raise NodeError(f"parameter {self.name} cannot be set any more: {self.closed}")
         if self.on_change is None:
+            if fitted == self._value:
+                return
             raise NodeError(
                 f"parameter {self.name} keeps the value that the component was started with: replace the component, or "
                 "give the parameter an on_change="
             )
-        before, self._value = self._value, self.fitted(value)
+        before, self._value = self._value, fitted
         try:
-            self.on_change(self._value)
+            self.on_change(fitted)
         except BaseException:
             self._value = before
             raise
+        self.changed()
 
     def fitted(self, value: Any) -> Any:
         """``value`` as a value of this parameter: of the default's type; an integer also fits a float."""
@@ -75,7 +93,7 @@ def check_parameter(name: object, value: object) -> None:
 
 def _fitted(value: Any, like: Any) -> Any:
     if isinstance(like, list):
-        if not isinstance(value, (list, tuple)):
+        if not isinstance(value, (list, tuple, array)):  # rclpy has numbers in an array
             return None
         members = [_fitted(member, like[0]) if like else member for member in value]
         return None if any(member is None for member in members) else members

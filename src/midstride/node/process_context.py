@@ -18,7 +18,14 @@ from typing import Any, Final, cast
 
 from midstride.errors import NodeError
 from midstride.node.host import HostFactory
-from midstride.wire.environment import ENV_BACKEND, ENV_INSTANCE, ENV_NAMESPACE, ENV_PARAMETERS, ENV_TOKEN
+from midstride.wire.environment import (
+    ENV_BACKEND,
+    ENV_INSTANCE,
+    ENV_NAMESPACE,
+    ENV_PARAMETERS,
+    ENV_SET_PARAMETERS,
+    ENV_TOKEN,
+)
 
 # Back ends that a component finds by itself: the library that shows that the platform is installed, and our module.
 # Each module has `create_host(name, namespace) -> Host`.
@@ -27,13 +34,17 @@ BACKENDS: Final = {"ros2": ("rclpy", "midstride.backends.ros2"), "ros1": ("rospy
 
 @dataclass(frozen=True, slots=True)
 class ProcessContext:
-    """``instance`` is None where the component's own name is used; ``token`` is empty where it was started by hand."""
+    """``instance`` is None where the component's own name is used; ``token`` is empty where it was started by hand.
+
+    ``set_parameters`` are values that were set while its predecessor ran, ``parameters`` those that are declared.
+    """
 
     factory: HostFactory | None = None
     instance: str | None = None
     namespace: str = ""
     token: str = ""
     parameters: Mapping[str, Any] = field(default_factory=dict)
+    set_parameters: Mapping[str, Any] = field(default_factory=dict)
     arguments: tuple[str, ...] = ()
     pid: int | None = None
 
@@ -50,7 +61,8 @@ def find() -> ProcessContext:
         instance=os.environ.get(ENV_INSTANCE) or None,
         namespace=os.environ.get(ENV_NAMESPACE, ""),
         token=os.environ.get(ENV_TOKEN, ""),
-        parameters=_parameters(os.environ.get(ENV_PARAMETERS, "")),
+        parameters=_parameters(ENV_PARAMETERS),
+        set_parameters=_parameters(ENV_SET_PARAMETERS),
         arguments=tuple(sys.argv[1:]),
     )
 
@@ -79,13 +91,14 @@ def host_factory(context: ProcessContext) -> HostFactory:
     return cast(HostFactory, module.create_host)
 
 
-def _parameters(text: str) -> dict[str, Any]:
+def _parameters(variable: str) -> dict[str, Any]:
+    text = os.environ.get(variable, "")
     if not text:
         return {}
     try:
         document = json.loads(text)
     except (ValueError, RecursionError) as error:
-        raise NodeError(f"{ENV_PARAMETERS} is not JSON: {error}") from None
+        raise NodeError(f"{variable} is not JSON: {error}") from None
     if not isinstance(document, dict):
-        raise NodeError(f"{ENV_PARAMETERS} must be a JSON object of parameter values, not {text!r}")
+        raise NodeError(f"{variable} must be a JSON object of parameter values, not {text!r}")
     return document

@@ -22,12 +22,16 @@ from midstride.plan.change import Change
 from midstride.plan.change_builder import change_between
 from midstride.plan.explain import Degradation, LevelShift
 from midstride.plan.plan import Plan
+from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.step_forms import AnyStep, CreateStep, PlanPart, SetStep, decode_step, mode_index, step_form
 
 Steps: TypeAlias = Annotated[list[AnyStep], field("a list of steps")]
 Running: TypeAlias = Annotated[
     dict[str, str | None],
     field("an object of instances", "by role, at the start: instances without their role's name; null: none is live"),
+]
+RuntimeValues: TypeAlias = Annotated[
+    list[RuntimeValue], field("a list of values", "of parameters, set at run time, and what becomes of them")
 ]
 Standing: TypeAlias = Annotated[
     dict[str, str], field("an object of modes", "at the start: the modes that are not the best possible")
@@ -56,6 +60,7 @@ class PlanPreview(PlanCosts, frozen=True, kw_only=True):
     steps: Steps
     running: Running | UnsetType = UNSET
     standing: Standing | UnsetType = UNSET
+    parameters: RuntimeValues | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan) -> PlanPreview:
@@ -70,6 +75,7 @@ class PlanForm(PlanCosts, frozen=True, kw_only=True):
     steps: Steps
     running: Running | UnsetType = UNSET
     standing: Standing | UnsetType = UNSET
+    parameters: RuntimeValues | UnsetType = UNSET
 
     @classmethod
     def of(cls, plan: Plan, **more: Any) -> PlanForm:
@@ -92,6 +98,7 @@ def _fields(plan: Plan) -> dict[str, Any]:
         "steps": [step_form(step) for step in plan.steps],
         "running": _running(plan.change) or UNSET,
         "standing": _standing(plan.change.origin) or UNSET,
+        "parameters": list(plan.parameters) or UNSET,
     }
 
 
@@ -136,6 +143,7 @@ def decode_plan(document: object) -> Plan:
         makespan=form.makespan,
         seconds=form.seconds,
         fallen=tuple(FunctionalityRef.parse(text) for text in form.fallen),
+        parameters=() if form.parameters is UNSET else tuple(form.parameters),
     )
 
 

@@ -12,6 +12,7 @@ from midstride.plan import explain
 from midstride.plan.change import Change
 from midstride.plan.disruption import DIGITS, Levels, follow
 from midstride.plan.explain import Degradation, LevelShift
+from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.schedule import dependencies, makespan
 from midstride.plan.step import Step
 
@@ -23,6 +24,7 @@ class Plan:
     ``disruption`` is in weighted functionality-seconds, ``makespan`` the critical path of the
     steps that do not commute, ``seconds`` the plain sum. ``fallen`` names roles' functionalities
     that are ever below the baseline. ``proved_minimal`` is claimed only where it is proved.
+    ``parameters``: what becomes of the values that were set at run time.
     """
 
     strategy: str
@@ -34,6 +36,7 @@ class Plan:
     makespan: float
     seconds: float
     fallen: tuple[FunctionalityRef, ...]
+    parameters: tuple[RuntimeValue, ...] = ()
 
     @classmethod
     def of(cls, strategy: str, steps: Sequence[Step], levels: Levels) -> Plan:

@@ -17,6 +17,7 @@ class PlanRequest:
     """A request for a change. ``components`` are declarations that the specification does not have yet.
 
     A role in ``replace`` or ``restart`` gets a new instance, also of the same component: its program may have changed.
+    With ``declared_parameters``, parameter values that were set at run time are not kept.
     """
 
     replace: tuple[tuple[str, str], ...] = ()
@@ -26,6 +27,7 @@ class PlanRequest:
     to: Specification | None = None
     components: tuple[ComponentSpec, ...] = ()
     strategy: str = "minimal"
+    declared_parameters: bool = False
 
     def target(self, specification: Specification) -> Specification:
         """The specification to change to. Raises PlanRefused for an unknown name or a malformed declaration."""

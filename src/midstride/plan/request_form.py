@@ -39,6 +39,9 @@ class ChangeRequest(Form, frozen=True):
         list[NamedComponentForm], field("a list of components", "components that the specification does not have yet")
     ] = []
     strategy: Strategy = "minimal"
+    declared_parameters: Annotated[
+        bool, field("a boolean", "start with the declared values of parameters, not with those set at run time")
+    ] = False
 
     def request(self) -> PlanRequest:
         """The request as the planners know it; names are not checked. Raises ValueError as the parts do."""
@@ -50,6 +53,7 @@ class ChangeRequest(Form, frozen=True):
             to=None if self.to is None else self.to.specification(),
             components=tuple(form.declared() for form in self.components),
             strategy=self.strategy,
+            declared_parameters=self.declared_parameters,
         )
 
 

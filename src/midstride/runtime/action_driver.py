@@ -20,6 +20,7 @@ from midstride.runtime.events import EventLog
 from midstride.runtime.handover import ATTACH_TIMEOUT, DETACH_TIMEOUT, LiveHandover
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations_in
+from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.running_system import RunningSystem
 from midstride.wire import commands
 from midstride.wire.commands import Command
@@ -35,7 +36,8 @@ class ActionDriver:
     """Performs the actions of one change on the components of ``system``, whose configuration is that before an action.
 
     While ``rolling_back``, a removed instance gets back its own state, and a failure to transfer state does not fail
-    the action. ``last_numbers`` holds the number of the last message of each output that was detached.
+    the action. ``last_numbers`` holds the number of the last message of each output that was detached. ``parameters``
+    carries over what was set at run time.
     """
 
     client: ComponentClient
@@ -47,6 +49,8 @@ class ActionDriver:
     drain_timeout: float = DRAIN_TIMEOUT
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
+    parameters: ParameterTransfer | None = None
+    _before_setting: dict[str, commands.Before] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
 
     @property
@@ -85,6 +89,8 @@ class ActionDriver:
         match action:
             case Create(instance):
                 await self.launcher.registered(instance)
+                if self.parameters is not None:
+                    await self.parameters.started(instance)
                 if (state := self._exported.get(instance.role)) is not None:
                     await self._import_state(instance.name, state)
             case Degrade() | Upgrade():
@@ -92,7 +98,7 @@ class ActionDriver:
             case Handover():
                 await self._hand_over(action)
             case SetParameters(instance, parameters):
-                await self.client.change(instance, commands.SetParametersCommand(parameters=dict(parameters)))
+                await self._set_parameters(instance, dict(parameters))
             # The others need no command where a process has exited, or where a port keeps its endpoint because it is
             # attached to another connector of the same topic.
             case Remove(instance) if instance not in self.system.crashed:
@@ -101,6 +107,20 @@ class ActionDriver:
                 await self._attach(action)
             case Detach(port, connector) if not (self._is_gone(port.instance) or self._has_endpoint(port, connector)):
                 await self._detach(action)
+
+    async def _set_parameters(self, instance: str, declared: dict[str, Any]) -> None:
+        """Set parameters to the specification's values; a roll-back restores what was set at run time before."""
+        command = commands.SetParametersCommand(parameters=declared)
+        before = self._before_setting.get(instance) if self.rolling_back else None
+        if before is not None and before.declared:
+            values = {name: before.before[name] for name in before.declared}
+            command = commands.SetParametersCommand(parameters=declared | values, declared=declared | before.declared)
+        reply = await self.client.change(instance, command)
+        if not self.rolling_back:
+            self._before_setting[instance] = reply
+            if self.parameters is not None:
+                values = {name: reply.before[name] for name in reply.declared}
+                self.parameters.set_in_place(self.configuration.instances[instance], values)
 
     def _is_gone(self, instance: str) -> bool:
         """Whether its process has exited, or is about to: the end of its connection is known first."""
@@ -123,11 +143,15 @@ class ActionDriver:
                     self._exported[instance.role] = exported.state
             except (CallTimeout, Unreachable) as error:  # an unresponsive component must still be removable
                 self.events.add("note", f"the state of {action.instance} is lost: {error}")
+        if self.parameters is not None:
+            await self.parameters.leaving(action.instance, self.configuration)
         if instance.component.run is None:
             await self.launcher.release(action.instance)
             self.events.add("note", f"{action.instance} was started elsewhere: it is released, and left running")
         else:
             await self.launcher.end(action.instance)
+        if self.parameters is not None:
+            await self.parameters.leaving(action.instance, self.configuration)
 
     async def _import_state(self, instance: str, state: bytes) -> None:
         try:
@@ -203,7 +227,12 @@ class ActionDriver:
             await self.before_handover(configuration, action)
         lingering_readers = self.backend.lingering_readers
         handover = LiveHandover(self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone)
+        handover.before_cut = self._carry_parameters
         self.last_numbers |= await handover.run()
+
+    async def _carry_parameters(self, old: str, new: str) -> None:
+        if self.parameters is not None and not self.rolling_back:
+            await self.parameters.before_cut(old, self.configuration.instances[new])
 
     async def _transfer_state(self, old: str, new: str) -> None:
         try:

@@ -18,7 +18,10 @@ from midstride.wire.transport import Transport
 
 @dataclass(frozen=True, slots=True)
 class Launch:
-    """How to start one component: its command (split as a shell would) and the name of its instance."""
+    """How to start one component: its command (split as a shell would) and the name of its instance.
+
+    ``set_parameters`` are values that were set while its predecessor ran; they take precedence over ``parameters``.
+    """
 
     instance: str
     namespace: str
@@ -26,6 +29,7 @@ class Launch:
     token: str
     directory: Path
     parameters: dict[str, object] = field(default_factory=dict)
+    set_parameters: dict[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,8 +7,8 @@ and 7). Planning and verification do not block the event loop.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import cast
 
 from msgspec import UNSET, UnsetType, structs
@@ -21,11 +21,13 @@ from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
+from midstride.plan.runtime_values import Values, of_change
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.degradation_timer import DegradationTimer
 from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
+from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recording import Recording
 from midstride.runtime.reports import Outcome, OutcomeKind
@@ -56,8 +58,9 @@ class ChangeSession:
 
     async def plan(self, request: PlanRequest) -> tuple[Plan, Specification]:
         """The plan for ``request`` from the current configuration, and its target. Raises PlanRefused."""
-        specification, configuration = self.system.specification, self.system.configuration
-        return await asyncio.to_thread(_plan, request, specification, configuration)
+        system = self.system
+        values = system.values.by_role(system.configuration)
+        return await asyncio.to_thread(_plan, request, system.specification, system.configuration, values)
 
     async def change(self, request: PlanRequest, *, expected: int | None = None, verify: bool = False) -> Outcome:
         """Carry out ``request``; see :meth:`midstride.runtime.manager.Manager.change`."""
@@ -69,8 +72,9 @@ class ChangeSession:
             self.store.require()
         except (PlanRefused, ManagerError) as error:
             return self._refuse(str(error))
+        keep = not request.declared_parameters
         if not verify:
-            return await self.carry_out(plan, target)
+            return await self.carry_out(plan, target, keep=keep)
         self.events.add("verifying", f"Alloy judges the {len(plan.steps)} steps of the plan")
         verdict = await self.verifier.plan(plan)
         self._verified(verdict)
@@ -78,7 +82,7 @@ class ChangeSession:
             return self._refuse(verdict.words, verdict)
         configurations = tuple(plan.configurations())
         step_verifier = StepVerifier(self.verifier, configurations, self.client, self.system.crashed, self._verified)
-        return structs.replace(await self.carry_out(plan, target, step_verifier), verdict=verdict)
+        return structs.replace(await self.carry_out(plan, target, step_verifier, keep=keep), verdict=verdict)
 
     def _verified(self, verdict: Verdict) -> None:
         self.events.add("verified", str(verdict), verdict=verdict)
@@ -87,16 +91,24 @@ class ChangeSession:
         self.events.add("outcome", f"refused: {because}", outcome="refused")
         return Outcome(outcome="refused", because=because, verdict=verdict)
 
-    async def carry_out(self, plan: Plan, target: Specification, verifier: StepVerifier | None = None) -> Outcome:
-        """Carry out ``plan``, measure, and report."""
+    async def carry_out(
+        self, plan: Plan, target: Specification, verifier: StepVerifier | None = None, *, keep: bool = True
+    ) -> Outcome:
+        """Carry out ``plan``, measure, and report. ``keep``: with the parameter values that were set at run time."""
         recording = Recording(self.client, self.clock)
+        transfer = ParameterTransfer(self.client, self.system.values, plan.change, plan.parameters, keep)
         try:
-            return await self._carry_out(plan, target, recording, verifier)
+            return await self._carry_out(plan, target, recording, transfer, verifier)
         finally:
             await recording.stop(self.system.configuration.instances)
 
     async def _carry_out(
-        self, plan: Plan, target: Specification, recording: Recording, verifier: StepVerifier | None
+        self,
+        plan: Plan,
+        target: Specification,
+        recording: Recording,
+        transfer: ParameterTransfer,
+        verifier: StepVerifier | None,
     ) -> Outcome:
         system = self.system
         preview = PlanPreview.of(plan)
@@ -110,6 +122,8 @@ class ChangeSession:
         system.configuration = plan.change.start
         executor = self.executor()
         executor.on_moved = timer.moved
+        executor.driver.parameters = transfer
+        executor.driver.launcher.start_values = transfer.start_values
         executor.driver.before_handover = recording.record_driving_inputs
         executor.after_step = None if verifier is None else verifier.look
         outcome: OutcomeKind = "done"
@@ -129,6 +143,8 @@ class ChangeSession:
             if system.configuration == plan.change.start:  # everything has been rolled back
                 system.configuration = before
             raise
+        system.values.forget_ended(system.configuration)
+        self.reconciler.save_values()
         seconds, degraded_seconds = self.clock.steady() - started, timer.stop()
         exited = {name for name in system.crashed if name in before.instances}
         await self.reconciler.reconcile_crashes()  # before measuring: dependent functionalities must not wait for it
@@ -151,6 +167,7 @@ class ChangeSession:
             fallen=degraded_seconds,
             swaps=swaps,
             because=because,
+            parameters=transfer.report(outcome == "done"),
             ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),
             degraded=sorted(map(str, self.reconciler.degraded)),
             silences=[fault for words, fault in silences.items() if words not in silent_before],
@@ -158,11 +175,26 @@ class ChangeSession:
 
 
 def _plan(
-    request: PlanRequest, specification: Specification, configuration: Configuration
+    request: PlanRequest, specification: Specification, configuration: Configuration, values: Mapping[str, Values]
 ) -> tuple[Plan, Specification]:
-    target = request.target(specification)
+    target, keep = request.target(specification), not request.declared_parameters
+    if request.to is not None and not keep:
+        configuration = _as_set(configuration, values)
     if len(request.roles()) == 1:
         change = requested_change(configuration, specification, request, target)
     else:
         change = change_between(configuration, specification, target, renewed=request.renewed())
-    return planner(request.strategy)(change), target
+    parameters = of_change(change, values, keep=keep)
+    return replace(planner(request.strategy)(change), parameters=parameters), target
+
+
+def _as_set(configuration: Configuration, values: Mapping[str, Values]) -> Configuration:
+    """``configuration`` with the values that were set at run time, so that a plan sets them back in place.
+
+    A parameter that the specification does not declare cannot be set by a plan: it keeps its value.
+    """
+    for role, found in values.items():
+        for instance in configuration.instances_of(role):
+            declared = {name: value for name, value in found.items() if name in instance.component.parameters}
+            configuration = configuration.with_parameters(instance.name, declared)
+    return configuration

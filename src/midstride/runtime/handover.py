@@ -45,7 +45,7 @@ class LiveHandover:
     """One hand-over on the components of ``configuration``.
 
     ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
-    exited, ``is_gone`` whether a component has exited.
+    exited, ``is_gone`` whether a component has exited. ``before_cut(old, new)`` is called when both are ready for it.
     """
 
     client: ComponentClient
@@ -54,6 +54,7 @@ class LiveHandover:
     swaps: Sequence[Swap]
     lingering_readers: Callable[[str], Awaitable[int]]
     is_gone: Callable[[str], bool]
+    before_cut: Callable[[str, str], Awaitable[None]] | None = None
     _begun: list[Swap] = field(default_factory=list)
     _attached: list[Swap] = field(default_factory=list)
     _cuts: list[Cut] = field(default_factory=list)
@@ -104,6 +105,8 @@ class LiveHandover:
             await self._await_probation(swap)
         for old, new in pairs:
             await self._meet(new, old)
+            if self.before_cut is not None:
+                await self.before_cut(old, new)
         for lead in LEADS:
             self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead)
             if await self._announce(last_try=lead == LEADS[-1]):

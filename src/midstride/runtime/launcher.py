@@ -6,7 +6,7 @@ import asyncio
 import contextlib
 import os
 import shlex
-from collections.abc import Container
+from collections.abc import Callable, Container
 from pathlib import Path
 from typing import Any, Final
 
@@ -56,6 +56,8 @@ class Launcher:
         self._graces: dict[str, float] = {}
         self._last_registration = -REGISTRATION_TIMEOUT  # steady s
         self.handles: dict[str, Handle] = {}
+        # The values of parameters that an instance starts with instead of the declared ones.
+        self.start_values: Callable[[Instance], dict[str, Any]] = lambda _: {}
         self.ending: set[str] = set()
 
     def exited(self, event: Exited) -> None:
@@ -71,11 +73,13 @@ class Launcher:
     async def start(self, instance: Instance) -> bool:
         """Start the process of ``instance`` and return at once; :meth:`registered` waits for it.
 
-        Returns False if it is already starting. A component without ``run`` is started by hand. Raises StartFailed.
+        Returns False if it is already starting. A component without ``run`` is started by hand. Raises StartFailed, or
+        what ``start_values`` raises.
         """
         name = instance.name
         if name in self._starting:
             return False
+        set_values = self.start_values(instance)
         self._exits[name] = asyncio.get_running_loop().create_future()
         self._starting[name] = asyncio.ensure_future(self._client.registered(name))
         self._starting[name].add_done_callback(self._registration_done)
@@ -88,7 +92,8 @@ class Launcher:
                 raise StartFailed(f"{name}: component {instance.component.name} has an empty `run` command")
             namespace = instance.role.rpartition("/")[0]
             parameters: dict[str, object] = dict(instance.parameters)
-            launch = Launch(name, namespace, arguments, self._client.token, self._directory, parameters)
+            token, directory = self._client.token, self._directory
+            launch = Launch(name, namespace, arguments, token, directory, parameters, set_values)
             self.handles[name] = await self._backend.start(launch)
         except ValueError as error:
             self._forget_start(name)

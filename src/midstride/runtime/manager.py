@@ -12,19 +12,22 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import secrets
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import AbstractAsyncContextManager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from midstride.codec.configuration import ConfigurationForm
 from midstride.errors import ManagerError, MidstrideError, StepFailed
+from midstride.model.component import ParameterValue
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
 from midstride.plan.change_builder import change_between
 from midstride.plan.plan import Plan
 from midstride.plan.registry import planner
 from midstride.plan.request import PlanRequest
+from midstride.plan.runtime_values import of_change
 from midstride.runtime import status
 from midstride.runtime.action_driver import ActionDriver
 from midstride.runtime.backend import Backend
@@ -36,12 +39,22 @@ from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import observe
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recovery import recover
-from midstride.runtime.reports import Event, LiveConfiguration, Outcome, RunningCommand, Status, UpReport, Why
+from midstride.runtime.reports import (
+    Event,
+    LiveConfiguration,
+    Outcome,
+    ParametersReport,
+    RunningCommand,
+    Status,
+    UpReport,
+    Why,
+)
 from midstride.runtime.running_system import RunningSystem
 from midstride.runtime.runtime_verification import Verifier
 from midstride.runtime.silence import SilenceMonitor
 from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
+from midstride.wire.commands import SetParametersCommand
 from midstride.wire.state import ComponentState
 
 
@@ -136,7 +149,8 @@ class Manager:
     async def _complete(self) -> None:
         """Bring up the part of the specification that does not run. Raises StepFailed after a roll-back."""
         change = change_between(self.configuration, self.specification, self.specification)
-        plan = await asyncio.to_thread(planner("minimal"), change)
+        parameters = of_change(change, self.system.values.by_role(self.configuration))
+        plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
         # Before any component has the token.
         self._store.begin(self._backend.name, self._client.token, self.specification)
         if plan.steps:
@@ -154,12 +168,14 @@ class Manager:
                 f"{self._workspace.name} is running with another specification; "
                 "`midstride apply` changes a running system, `midstride down` ends it"
             )
+        self.system.values.saved = dict(saved.values)
         self.system.configuration = await recover(
             saved.instances, self.specification, self._launcher, self._client, self.events
         )
         for entry in saved.instances:
             if entry.instance.name not in self.configuration.instances:
                 self._store.remove_instance(entry.instance.name)
+        self._reconciler.save_values()
 
     async def close(self) -> None:
         """Disconnect; the components keep running."""
@@ -246,6 +262,22 @@ class Manager:
         """
         async with self._command(request.describe(), id):
             return await self._session.change(request, expected=expected, verify=verify)
+
+    async def set_parameters(self, node: str, values: Mapping[str, ParameterValue]) -> ParametersReport:
+        """Set parameters of a role or an instance, all of them or none, once the commands before are done.
+
+        They count as set at run time: a replacement keeps them. Raises PlanRefused for an unknown node, ManagerError
+        for one that does not run, CommandRefused with the component's reason.
+        """
+        words = ", ".join(f"{name} = {value!r}" for name, value in values.items())
+        async with self._command(f"param set {node} {words}"):
+            instance = self.system.live_instance(node)
+            await self._client.change(instance, SetParametersCommand(parameters=dict(values), declared={}))
+            self.events.add("parameters", f"{words} was set on {instance}")
+            state = await self._client.peek(instance)
+            self.system.values.report(state)
+            self._reconciler.save_values()
+            return ParametersReport(instance, [each for each in status.parameters(state) if each.name in values])
 
     @contextlib.asynccontextmanager
     async def _command(self, words: str, id: str | None = None) -> AsyncIterator[None]:

@@ -80,11 +80,19 @@ class Reconciler:
                     self.launcher.disconnected(instance)
                     self._record_exit(Exited(instance, None))
             case state:
+                if self.system.values.report(state):
+                    self.save_values()
                 self.monitor.on_report(state, self.system.configuration)
                 answers_again = state.instance in self._unanswered
                 self._unanswered.discard(state.instance)
                 if answers_again or own_degradations_in(self.system.configuration, state):
                     self._reconcile_soon()
+
+    def save_values(self) -> None:
+        """Save the parameter values that were set at run time, where they have changed, for the next manager."""
+        system = self.system
+        for role, values in system.values.settle(system.configuration, system.specification.nodes).items():
+            self.store.write_values(role, values)
 
     def _record_exit(self, event: Exited) -> None:
         self.system.crashed[event.instance] = event

@@ -12,7 +12,9 @@ from msgspec import UNSET, Meta, UnsetType
 
 from midstride.codec.configuration import ConfigurationForm
 from midstride.codec.form import Form
+from midstride.codec.parameter import Value
 from midstride.plan.forms import PlanForm, PlanPreview
+from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.step_forms import AnyStep
 from midstride.runtime.measure import SwapReport
 from midstride.verify.verdict import Verdict
@@ -59,6 +61,7 @@ class Outcome(Report, frozen=True, kw_only=True):
     fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
     swaps: list[SwapReport] = []
     because: str | None = None
+    parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []
     degraded: Annotated[list[str], Meta(description="functionalities that degraded unexpectedly meanwhile")] = []
     silences: Annotated[list[SilenceFault], Meta(description="faults that began meanwhile, and last")] = []
@@ -101,6 +104,22 @@ class AttachmentStatus(Report, frozen=True):
     gate: Literal["open", "closed"] | None
 
 
+class ParameterStatus(Report, frozen=True):
+    """A parameter of a component. Where it was set at run time, `declared` is the value that it was started with."""
+
+    name: str
+    value: Value
+    declared: Value
+    set_at_run_time: bool
+
+
+class ParametersReport(Report, frozen=True):
+    """The parameters that were set, as the instance has them now."""
+
+    instance: str
+    parameters: list[ParameterStatus]
+
+
 class ComponentStatus(Report, frozen=True, kw_only=True):
     """An instance, as it reports itself where it is reachable."""
 
@@ -114,6 +133,7 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     as_modelled: bool
     functionalities: list[FunctionalityStatus]
     attachments: list[AttachmentStatus]
+    parameters: Annotated[list[ParameterStatus], Meta(description="none where it does not answer")] = []
 
 
 class CrashedInstance(Report, frozen=True):

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from midstride.errors import ManagerError
 from midstride.model.configuration import Configuration
 from midstride.model.specification import Specification
+from midstride.plan.request import require
 from midstride.runtime.backend import Exited
+from midstride.runtime.reported_values import ReportedValues
 
 
 @dataclass(slots=True)
@@ -14,7 +17,7 @@ class RunningSystem:
     """``configuration`` is the model: it changes once components have acknowledged. ``revision`` counts its changes.
 
     Instances that exited unexpectedly are in ``crashed`` until they are removed from the model, and then in ``missing``
-    until another instance has their role.
+    until another instance has their role. ``values``: the parameter values that were set at run time.
     """
 
     specification: Specification
@@ -22,7 +25,17 @@ class RunningSystem:
     revision: int = 0
     crashed: dict[str, Exited] = field(default_factory=dict)
     missing: dict[str, Exited] = field(default_factory=dict)
+    values: ReportedValues = field(default_factory=ReportedValues)
     _missing_roles: dict[str, str] = field(default_factory=dict)
+
+    def live_instance(self, node: str) -> str:
+        """The instance of that name, else the one of that role. Raises PlanRefused, or ManagerError if none runs."""
+        if node in self.configuration.instances:
+            return node
+        require("node", node, self.specification.nodes)
+        for instance in self.configuration.instances_of(node):
+            return instance.name
+        raise ManagerError(f"{node} is not running; `midstride apply` with the system's file restores it")
 
     def moved(self, configuration: Configuration) -> None:
         """A step or an event has changed the configuration."""

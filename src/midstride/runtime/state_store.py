@@ -11,7 +11,7 @@ import os
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -38,6 +38,8 @@ CREATE TABLE IF NOT EXISTS instances (name TEXT PRIMARY KEY, form TEXT NOT NULL,
 """
 # The section of the specification with all that is in none of the other three.
 _REST: Final = "rest"
+# Before the name of a role, for its parameter values that were set at run time.
+_VALUES: Final = "values of "
 # SQL statements with their values, by what they write.
 _Statements: TypeAlias = dict[str, tuple[str, tuple[str | None, ...]]]
 
@@ -52,12 +54,13 @@ class SavedInstance:
 
 @dataclass(frozen=True, slots=True)
 class SavedState:
-    """The state that an earlier manager saved."""
+    """The state that an earlier manager saved. ``values``: by role, the parameter values that were set at run time."""
 
     backend: str
     token: str
     specification: Specification
     instances: tuple[SavedInstance, ...]
+    values: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
 class StateStore:
@@ -93,6 +96,11 @@ class StateStore:
                 system["token"],
                 decode_specification(_assembled(parts)),
                 tuple(_instance(form, handle) for form, handle in rows),
+                {
+                    key.removeprefix(_VALUES): msgspec.json.decode(value, type=dict[str, Any])
+                    for key, value in system.items()
+                    if key.startswith(_VALUES)
+                },
             )
         except ManagerError:
             raise
@@ -154,6 +162,14 @@ class StateStore:
     def remove_instance(self, name: str) -> None:
         """An instance has exited or was released."""
         self._write({f"instance {name}": ("DELETE FROM instances WHERE name = ?", (name,))})
+
+    def write_values(self, role: str, values: Mapping[str, Any]) -> None:
+        """The values of a role's parameters that were set at run time."""
+        key = f"{_VALUES}{role}"
+        if values:
+            self._put(key, msgspec.json.encode(values).decode())
+        else:
+            self._write({key: ("DELETE FROM system WHERE key = ?", (key,))})
 
     def require(self) -> None:
         """Raises ManagerError if the state cannot be written."""

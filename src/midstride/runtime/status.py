@@ -76,11 +76,20 @@ def _component(
         waiting=None if state is None else state.waiting,
         as_modelled=all(each.mode == each.modelled for each in functionalities),
         functionalities=functionalities,
+        parameters=[] if state is None else parameters(state),
         attachments=[
             reports.AttachmentStatus(str(port), connector, _gate(state, port, configuration.topic(connector)))
             for port, connector in configuration.attached_ports(instance.name)
         ],
     )
+
+
+def parameters(state: ComponentState) -> list[reports.ParameterStatus]:
+    """The parameters of a component, by name."""
+    return [
+        reports.ParameterStatus(name, value, state.declared.get(name, value), name in state.declared)
+        for name, value in sorted(state.parameters.items())
+    ]
 
 
 def _gate(state: ComponentState | None, port: PortRef, topic: str) -> GateState | None:

@@ -25,6 +25,7 @@ from midstride.runtime.reports import (
     Event,
     LiveConfiguration,
     Outcome,
+    ParametersReport,
     PlannedChange,
     Service,
     Status,
@@ -35,7 +36,7 @@ from midstride.server import stream
 from midstride.server.errors import Failure, answer, in_one_line, status_of
 from midstride.server.lifecycle import Lifecycle
 from midstride.server.openapi import answers, document_forms, failures, request_body
-from midstride.server.requests import SubmittedChange, read_change, read_request
+from midstride.server.requests import ParameterSetting, SubmittedChange, read_change, read_request, read_setting
 
 
 def create_app(lifecycle: Lifecycle, *, backend: str) -> FastAPI:
@@ -170,6 +171,15 @@ def _changing(lifecycle: Lifecycle) -> APIRouter:
         lifecycle.require_up()
         work = manager.change(request, expected=change.expected, verify=change.verify, id=change.id)
         return answer(await lifecycle.carry_out(work))
+
+    @router.post(
+        "/parameters", responses=answers(ParametersReport, body=True), openapi_extra=request_body(ParameterSetting)
+    )
+    async def parameters(http: Request) -> Response:
+        """Set parameters of a running node, once the commands before are done; a replacement keeps the values."""
+        node, values = await read_setting(http)
+        lifecycle.require_up()
+        return answer(await lifecycle.carry_out(manager.set_parameters(node, values)))
 
     @router.post("/down", responses=answers(DownReport))
     async def down() -> Response:

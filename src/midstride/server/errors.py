@@ -17,6 +17,7 @@ _STATUS: Final[tuple[tuple[type[Exception], int], ...]] = (
     (errors.SpecificationError, 422),
     (errors.PlanRefused, 409),
     (errors.ActionRefused, 409),
+    (errors.CommandRefused, 409),
     (errors.NoManager, 404),
     (errors.ManagerError, 409),
     (errors.VerificationError, 409),

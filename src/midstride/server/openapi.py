@@ -12,19 +12,21 @@ from midstride.codec.specification import SpecificationForm
 from midstride.plan.request_form import ChangeRequest
 from midstride.runtime import reports
 from midstride.server.errors import Failure
-from midstride.server.requests import LARGEST_BODY, SubmittedChange
+from midstride.server.requests import LARGEST_BODY, ParameterSetting, SubmittedChange
 
 Responses: TypeAlias = dict[int | str, dict[str, Any]]
 
 FORMS: Final = (
     ChangeRequest,
     Failure,
+    ParameterSetting,
     SpecificationForm,
     SubmittedChange,
     reports.DownReport,
     reports.Event,
     reports.LiveConfiguration,
     reports.Outcome,
+    reports.ParametersReport,
     reports.PlannedChange,
     reports.Service,
     reports.Status,

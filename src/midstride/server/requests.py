@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Annotated, ClassVar, Final, TypeVar
 
 import msgspec
 from fastapi import HTTPException
 from fastapi import Request as HttpRequest
 
-from midstride.codec.form import Form, field
+from midstride.codec.form import Form, Name, field
+from midstride.codec.parameter import Value, values_of
 from midstride.codec.reading import decode, parse_json, under
 from midstride.errors import SpecificationError
+from midstride.model.component import ParameterValue
 from midstride.model.diagnostics import Problem
 from midstride.plan.request import PlanRequest
 from midstride.plan.request_form import ChangeRequest, request_names
@@ -38,6 +40,20 @@ class SubmittedChange(Form, frozen=True):
     expected: int | None = None
     verify: bool = False
     id: Annotated[str, field("an id", max_length=100)] | None = None
+
+
+class ParameterSetting(Form, frozen=True):
+    """Values to set at run time, all of them or none: of the parameters of a node, by name."""
+
+    what: ClassVar[str] = "a setting of parameters"
+
+    node: Name
+    parameters: Annotated[dict[str, Value], field("an object of values", min_length=1)]
+
+
+async def read_setting(http: HttpRequest) -> tuple[str, Mapping[str, ParameterValue]]:
+    """The node and the values in the body. Raises as :func:`read_request` does."""
+    return await _read(http, ParameterSetting, lambda form: (form.node, values_of(form.parameters)), lambda _: ())
 
 
 async def read_request(http: HttpRequest) -> PlanRequest:

@@ -105,9 +105,13 @@ class Detached(WireValue, frozen=True, kw_only=True):
 
 
 class Before(WireValue, frozen=True, kw_only=True):
-    """What was changed, as it was before: modes by functionality, or values by parameter."""
+    """What was changed, as it was before: modes by functionality, or values by parameter.
+
+    ``declared``: those of these parameters that had been set while the component ran, as in its state.
+    """
 
     before: dict[str, Any]
+    declared: dict[str, Any] = msgspec.field(default_factory=dict)
 
 
 class RecordingSwitched(WireValue, frozen=True, kw_only=True):
@@ -237,9 +241,14 @@ class ModesCommand(Command[Before], frozen=True, kw_only=True, tag="modes"):
 
 
 class SetParametersCommand(Command[Before], frozen=True, kw_only=True, tag="set"):
-    """Set changeable parameters, all of them or none."""
+    """Set changeable parameters, all of them or none.
+
+    ``declared``: the values with which it counts as started from now on, by default those of ``parameters``. A
+    parameter that has another one counts as set while the component ran.
+    """
 
     parameters: dict[str, Any]
+    declared: dict[str, Any] | None = None
 
 
 class ImportStateCommand(Command[Done], frozen=True, kw_only=True, tag="import_state"):

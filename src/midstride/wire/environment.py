@@ -9,6 +9,8 @@ ENV_NAMESPACE: Final = "MIDSTRIDE_NAMESPACE"
 ENV_TOKEN: Final = "MIDSTRIDE_TOKEN"
 ENV_BACKEND: Final = "MIDSTRIDE_BACKEND"
 ENV_PARAMETERS: Final = "MIDSTRIDE_PARAMETERS"
+# The values that were set while its predecessor ran, which it starts with instead.
+ENV_SET_PARAMETERS: Final = "MIDSTRIDE_SET_PARAMETERS"
 # The folder of the system's control sockets.
 ENV_CONTROL: Final = "MIDSTRIDE_CONTROL"
 # The system that a component started by hand belongs to, by name.

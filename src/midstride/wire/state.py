@@ -41,7 +41,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
 
     ``simulated_time``: its ROS clock follows ``/clock``. ``stopping`` is how long it may take to end in order (s).
-    ``ports`` maps port -> topic -> attachment.
+    ``ports`` maps port -> topic -> attachment. ``declared`` has the parameters that were set while it ran, each with
+    the value that it was started with.
     """
 
     instance: str
@@ -54,3 +55,8 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     stopping: float
     waiting: str | None = None
     simulated_time: bool = False
+    declared: dict[str, Any] = msgspec.field(default_factory=dict)
+
+    def set_values(self) -> dict[str, Any]:
+        """The values of the parameters that were set while it ran."""
+        return {name: self.parameters[name] for name in self.declared}

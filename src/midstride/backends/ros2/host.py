@@ -49,7 +49,8 @@ class Ros2Host:
         self.transport: Transport | None = transport
         self.logger: Any = get_logger(names.full(name, namespace).strip("/").replace("/", "."))
         # The node gets all that the manager gave, for ROS itself has parameters (``use_sim_time``).
-        self._given = process_context.find().parameters
+        context = process_context.find()
+        self._given = {**context.parameters, **context.set_parameters}
         self._nodes: ComponentNodes | None = None
         self._ports: set[int] = set()
         self.simulated_time = False

@@ -60,6 +60,7 @@ class SimulatedProcess:
             namespace=launch.namespace,
             token=launch.token,
             parameters=dict(launch.parameters),
+            set_parameters=dict(launch.set_parameters),
             arguments=self._program.arguments,
             pid=pid,
         )

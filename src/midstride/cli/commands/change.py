@@ -35,21 +35,33 @@ def _components_option(function: Any) -> Any:
 @click.argument("node", shell_complete=completion.nodes)
 @click.argument("component", shell_complete=completion.components)
 @_components_option
+@change_options.declared_parameters_option
 @_change_options
 def replace_command(
-    node: str, component: str, file: Path | None, system: str | None, strategy: str, verify: bool, yes: bool
+    node: str,
+    component: str,
+    file: Path | None,
+    declared_parameters: bool,
+    system: str | None,
+    strategy: str,
+    verify: bool,
+    yes: bool,
 ) -> int:
     """Replace the component of NODE with COMPONENT, on the same topics."""
     request = {"replace": [[node, component]], "components": _components(file), "strategy": strategy}
+    request["declared_parameters"] = declared_parameters
     return change(system, request, f"replace {node} with {component}", yes, verify)
 
 
 @click.command("restart")
 @click.argument("nodes", nargs=-1, required=True, metavar="NODE...", shell_complete=completion.nodes)
+@change_options.declared_parameters_option
 @_change_options
-def restart_command(nodes: tuple[str, ...], system: str | None, strategy: str, verify: bool, yes: bool) -> int:
+def restart_command(
+    nodes: tuple[str, ...], declared_parameters: bool, system: str | None, strategy: str, verify: bool, yes: bool
+) -> int:
     """Start nodes again, with what their programs are now: each is handed over to a new instance, without a gap."""
-    request = {"restart": list(nodes), "strategy": strategy}
+    request = {"restart": list(nodes), "strategy": strategy, "declared_parameters": declared_parameters}
     return change(system, request, f"restart {', '.join(nodes)}", yes, verify)
 
 
@@ -88,13 +100,16 @@ def remove_command(nodes: tuple[str, ...], system: str | None, strategy: str, ve
 
 @click.command("apply")
 @click.argument("new", type=click.Path(path_type=Path))
+@change_options.declared_parameters_option
 @_change_options
-def apply_command(new: Path, system: str | None, strategy: str, verify: bool, yes: bool) -> int:
+def apply_command(
+    new: Path, declared_parameters: bool, system: str | None, strategy: str, verify: bool, yes: bool
+) -> int:
     """Change the running system to the specification NEW."""
     from midstride.cli.files import load
     from midstride.codec.specification import encode_specification
 
-    request = {"to": encode_specification(load(new)), "strategy": strategy}
+    request = {"to": encode_specification(load(new)), "strategy": strategy, "declared_parameters": declared_parameters}
     return change(system, request, f"apply {new.name}", yes, verify)
 
 

@@ -1,0 +1,113 @@
+"""Parameter values that were set while a component ran, and what a change makes of each (docs/semantics.md section 6).
+
+They travel to the replacement where it declares the parameter. Where the specification changed the same value, the file
+wins. Pure: the runtime says which values were set, and does what is decided here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, ClassVar, Literal, TypeAlias, cast
+
+from midstride.codec.form import Form, field
+from midstride.codec.parameter import PlainValue, Value
+from midstride.errors import PlanRefused
+from midstride.model.component import ParameterValue, value_fits, value_kind
+from midstride.model.specification import Specification
+from midstride.plan.change import Change
+
+Values: TypeAlias = Mapping[str, ParameterValue]
+Fate: TypeAlias = Literal["kept", "file_wins", "left_behind", "not_kept", "late"]
+
+
+class RuntimeValue(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_unknown_fields=False):
+    """A parameter value that was set while the node ran, and what becomes of it in a change.
+
+    `kept`: the node keeps it. `file_wins`: the specification changed the value as well. `left_behind`: the new
+    component does not declare the parameter. `not_kept`: the request says to start from the file. `late`: it was set on
+    the old instance when the new one had taken over, and the new one refused it.
+    """
+
+    what: ClassVar[str] = "a parameter value"
+
+    node: str
+    parameter: str
+    value: Value
+    fate: Fate
+    words: Annotated[str, field("a text", "the same for people")]
+
+
+def decide(
+    before: Specification, after: Specification, role: str, values: Values, *, keep: bool = True
+) -> tuple[RuntimeValue, ...]:
+    """What becomes of the ``values`` of a role, set while it ran, when its node changes from ``before`` to ``after``.
+
+    Values that the target declares by itself are left out. Without ``keep``, the target's values are used.
+    Raises PlanRefused where a value that would travel is of a type that the new component does not take.
+    """
+    return tuple(_decisions(before, after, role, values, keep))
+
+
+def _decisions(
+    before: Specification, after: Specification, role: str, values: Values, keep: bool
+) -> Iterator[RuntimeValue]:
+    was, will = before.component_of(role).parameters, after.component_of(role)
+    declares = after.instance(role).parameters
+    for name, value in sorted(values.items()):
+        if name not in declares:
+            if not keep:
+                yield runtime_value(role, name, value, "not_kept", "not kept, as requested")
+            elif name in was:
+                yield left_behind(role, name, value, will.name)
+            else:
+                yield runtime_value(role, name, value, "kept", f"kept if the program of {will.name} declares it")
+        elif declares[name] == value:
+            continue
+        elif not keep:
+            yield runtime_value(role, name, value, "not_kept", f"not kept, as requested; it becomes {declares[name]!r}")
+        elif _file_changed(before, after, role, name):
+            yield runtime_value(role, name, value, "file_wins", f"the file wins and changes it to {declares[name]!r}")
+        elif not value_fits(value, will.parameters[name].value):
+            raise PlanRefused(
+                f"{role} has {name} = {value!r}, set at run time, and {will.name} takes "
+                f"{value_kind(will.parameters[name].value)}: set another value, or start from the file with "
+                "--declared-parameters"
+            )
+        else:
+            yield runtime_value(role, name, value, "kept", "kept")
+
+
+def _file_changed(before: Specification, after: Specification, role: str, name: str) -> bool:
+    """Whether the specification's own value of a parameter changes.
+
+    That another component has another default is not such a change: it says nothing about the value for this node.
+    """
+    old, new = before.nodes[role], after.nodes[role]
+    if before.instance(role).parameters.get(name) == after.instance(role).parameters[name]:
+        return False
+    return old.component == new.component or old.parameters.get(name) != new.parameters.get(name)
+
+
+def of_change(change: Change, values: Mapping[str, Values], *, keep: bool = True) -> tuple[RuntimeValue, ...]:
+    """What becomes of the ``values`` (by role) in a change: those of roles that get a new instance or are set in place.
+
+    Raises PlanRefused as :func:`decide` does.
+    """
+    concerned = {instance.role: values.get(instance.role, {}) for instance in change.coming}
+    for instance, parameters in change.parameters:
+        role = change.role_of(instance)
+        concerned[role] = {name: value for name, value in values.get(role, {}).items() if name in parameters}
+    roles = sorted(role for role in concerned if role in change.specification.nodes)
+    decided = (decide(change.specification, change.target, role, concerned[role], keep=keep) for role in roles)
+    return tuple(value for each in decided for value in each)
+
+
+def left_behind(role: str, name: str, value: ParameterValue, component: str) -> RuntimeValue:
+    """The parameter is not declared by the component that replaces the role's."""
+    return runtime_value(role, name, value, "left_behind", f"not declared by {component}, left behind")
+
+
+def runtime_value(role: str, name: str, value: ParameterValue, fate: Fate, fate_words: str) -> RuntimeValue:
+    """What becomes of one value; ``fate_words`` is the same for people."""
+    words = f"{role}: {name} = {value!r}, set at run time: {fate_words}"
+    return RuntimeValue(node=role, parameter=name, value=cast("PlainValue", value), fate=fate, words=words)

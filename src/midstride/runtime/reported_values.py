@@ -1,0 +1,60 @@
+"""The parameter values that were set while components ran, as the components report them.
+
+The values of an instance are known as long as it runs, those of a role also after its instance has crashed and, from
+the state store, to the next manager (docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from midstride.model.configuration import Configuration
+from midstride.plan.runtime_values import Values
+from midstride.wire.state import ComponentState
+
+_NONE: Values = {}
+
+
+@dataclass(slots=True)
+class ReportedValues:
+    """``saved`` has the values of each role as they were last saved for the next manager."""
+
+    saved: dict[str, Values] = field(default_factory=dict)
+    _of_instance: dict[str, Values] = field(default_factory=dict)
+
+    def report(self, state: ComponentState) -> bool:
+        """A component has reported its state; whether its values are others than before."""
+        before = self._of_instance.get(state.instance, _NONE)
+        self._of_instance[state.instance] = after = state.set_values()
+        return before != after
+
+    def of(self, instance: str) -> Values:
+        """The last known values of an instance, also if it has ended meanwhile."""
+        return self._of_instance.get(instance, _NONE)
+
+    def by_role(self, configuration: Configuration) -> dict[str, Values]:
+        """The values of each role: of its live instance, else those of the one that it has lost."""
+        live = {
+            role: self.of(next(iter(names)))
+            for role, names in configuration.instances_by_role.items()
+            if len(names) == 1  # else a change is under way
+        }
+        return {**self.saved, **live}
+
+    def settle(self, configuration: Configuration, roles: Mapping[str, object]) -> dict[str, Values]:
+        """What is to be saved: the values of each role that have changed. Forgets roles that are not in ``roles``."""
+        now = self.by_role(configuration)
+        changed = {
+            role: values if role in roles else _NONE
+            for role, values in now.items()
+            if (values if role in roles else _NONE) != self.saved.get(role, _NONE)
+        }
+        self.saved = {role: values for role, values in now.items() if values and role in roles}
+        return changed
+
+    def forget_ended(self, configuration: Configuration) -> None:
+        """Forget the instances that are not live."""
+        self._of_instance = {
+            name: values for name, values in self._of_instance.items() if name in configuration.instances
+        }

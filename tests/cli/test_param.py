@@ -1,0 +1,154 @@
+"""`midstride param`: the parameters of running nodes, as a user sees and sets them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from midstride.cli.commands.param import yaml_value
+from tests.cli.conftest import Midstride, running
+
+SPECIFICATION = """{
+  "system": "tuned",
+  "topics": {"/chatter": {"type": "std_msgs/msg/String", "rate": 10}},
+  "components": {
+    "Talker": {
+      "run": "python3 talker.py",
+      "outputs": ["out"],
+      "parameters": {"gain": {"value": 1.5, "changeable": true}},
+      "functionalities": {
+        "talk": {
+          "produces": ["out"],
+          "modes": {
+            "normal": {"guarantees": {"out": {"type": "std_msgs/msg/String", "rate": 10}}},
+            "degraded": {}
+          }
+        }
+      }
+    }
+  },
+  "nodes": {"talker": {"component": "Talker", "attachments": {"out": ["/chatter"]}}}
+}"""
+
+PROGRAM = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("talker")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+
+def check(value):
+    if value < -10:
+        raise ValueError("it must be at least -10")
+
+gain = comp.parameter("gain", 1.5, on_change=check)
+names = comp.parameter("names", ["a"], on_change=lambda value: None)
+talk.set_normal_mode(lambda: out.write(String(data=str(gain.value))), rate=10, outputs=[out])
+talk.set_degraded_mode(lambda: None)
+comp.start()
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tuned")
+    (folder / "tuned.json").write_text(SPECIFICATION)
+    (folder / "talker.py").write_text(PROGRAM)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def tuned(folder: Path) -> Iterator[Midstride]:
+    for midstride in running():
+        up = midstride("up", str(folder / "tuned.json"), "--backend", "sim", "--detach")
+        assert up.status == 0, up.err
+        yield midstride
+
+
+def test_parameters_are_shown_set_and_kept(tuned: Midstride, folder: Path) -> None:
+    assert tuned("param", "list").out == "talker: gain = 1.5\ntalker: names = ['a']\n"
+    done = tuned("param", "set", "talker", "gain", "-2.5")
+    assert (done.status, done.out) == (0, "talker: gain = -2.5, set at run time (started with 1.5)\n")
+    assert "talker: gain = -2.5, set at run time (started with 1.5)" in tuned("status").out
+    assert tuned("param", "get", "talker", "gain", "--json").json == {
+        "name": "gain",
+        "value": -2.5,
+        "declared": 1.5,
+        "set_at_run_time": True,
+    }
+    done = tuned("restart", "talker", "--yes")
+    assert done.status == 0, done.err
+    assert done.out.count("talker: gain = -2.5, set at run time: kept\n") == 2  # in the plan and in the report
+    assert tuned("param", "get", "talker", "gain").out == "gain = -2.5, set at run time (started with 1.5)\n"
+    assert tuned("--json", "param", "list", "talker_2").json["talker_2"][0]["value"] == -2.5
+
+    done = tuned("restart", "talker", "--yes", "--declared-parameters")
+    assert done.status == 0, done.err
+    assert "talker: gain = -2.5, set at run time: not kept, as requested; it becomes 1.5" in done.out
+    assert tuned("param", "get", "talker", "gain").out == "gain = 1.5\n"
+
+    assert tuned("param", "set", "talker", "names", "[x, y]", "--json").json["parameters"][0]["value"] == ["x", "y"]
+    done = tuned("apply", str(folder / "tuned.json"), "--yes", "--declared-parameters", "--json")
+    assert (done.status, done.json["parameters"]) == (0, []), "the specification does not declare it"
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("set", "talker", "gain", "-11"), "it must be at least -10"),
+        (("set", "talker", "gain", "loud"), "takes a value like 1.5 (float), not 'loud'"),
+        (("set", "talker", "gian", "1"), "there is no parameter gian"),
+        (("set", "talker", "midstride.state", "x"), "shows the state of the component and cannot be set"),
+        (("set", "talkr", "gain", "1"), "did you mean `talker`?"),
+        (("get", "talker", "gian"), "did you mean `gain`?"),
+        (("get", "talkr", "gain"), "did you mean `talker`?"),
+        (("list", "talkr"), "did you mean `talker`?"),
+    ],
+)
+def test_what_cannot_be_set_or_shown_is_refused_with_the_reason(
+    tuned: Midstride, words: tuple[str, ...], reason: str
+) -> None:
+    done = tuned("param", *words)
+    assert (done.status, done.out) == (1, "")
+    assert reason in done.err
+
+
+def test_names_of_parameters_are_completed(tuned: Midstride) -> None:
+    line = ("midstride param set talker g", "4")
+    done = tuned.process(timeout=60, _MIDSTRIDE_COMPLETE="zsh_complete", COMP_WORDS=line[0], COMP_CWORD=line[1])
+    assert (done.out.replace("\\n", "\n"), done.err) == ("plain\ngain\n_\n", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("1", 1),
+        ("-1.5", -1.5),
+        ("true", True),
+        ("on", True),
+        ("'1'", "1"),
+        ("loud", "loud"),
+        ("", ""),
+        ("a: b", "a: b"),
+        ("[1, 2]", [1, 2]),
+        ("[1, x]", "[1, x]"),
+        ("[", "["),
+        ("2026-11-22", "2026-11-22"),
+        ("null", "null"),
+    ],
+)
+def test_a_value_is_read_as_ros2_param_set_reads_it(text: str, value: object) -> None:
+    assert (yaml_value(text), type(yaml_value(text))) == (value, type(value))
+
+
+@pytest.mark.ros2
+def test_that_is_how_ros_2_reads_it() -> None:
+    from rclpy.parameter import get_parameter_value, parameter_value_to_python
+
+    for text in ("1", "-1.5", "true", "on", "'1'", "loud", "[1, 2]", "[1, x]", "1e3"):
+        expected = parameter_value_to_python(get_parameter_value(text))
+        expected = list(expected) if not isinstance(expected, (bool, int, float, str)) else expected
+        assert (yaml_value(text), type(yaml_value(text))) == (expected, type(expected)), text
