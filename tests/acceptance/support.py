@@ -23,6 +23,7 @@ from midstride.plan.request import PlanRequest
 from midstride.runtime import reaper, recording
 from midstride.runtime.manager import Manager
 from midstride.runtime.measure import Observation, SwapReport, report
+from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.workspace import Workspace
 from midstride.wire.commands import Receipt
@@ -98,9 +99,36 @@ class Recorder:
         return [Receipt(*row) for row in json.loads(self._path.read_text())]
 
 
+class ClockSource:
+    """A process that publishes ``/clock``."""
+
+    def __init__(self, folder: Path, speed: float, begin: float = 100.0) -> None:
+        from midstride.backends.ros2.dds_profiles import tuned_environment
+
+        self._path = folder / "clock.json"
+        self._process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).parent / "_clock_source.py"), str(self._path), str(speed), str(begin)],
+            stdin=subprocess.PIPE,
+            env=tuned_environment(dict(os.environ)),
+            start_new_session=True,
+        )
+
+    def drive(self, speed: float, at: float | None = None) -> None:
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{speed} {'' if at is None else at}\n".encode())
+        self._process.stdin.flush()
+
+    def stop(self) -> list[tuple[int, int]]:
+        """The moments at which it moved."""
+        assert self._process.stdin is not None
+        self._process.stdin.close()
+        assert self._process.wait(timeout=20) == 0
+        return [(steady, ros) for steady, ros in json.loads(self._path.read_text())]
+
+
 @contextlib.asynccontextmanager
 async def managed(
-    folder: Path, specification: Specification, directory: Path = BENCHMARKS
+    folder: Path, specification: Specification, directory: Path = BENCHMARKS, options: SystemOptions = NO_OPTIONS
 ) -> AsyncIterator[tuple[Manager, Any]]:
     """A manager with its system up; down again in the end."""
     from midstride import backends
@@ -108,7 +136,7 @@ async def managed(
     folder.mkdir(exist_ok=True)
     workspace = Workspace(folder)
     backend: Any = backends.make("ros2", workspace)
-    manager = Manager(specification, backend, workspace, directory)
+    manager = Manager(specification, backend, workspace, directory, options=options)
     try:
         await manager.up()
         yield manager, backend

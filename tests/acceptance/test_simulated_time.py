@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 import asyncio
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace as changed
 from pathlib import Path
 
 import pytest
 
+from midstride.lang import load_text, render
+from midstride.runtime import recording
 from midstride.runtime.manager import Manager
+from midstride.runtime.measure import Observation, SwapReport
+from midstride.runtime.options import SystemOptions
 from midstride.runtime.reports import Status
-from tests.acceptance.support import managed, swap_specification
-from tests.backends.ros2_support import Bare, run
+from midstride.runtime.simulated_time import report_on_ros_clock
+from midstride.wire.commands import ClockMoment, Receipt
+from tests.acceptance.support import (
+    PERIOD,
+    ClockSource,
+    Recorder,
+    ended,
+    managed,
+    other_source,
+    swap_specification,
+)
+from tests.backends.ros2_support import Bare, run, until_async
 from tests.runtime.systems import replace
 
 pytestmark = pytest.mark.ros2
@@ -37,6 +54,124 @@ def test_a_source_that_waits_for_a_clock_is_shown_and_not_handed_over(tmp_path: 
     run(scenario(), 120)
 
 
+@pytest.mark.full
+@pytest.mark.parametrize("speed", [0.5, 2.0])
+def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
+    speed: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What the recorder received is judged on the clock as its source knows it, not as the components saw it."""
+    seen: list[Observation] = []
+
+    def kept(observation: Observation, moments: Sequence[ClockMoment], **options: bool) -> SwapReport:
+        seen.append(observation)
+        return report_on_ros_clock(observation, moments, **options)
+
+    monkeypatch.setattr(recording, "report_on_ros_clock", kept)
+
+    async def scenario() -> tuple[list[SwapReport], list[Receipt]]:
+        options = SystemOptions(use_sim_time=True)
+        async with managed(tmp_path / "system", swap_specification(), options=options) as (manager, _):
+            assert {row.waiting for row in (await manager.status()).components} == {ON_CLOCK}
+            clocks.append(ClockSource(tmp_path, speed))
+            await status_when(manager, None)
+            assert all(row.simulated_time for row in (await manager.status()).components)
+            recorder = Recorder(tmp_path)
+            await asyncio.to_thread(recorder.wait_until_it_hears)
+            await asyncio.sleep(40 * PERIOD / speed)
+            swaps = []
+            for _ in range(3):
+                outcome = await manager.change(other_source(manager))
+                assert (outcome.outcome, outcome.because, outcome.silences) == ("done", None, [])
+                swaps.extend(outcome.swaps)
+            return swaps, recorder.stop()
+
+    clocks: list[ClockSource] = []
+    with ended():
+        swaps, rows = run(scenario(), 120)
+        moments = clocks[0].stop()
+    assert len(swaps) == len(seen) == 3
+    for swap, observed in zip(swaps, seen, strict=True):
+        begin = observed.begun - 20 * PERIOD / speed * 1e9
+        inside = [row for row in rows if begin <= row.received <= observed.ended]
+        outside = report_on_ros_clock(changed(observed, rows=inside), moments)
+        assert (swap.lost, swap.duplicates) == (outside.lost, outside.duplicates) == (0, 0)
+        # A message at either end of the window may have reached one of the two within it.
+        assert swap.missed is not None and outside.missed is not None and abs(swap.missed - outside.missed) <= 1
+    # A busy machine calls a publisher of 100 messages per second too late now and then.
+    missed = [swap.missed for swap in swaps]
+    assert missed == [0] * 3 if speed < 1 else 0 in missed
+    assert len({row.publisher for row in rows}) == 4
+
+
+@pytest.mark.full
+def test_a_clock_that_stops_and_one_that_starts_again(tmp_path: Path) -> None:
+    async def scenario() -> None:
+        options = SystemOptions(use_sim_time=True)
+        async with managed(tmp_path / "system", swap_specification(), options=options) as (manager, _):
+            clock = ClockSource(tmp_path, 1.0)
+            await status_when(manager, None)
+            await received(manager, 50)
+            clock.drive(0.0)
+            await until_async(lambda: is_still(manager))
+            status = await manager.status()
+            assert not status.valid and not status.silences
+            outcome = await manager.change(other_source(manager))
+            assert outcome.outcome == "rolled_back" and "/clock has not moved for" in str(outcome.because)
+            clock.drive(1.0, at=5.0)  # a bag that is played again
+            await received(manager, 50)
+            assert (await manager.change(other_source(manager))).outcome == "done"
+            await received(manager, 50)
+            assert (await manager.status()).valid
+            clock.stop()
+
+    with ended():
+        run(scenario(), 120)
+
+
+@pytest.mark.full
+def test_use_sim_time_set_while_it_runs_neither_silences_nor_bursts(tmp_path: Path) -> None:
+    """At 50 Hz on either clock; /clock is of another epoch, and runs as fast as the system's."""
+
+    async def scenario() -> list[Receipt]:
+        async with managed(tmp_path / "system", swap_specification()) as (manager, _):
+            clock = ClockSource(tmp_path, 1.0)
+            recorder = Recorder(tmp_path)
+            await asyncio.to_thread(recorder.wait_until_it_hears)
+            with Bare() as bare:
+                for value in (True, False, True, False):
+                    await set_simulated_time(bare, "/source", value)
+                    await received(manager, 50)
+            clock.stop()
+            return recorder.stop()
+
+    with ended():
+        rows = run(scenario(), 120)
+    times = sorted(row.source for row in rows if row.source is not None)
+    gaps = [(later - earlier) / 1e9 for earlier, later in itertools.pairwise(times)]
+    assert len(times) > 200
+    # Each change of the clock may move the grid within its period, and costs at most one period more.
+    assert max(gaps) < 10 * PERIOD
+    assert sum(gap < PERIOD / 4 for gap in gaps) <= 4
+
+
+async def received(manager: Manager, count: int) -> None:
+    """Until the sink has received so many messages more."""
+
+    async def number() -> int:
+        return (await manager.peek("sink")).ports["in"]["/swap"].count
+
+    begin = await number()
+
+    async def enough() -> bool:
+        return await number() >= begin + count
+
+    await until_async(enough)
+
+
+async def is_still(manager: Manager) -> bool:
+    return all(str(row.waiting).startswith("/clock has not moved for") for row in (await manager.status()).components)
+
+
 async def set_simulated_time(bare: Bare, node: str, value: bool) -> None:
     """As `ros2 param set` does."""
     from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
@@ -56,3 +191,84 @@ async def status_when(manager: Manager, waiting: str | None) -> Status:
         if {row.name: row.waiting for row in status.components}["source"] == waiting:
             return status
         await asyncio.sleep(0.02)
+
+
+RELAYS = """
+system relays
+contract Text = std_msgs/msg/String @ 20 Hz
+component Source {
+  run "python3 source.py"
+  output out
+  functionality talk { produces out  mode normal { guarantee out : Text }  mode off { } }
+}
+component Relay {
+  run "python3 relay.py"
+  input in : Text
+  output out
+  functionality answer { uses in  produces out  mode normal { assume in  guarantee out : Text }  mode off { } }
+}
+component OtherRelay like Relay { }
+topic /numbers : Text
+topic /answers : Text
+node source : Source { out -> /numbers }
+node relay : Relay { in <- /numbers  out -> /answers }
+"""
+SOURCE = """
+import itertools
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("source")
+out = comp.create_output("out", String)
+talk = comp.create_functionality("talk", outputs=[out])
+numbers = itertools.count()
+talk.set_normal_mode(lambda: out.write(String(data=str(next(numbers)))), rate=20, outputs=[out])
+talk.set_degraded_mode(lambda: None, name="off")
+comp.start()
+"""
+RELAY = """
+from midstride import Component
+from std_msgs.msg import String
+
+comp = Component("relay")
+heard = comp.create_input("in", String, rate=20)
+out = comp.create_output("out", String)
+answer = comp.create_functionality("answer", inputs=[heard], outputs=[out])
+answer.set_normal_mode(lambda message: out.write(message), inputs=[heard], outputs=[out], guarantees={out: 20.0})
+answer.set_degraded_mode(lambda: None, name="off")
+comp.start()
+"""
+
+
+@pytest.mark.full
+def test_answers_to_messages_are_handed_over_in_simulated_time(tmp_path: Path) -> None:
+    """The cut is on the clock of times of publication; a bare subscriber receives every number once."""
+    from std_msgs.msg import String
+
+    (tmp_path / "source.py").write_text(SOURCE)
+    (tmp_path / "relay.py").write_text(RELAY)
+    loaded = load_text(RELAYS, "relays.stride")
+    assert loaded.specification is not None, render(loaded.diagnostics)
+    specification = loaded.specification
+
+    async def scenario() -> list[int]:
+        options = SystemOptions(use_sim_time=True)
+        async with managed(tmp_path / "system", specification, tmp_path, options) as (manager, _):
+            clock = ClockSource(tmp_path, 0.5)
+            with Bare() as bare:
+                numbers: list[int] = []
+                bare.node.create_subscription(String, "/answers", lambda text: numbers.append(int(text.data)), 100)
+                await bare.until(lambda: len(numbers) > 20)
+                for component in ("OtherRelay", "Relay"):
+                    changing = asyncio.ensure_future(manager.change(replace("relay", component)))
+                    await bare.until(changing.done, 60.0)
+                    outcome = changing.result()
+                    assert (outcome.outcome, outcome.because) == ("done", None)
+                last = len(numbers)
+                await bare.until(lambda: len(numbers) > last + 20)
+                clock.stop()
+                return numbers
+
+    with ended():
+        numbers = run(scenario(), 120)
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))

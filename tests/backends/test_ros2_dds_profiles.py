@@ -53,6 +53,27 @@ def test_what_rmw_alone_understands_is_left_to_it(own: dict[str, str]) -> None:
     assert RANGE not in choose({**LOCAL, **own}, FAST_DDS, 3).variables
 
 
+def test_what_is_set_and_what_is_left_is_described() -> None:
+    environment = {TRANSPORTS: "LARGE_DATA", "ROS_DOMAIN_ID": "3", "RMW_IMPLEMENTATION": FAST_DDS, "HOME": "/root"}
+    chosen = choose(environment, FAST_DDS, 3)
+    described = chosen.described(environment, chosen.warnings)
+    assert described.name == FAST_DDS
+    assert described.set == chosen.variables and list(described.set) == ["FASTDDS_DEFAULT_PROFILES_FILE"]
+    assert described.kept == {TRANSPORTS: "LARGE_DATA", "RMW_IMPLEMENTATION": FAST_DDS}
+    assert described.notes == [f"transports: your own {TRANSPORTS}=LARGE_DATA is used"]
+
+
+def test_what_midstride_replaces_is_not_called_kept() -> None:
+    chosen = choose(LOCAL, FAST_DDS, 3)
+    assert RANGE in chosen.variables and chosen.described(LOCAL, ()).kept == {}
+
+
+@pytest.mark.ros2
+def test_switched_off_nothing_is_set() -> None:
+    off = dds_profiles.of_this_process(enabled=False)
+    assert off.variables == {} and "--no-middleware-settings" in off.warnings[0]
+
+
 def test_other_middlewares_keep_their_defaults_with_a_warning() -> None:
     chosen = choose({}, "rmw_cyclonedds_cpp", None)
     assert chosen.variables == {}

@@ -46,6 +46,7 @@ IN_PROCESS = {
     "apply",
     "export",
     "log",
+    "logs",
     "param",
     "plan",
     "remove",

@@ -6,6 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
@@ -27,6 +28,27 @@ def heard(midstride: Midstride) -> str:
     """The last line in the listener's log."""
     log = midstride.runtime / "midstride" / "talker" / "logs" / "listener.log"
     return log.read_text().splitlines()[-1].rpartition("]: ")[2]
+
+
+@pytest.mark.full
+def test_what_up_was_given_holds_for_the_next_manager_and_for_new_components(midstride: Midstride) -> None:
+    up = midstride("up", TALKER, "-d", "--use-sim-time", "--no-middleware-settings")
+    assert up.status == 0, up.err
+    os.kill(midstride.manager("talker"), signal.SIGKILL)
+    assert midstride("up", TALKER, "-d").status == 0
+    assert midstride("replace", "talker", "NewTalker", "--strategy", "paper", "--yes", timeout=90).status == 0
+    status = midstride("status", "--json").json
+    assert [(row["name"], row["simulated_time"]) for row in status["components"]] == [
+        ("listener", True),
+        ("talker_2", True),
+    ]
+    assert status["middleware"]["set"] == {}
+    assert "--no-middleware-settings" in status["middleware"]["notes"][0]
+    for row in status["components"]:
+        environment = Path(f"/proc/{row['pid']}/environ").read_bytes()
+        assert b"FASTDDS_" not in environment and b"FASTRTPS_" not in environment
+    verbose = midstride("status", "--verbose").out
+    assert "/clock" in verbose and "python3 new_talker.py" in verbose
 
 
 def test_a_system_from_up_to_down(midstride: Midstride) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import select
 import signal
 import socket
 import tempfile
@@ -94,6 +95,15 @@ def test_a_manager_that_this_user_may_not_connect_to_is_not_said_to_have_exited(
     assert (status, capsys.readouterr().err) == (1, f"{expected}run the command as the user that runs the manager\n")
 
 
+def test_status_verbose_shows_how_each_component_was_started_and_what_is_set(talker: Midstride) -> None:
+    brief, verbose = talker("status").out, talker("status", "--verbose").out
+    assert verbose.startswith(brief.partition("\n")[0]) and "python3 talker.py" not in brief
+    assert re.search(r"^talker +python3 talker.py +system +\S+/logs/talker.log *$", verbose, re.MULTILINE)
+    assert "Middleware: none: messages stay in the manager's process" in verbose
+    refused = talker("up", TALKER, "--backend", "sim", "--use-sim-time")
+    assert (refused.status, "--use-sim-time is for ROS 2" in refused.err) == (2, True)
+
+
 def test_why_and_log(talker: Midstride) -> None:
     why = talker("why", "listener.listen")
     assert (why.status, why.out.splitlines()[0]) == (0, "listener.listen is in mode normal")
@@ -105,6 +115,37 @@ def test_why_and_log(talker: Midstride) -> None:
     assert [event["n"] for event in events] == list(range(1, len(events) + 1))
     assert talker("log", "--since", str(len(events) - 1), "--json").json == events[-1:]
     assert "talker is up" in talker("log").out
+    assert talker("log", "--since", "5m", "--json").json[-1] == events[-1]
+    assert talker("log", "--since", "0s", "--json").json == []
+    refused = talker("log", "--since", "yesterday")
+    assert (refused.status, "'yesterday' is neither the number of an event nor a time" in refused.err) == (2, True)
+
+
+@pytest.mark.full
+def test_log_and_watch_show_what_is_past_only_where_that_is_asked_for(midstride: Midstride) -> None:
+    assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
+    for component in ("NewTalker", "Talker"):
+        assert midstride("replace", "talker", component, "--yes").status == 0
+    every = midstride("log", "--all").out.splitlines()
+    latest = midstride("log")
+    assert latest.out.splitlines() == every[-20:] and len(every) > 20
+    assert latest.err == f"({len(every) - 20} earlier events: `midstride log --all`)\n"
+    last = midstride("log", "--json").json[-1]["n"]
+    for words in (["watch", "--json"], ["watch"]):
+        watching = midstride.start(*words)
+        try:
+            assert watching.stdout is not None
+            while not select.select([watching.stdout], [], [], 0.5)[0]:  # until it watches
+                assert watching.poll() is None
+                assert midstride("restart", "talker", "--yes").status == 0
+            line = watching.stdout.readline()
+            if words[-1] == "--json":
+                assert json.loads(line)["n"] > last
+            else:
+                assert "up talker" not in line
+        finally:
+            watching.kill()
+            watching.communicate()
 
 
 @pytest.mark.parametrize(
@@ -232,15 +273,15 @@ def test_two_changes_at_once_take_turns(talker: Midstride) -> None:
     assert talker("remove", "left", "right", "--yes").status == 0
 
 
-def test_watch_prints_events_as_one_document(talker: Midstride) -> None:
-    watching = talker.start("watch", "--json")
+@pytest.mark.parametrize("command", [["watch"], ["log", "--follow"]])
+def test_watch_prints_a_document_on_each_line(command: list[str], talker: Midstride) -> None:
+    watching = talker.start(*command, *(["--all"] if command == ["watch"] else []), "--json")
     try:
         assert watching.stdout is not None
-        first = [watching.stdout.readline() for _ in range(3)]
-        assert first[0] == "[\n"
+        events = [json.loads(watching.stdout.readline()) for _ in range(3)]
         watching.send_signal(signal.SIGINT)
-        events = json.loads("".join(first) + watching.stdout.read())
-        assert [event["n"] for event in events[:2]] == [1, 2]
+        events += [json.loads(line) for line in watching.stdout]
+        assert [event["n"] for event in events] == list(range(1, len(events) + 1))
         assert watching.wait(20) == 0
     finally:
         watching.kill()
@@ -383,7 +424,7 @@ def test_the_state_of_a_killed_manager_is_recovered_from(midstride: Midstride) -
 
 def test_the_view_reports_that_the_manager_has_exited(midstride: Midstride) -> None:
     assert midstride("up", TALKER, "--backend", "sim", "-d").status == 0
-    watching = midstride.start("watch")
+    watching = midstride.start("watch", "--all")
     try:
         assert watching.stdout is not None
         assert "up talker" in watching.stdout.readline()

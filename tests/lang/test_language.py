@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -12,6 +13,7 @@ from midstride.lang import Loaded, load, load_text, render
 from midstride.model.component import InputAlternatives, NodeEndpoint, ParameterSpec
 from midstride.model.contract import Interval, OneOf, Predicate, QoS
 from midstride.model.specification import Keep, Limit, Order, Specification, initial
+from midstride.model.specification_checks import check
 
 from .known import Known
 
@@ -266,6 +268,18 @@ robot1:
   talker:
     ros__parameters: {volume: 4}
 """
+
+
+def test_use_sim_time_may_be_set_for_any_node() -> None:
+    """Every node of ROS 2 has it, so no component declares it; a replacement keeps it."""
+    text = "system s\n" + BODY + "topic /t : std_msgs/msg/String\ncomponent Other like Talker\n"
+    text += "node talker : Talker { out -> /t   parameters { use_sim_time = true } }\n"
+    found = meant(text)
+    assert found.instance("talker").parameters == Map(use_sim_time=True)
+    assert found.with_replaced("talker", "Other").instance("talker").parameters == Map(use_sim_time=True)
+    assert decode_specification(encode_specification(found)) == found
+    wrong = found.with_node(replace(found.nodes["talker"], parameters=Map(use_sim_time="yes")))
+    assert [problem.code for problem in check(wrong)] == ["E025"]
 
 
 def test_parameter_files_are_matched_by_role() -> None:

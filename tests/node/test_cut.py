@@ -23,14 +23,19 @@ PERIOD = 0.02
 class Clocks:
     """A host that has clocks and reads a message's info as its time of publication."""
 
+    simulated_time = publishes_ros_time = False
+
     def __init__(self, now: int = T) -> None:
         self.time = now
+        self.real: int | None = None  # the steady clock, where it runs otherwise
 
     def now(self) -> int:
         return self.time
 
+    message_now = now
+
     def steady(self) -> int:
-        return self.time - T
+        return self.time - T if self.real is None else self.real
 
     def read_info(self, info: Any) -> MessageInfo:
         return info if isinstance(info, MessageInfo) else MessageInfo(info, None, None)
@@ -178,6 +183,19 @@ def test_a_grid_whose_slot_before_the_moment_is_over_has_passed_it() -> None:
     assert owner.rate is not None
     owner.rate.slot = T - 1
     assert side.passed() and link.gate == "closed"
+
+
+def test_a_fast_clock_leaves_a_call_real_time_to_be_late_in() -> None:
+    """At 50x, two periods of 20 ms are less than 1 ms."""
+    clocks = Clocks(T + 10**9)
+    clocks.simulated_time, clocks.real = True, 0
+    side = OutgoingCut([link_of(Owner())[0]], T, clocks.host)
+    side.arm()
+    assert not side.passed()
+    clocks.real += int(GRACE * 0.9e9)
+    assert not side.passed()
+    clocks.real += int(GRACE * 0.2e9)
+    assert side.passed()
 
 
 def test_a_grid_that_has_stopped_is_not_waited_for() -> None:

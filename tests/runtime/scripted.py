@@ -22,7 +22,7 @@ from midstride.model.component import ComponentSpec
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.specification import Specification
 from midstride.runtime.action_driver import ActionDriver
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import ComponentClient, LatestState
 from midstride.runtime.events import EventLog
@@ -266,6 +266,9 @@ class ScriptedBackend:
 
     def disconnected(self, instance: str) -> None:
         self.disconnections.append(instance)
+
+    def middleware(self) -> Middleware:
+        return Middleware(name="scripted")
 
     async def endpoints(self) -> Endpoints:
         return Endpoints()

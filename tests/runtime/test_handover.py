@@ -25,6 +25,7 @@ from midstride.runtime.handover import (
     PROBATION,
     LiveHandover,
 )
+from midstride.runtime.simulated_time import LONGEST_STRETCH
 from midstride.wire.commands import (
     AttachCommand,
     Attached,
@@ -341,6 +342,11 @@ async def differs(b: Bench, words: str) -> None:
         (Grid(trigger="rate", now=12_340_000_000, epoch=0, period=0.5), 12_500_000_000, True),
         (Grid(trigger="rate", now=12_340_000_000, epoch=20_000_000, period=0.1), 12_520_000_000, True),
         (Grid(trigger="rate", now=12_340_000_000, epoch=0, period=0.44), 12_760_000_000, True),
+        # The lead is real time: 1 s of a clock that runs at 10x, and 0.05 s of one at 0.5x.
+        (Grid(trigger="rate", now=12_340_000_000, speed=10.0, epoch=0, period=0.5), 13_500_000_000, True),
+        (Grid(trigger="rate", now=12_340_000_000, speed=0.5, epoch=0, period=0.01), 12_390_000_000, True),
+        (Grid(trigger="rate", now=12_340_000_000, speed=0.0, epoch=0, period=0.5), 12_500_000_000, True),
+        (Grid(trigger="message", clock="message", now=12_340_000_000), 12_440_000_000, False),
         # What has no grid is cut at the moment itself.
         (Grid(trigger="message", now=12_340_000_000), 12_440_000_000, False),
         (Grid(trigger="none", now=12_340_000_000), 12_440_000_000, False),
@@ -352,9 +358,26 @@ def test_the_cut_is_at_a_slot_of_the_old_sides_grid(grid: Grid, at: int, epoch: 
         await swapped(b)
         [cut_out], [cut_in] = b.client.of(CutOutCommand, "talker"), b.client.of(CutInCommand, "talker_2")
         assert (cut_out.at, cut_in.at) == (at, at)
+        assert cut_out.clock == cut_in.clock == grid.clock
         assert cut_in.epoch == (at if epoch else None)
         # What is written neither at a rate nor for a message would not be written again.
         assert cut_in.swaps[0].latch is (grid.trigger == "none")
+
+    bench(CONFIGURATION, tmp_path, body)
+
+
+@pytest.mark.parametrize(("speed", "factor"), [(0.5, 2.0), (0.001, LONGEST_STRETCH), (10.0, 1.0)])
+def test_what_waits_for_periods_of_a_slow_clock_waits_for_longer(speed: float, factor: float, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        for name in ("talker", "talker_2"):
+            b.client.report(structs.replace(b.client.states[name], simulated_time=True, clock_speed=speed))
+        b.client.reply("talker", GridCommand, Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=1))
+        await swapped(b)
+        assert only(b, AwaitWriteCommand, "talker_2").timeout == pytest.approx(PROBATION + 10 * 0.1 * factor)
+        for side in ("talker", "talker_2"):
+            assert only(b, AwaitCutCommand, side).timeout == pytest.approx(LEADS[-1] + 0.9 * factor + 2.0)
+        [cut_out] = b.client.of(CutOutCommand, "talker")
+        assert cut_out.resume_after == pytest.approx(0.9), "on the ROS clock"
 
     bench(CONFIGURATION, tmp_path, body)
 

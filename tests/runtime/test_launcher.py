@@ -14,7 +14,8 @@ from midstride.errors import BackendError, StartFailed, Unreachable
 from midstride.model.component import ComponentSpec, ParameterSpec
 from midstride.model.configuration import Instance
 from midstride.runtime.backend import Exited, Handle, Launch
-from midstride.runtime.launcher import ADOPT_TIMEOUT, REGISTRATION_TIMEOUT, RELEASE_TIMEOUT, STOP_GRACE
+from midstride.runtime.launcher import ADOPT_TIMEOUT, REGISTRATION_TIMEOUT, RELEASE_TIMEOUT, STOP_GRACE, Launcher
+from midstride.runtime.options import SystemOptions
 from midstride.wire.commands import ObserveCommand, ReleaseCommand, WelcomeCommand
 from midstride.wire.state import Endpoint
 from tests.model import build
@@ -34,6 +35,16 @@ from tests.runtime.scripted import (
 NOTHING = build.system({}, [])
 CAMERA = instance("front/camera", started(build.source("Camera"), "python3 'my camera.py' --fast"))
 BY_HAND = instance("camera", build.source("Camera"))
+
+
+@pytest.mark.parametrize(("own", "given"), [({}, True), ({"use_sim_time": False}, False)])
+def test_clock_drives_every_node_that_does_not_say_otherwise(own: dict[str, bool], given: bool, tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        launcher = Launcher(b.backend, b.client, tmp_path, SystemOptions(use_sim_time=True))
+        await launcher.start(changed(CAMERA, parameters=Map(own)))
+        assert b.backend.launches[-1].parameters == {"use_sim_time": given}
+
+    bench(NOTHING, tmp_path, body)
 
 
 def test_a_process_is_started_as_its_command_says_and_welcomed(tmp_path: Path) -> None:

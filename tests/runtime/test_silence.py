@@ -117,11 +117,28 @@ def test_an_output_that_need_not_publish_is_no_fault(why: str, tmp_path: Path) -
         if why == "gate":
             r.gate = "closed"
         elif why == "simulated_time":
-            r.changed["simulated_time"] = True  # which may stand still
+            r.changed |= {"simulated_time": True, "clock_speed": 0.0}  # it stands still
         else:
             r.b.configuration = r.b.configuration.with_modes({work("talker"): 1})
         await r.half_seconds(30, talker=0, listener=0)
         assert r.kinds() == []
+
+    reporting(tmp_path, body)
+
+
+@pytest.mark.parametrize(("speed", "half_seconds"), [(10.0, 7), (1.0, 7), (0.5, 13), (0.1, 61)])
+def test_in_simulated_time_an_output_may_be_silent_for_as_long_on_its_clock(
+    speed: float, half_seconds: int, tmp_path: Path
+) -> None:
+    """Never for less than 3 s of real time: components report twice a second."""
+
+    async def body(r: Reports) -> None:
+        r.changed |= {"simulated_time": True, "clock_speed": speed}
+        await r.half_seconds(4)
+        await r.half_seconds(half_seconds - 1, talker=0, listener=0)
+        assert r.kinds() == []
+        await r.half_seconds(1, talker=0, listener=0)
+        assert r.kinds() == [("not_publishing", "talker.out")]
 
     reporting(tmp_path, body)
 

@@ -17,6 +17,7 @@ from midstride.model.configuration import Instance
 from midstride.model.contract import Predicate
 from midstride.model.specification import Order, Specification
 from midstride.runtime.backend import Handle
+from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.state_store import SavedInstance, StateStore
 from tests.runtime.systems import example
 
@@ -37,6 +38,28 @@ def begun(path: Path) -> StateStore:
     store = StateStore(path)
     store.begin("sim", "a token", SPECIFICATION)
     return store
+
+
+def test_what_up_was_given_is_found_and_a_state_without_it_is_read(path: Path) -> None:
+    store = begun(path)
+    assert_options(path, NO_OPTIONS)
+    given = SystemOptions(use_sim_time=True, middleware_settings=False)
+    store.begin("sim", "a token", SPECIFICATION, given)
+    assert_options(path, given)
+    with sqlite3.connect(path) as database:
+        database.execute("DELETE FROM system WHERE key = 'options'")
+    assert_options(path, NO_OPTIONS)
+
+
+def assert_options(path: Path, expected: SystemOptions) -> None:
+    found = StateStore(path).load()
+    assert found is not None and found.options == expected
+
+
+def test_a_later_up_adds_to_what_an_earlier_one_was_given() -> None:
+    sim_time, untouched = SystemOptions(use_sim_time=True), SystemOptions(middleware_settings=False)
+    assert sim_time.with_(NO_OPTIONS) == sim_time and untouched.with_(NO_OPTIONS) == untouched
+    assert sim_time.with_(untouched) == untouched.with_(sim_time) == SystemOptions(True, False)
 
 
 def test_what_was_written_is_found(path: Path) -> None:

@@ -95,9 +95,12 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (ObserveCommand(timeout=1.5), STATE),
     (
         GridCommand(port="out", topic="/chatter", timeout=1.5),
-        Grid(trigger="rate", now=10**18, epoch=10**18 - 1, period=0.1, readers=2),
+        Grid(trigger="rate", now=10**18, epoch=10**18 - 1, period=0.1, readers=2, clock="message", speed=0.5),
     ),
-    (RecordsCommand(input="in", timeout=1.5), Records(rows=[ROW], publisher_identity=True, now=9)),
+    (
+        RecordsCommand(input="in", timeout=1.5),
+        Records(rows=[ROW], publisher_identity=True, now=9, moments=[(1, 2)], ros_sources=True),
+    ),
     (ExportStateCommand(timeout=1.5), ExportedState(state=b"\x00\xff\n")),
     (AwaitWriteCommand(port="out", topic="/t", timeout=1.5), GatedWrites(gated=3, wrong_type="a String")),
     (AwaitMatchCommand(port="in", topic="/t", peers=2, timeout=1.5), Attached(matched=1)),
@@ -116,8 +119,11 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (ImportStateCommand(state=b"\x00\xff\n", timeout=1.5), Done()),
     (RecordCommand(inputs=["in"], on=True, timeout=1.5), RecordingSwitched(now=3)),
     (MeetCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
-    (CutOutCommand(cut="c", swaps=SWAPS, at=10**18, resume_after=0.5, timeout=1.5), Done()),
-    (CutInCommand(cut="c", swaps=SWAPS, at=1, peer="old", address="unix:/x", epoch=2, timeout=1.5), Done()),
+    (CutOutCommand(cut="c", swaps=SWAPS, at=10**18, resume_after=0.5, clock="message", timeout=1.5), Done()),
+    (
+        CutInCommand(cut="c", swaps=SWAPS, at=1, peer="old", address="unix:/x", epoch=2, clock="message", timeout=1.5),
+        Done(),
+    ),
     (CancelCutCommand(cut="c", timeout=1.5), Done()),
     (GateCommand(port="out", topic="/t", gate="closed", latch=True, timeout=1.5), Done()),
     (ReleaseCommand(timeout=1.5), Done()),

@@ -15,19 +15,27 @@ from midstride.runtime.workspace import Workspace
 NAMES: Final = ("ros2", "ros1", "sim")
 
 
-def make(name: str, workspace: Workspace, *, guardian: Reaper | None = None) -> Backend:
+def make(
+    name: str, workspace: Workspace, *, guardian: Reaper | None = None, middleware_settings: bool = True
+) -> Backend:
     """The back end called ``name``. Raises BackendError where it is unknown or cannot be had here.
 
-    Control sockets and logs go to ``workspace``; ``guardian`` ends what is started should this process be killed. The
-    simulator, whose components live in this process, needs neither.
+    Control sockets and logs go to ``workspace``; ``guardian`` ends what is started should this process be killed, which
+    the simulator does not need: its components live in this process. ``middleware_settings``: whether ROS 2's processes
+    get Midstride's transports and discovery.
     """
     match name:
         case "sim":
             from midstride.backends.simulator import Simulator
 
-            return Simulator()
+            return Simulator(logs=workspace.logs)
         case "ros2":
-            return ros2.create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
+            return ros2.create_backend(
+                workspace.components,
+                logs=workspace.logs,
+                guardian=guardian,
+                middleware_settings=middleware_settings,
+            )
         case "ros1":
             return ros1.create_backend(workspace.components, logs=workspace.logs, guardian=guardian)
     raise BackendError(f"there is no back end {name}; there are {', '.join(NAMES)}")

@@ -36,16 +36,17 @@ def wants_json() -> bool:
     return bool(click.get_current_context().meta.get(__name__))
 
 
-def print_json(document: Any) -> None:
-    """Print a document, in which there may be forms (midstride.codec)."""
+def print_json(document: Any, *, lines: bool = False) -> None:
+    """Print a document, in which there may be forms (midstride.codec); with ``lines``, on one line, at once."""
     import msgspec
 
     from midstride.model.printable import printable
 
-    text = json.dumps(document, indent=2, ensure_ascii=False, default=msgspec.to_builtins)
+    indent = None if lines else 2
+    text = json.dumps(document, indent=indent, ensure_ascii=False, default=msgspec.to_builtins)
     if printable(text) != text:
         text = "".join(c if printable(c) == c else json.dumps(c)[1:-1] for c in text)
-    print(text)
+    print(text, flush=lines)
 
 
 class PrintableStream:

@@ -268,6 +268,24 @@ def _problems(document: Document) -> Iterable[Text]:
     return [Text(problem, style="red") for problem in problems]
 
 
+def platform(document: Document) -> RenderableType:
+    """How each component was started, and what is set for the middleware."""
+    starts = table(["node", "started with", "clock", "log"])
+    for component in document["components"]:
+        clock = "/clock" if component["simulated_time"] else "system"
+        run = component["run"] or Text("by hand, or by another system", style="dim")
+        starts.add_row(component["name"], run, clock, component["log_file"] or "–")
+    middleware = document["middleware"]
+    settings = table(["variable", "value", "set by"])
+    for owner in ("set", "kept"):
+        for name, value in middleware[owner].items():
+            settings.add_row(name, value, "Midstride" if owner == "set" else "you: it is left")
+    lines: list[RenderableType] = [Text(""), starts, Text(f"\nMiddleware: {middleware['name']}")]
+    if middleware["set"] or middleware["kept"]:
+        lines.append(settings)
+    return Group(*lines, *(Text(note, style="dim") for note in middleware["notes"]))
+
+
 def _silence(fault: Document) -> str:
     since = "" if fault["seconds"] is None else f" (for {seconds(fault['seconds'])})"
     return f"{fault['words']}{since}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from typing import Any, Final
 
 import click
@@ -35,10 +36,8 @@ def find(system: str | None) -> tuple[Client, Workspace]:
     """
     known = {workspace.name: workspace for workspace in Workspace.all()}
     if system is not None:
-        if system not in known:
-            hint = suggestion(system, known) or "start it with `midstride up FILE`"
-            raise NoManager(f"no system {system} is running; {hint}")
-        return _answering(known[system]), known[system]
+        workspace = _named(system, known)
+        return _answering(workspace), workspace
     if len(known) == 1:
         (only,) = known.values()
         return _answering(only), only
@@ -54,6 +53,21 @@ def find(system: str | None) -> tuple[Client, Workspace]:
             "Choose one with --system NAME"
         )
     raise NoManager("no system is running; start one with `midstride up FILE`")
+
+
+def find_workspace(system: str | None) -> Workspace:
+    """As :func:`find`, for what needs no manager: it may have exited."""
+    known = {workspace.name: workspace for workspace in Workspace.all()}
+    if system is not None:
+        return _named(system, known)
+    return next(iter(known.values())) if len(known) == 1 else find(None)[1]
+
+
+def _named(system: str, known: Mapping[str, Workspace]) -> Workspace:
+    if system not in known:
+        hint = suggestion(system, known) or "start it with `midstride up FILE`"
+        raise NoManager(f"no system {system} is running; {hint}")
+    return known[system]
 
 
 def _answering(workspace: Workspace) -> Client:

@@ -12,6 +12,7 @@ from rich.text import Text
 
 from midstride.cli import render
 from midstride.cli.client import Client, Event
+from midstride.cli.follow import last_event_number
 from midstride.cli.output import console
 from midstride.errors import MidstrideError
 
@@ -22,15 +23,19 @@ EVENTS_SHOWN = 12
 HIDDEN = frozenset({"step_done"})
 
 
-def watch(client: Client, system: str) -> int:
-    """Show the system until it is down, its manager exits, or Ctrl-C. The exit status."""
+def watch(client: Client, system: str, since: int | None = None) -> int:
+    """Show the system until it is down, its manager exits, or Ctrl-C. The exit status.
+
+    Of the events, those after number ``since``, by default those that come.
+    """
     out = console()
     shown: deque[Event] = deque(maxlen=EVENTS_SHOWN)
     try:
+        since = last_event_number(client) if since is None else since
         if out.is_terminal:
-            _live(client, out, shown)
+            _live(client, out, shown, since)
         else:
-            for event in client.events():
+            for event in client.events(since):
                 shown.append(event)
                 out.print(render.event(event))
     except KeyboardInterrupt:
@@ -46,12 +51,12 @@ def watch(client: Client, system: str) -> int:
     return 1
 
 
-def _live(client: Client, out: Console, shown: deque[Event]) -> None:
+def _live(client: Client, out: Console, shown: deque[Event], since: int) -> None:
     changed, over = threading.Event(), threading.Event()
 
     def read_events() -> None:
         try:
-            for event in client.events():
+            for event in client.events(since):
                 if event["kind"] not in HIDDEN:
                     shown.append(event)
                 changed.set()

@@ -20,6 +20,8 @@ from midstride.model.contract import NOTHING, Contract, Predicate, QoS
 
 ParameterValue: TypeAlias = "bool | int | float | str | list[bool] | list[int] | list[float] | list[str]"
 
+# What every node of ROS 2 has: it may be set for a node although its component does not declare it.
+ROS_PARAMETERS: Final[Mapping[str, ParameterValue]] = {"use_sim_time": False}
 
 _KINDS: Final[Mapping[type, str]] = {bool: "boolean", int: "integer", float: "float", str: "string"}
 

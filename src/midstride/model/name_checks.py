@@ -13,7 +13,7 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from typing import Final
 
-from midstride.model.component import ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
+from midstride.model.component import ROS_PARAMETERS, ComponentSpec, FunctionalitySpec, InputAlternatives, Mode
 from midstride.model.diagnostics import Problem, unknown_name, with_suggestions
 from midstride.model.specification import DEFAULT_SECONDS, Keep, Node, Order, Specification
 
@@ -204,7 +204,8 @@ def _node_names(specification: Specification, node: Node, path: Path) -> Iterato
         for name in sorted(node.parameters):
             declared = ("components", component.name, "parameters")
             where = (*path, "parameters", name)
-            yield from _unknown("parameter", name, component.parameters, where, declared, component.name)
+            if name not in ROS_PARAMETERS:
+                yield from _unknown("parameter", name, component.parameters, where, declared, component.name)
 
 
 def _constraint_names(specification: Specification, index: int) -> Iterator[Problem]:

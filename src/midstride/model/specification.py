@@ -14,6 +14,7 @@ from immutables import Map
 
 from midstride.model.best import best
 from midstride.model.component import (
+    ROS_PARAMETERS,
     ComponentSpec,
     Connector,
     EnvironmentGuarantee,
@@ -147,7 +148,9 @@ class Specification:
         Raises KeyError for an unknown name.
         """
         node, declared = self.nodes[role], self.components[component].parameters
-        parameters = Map({name: value for name, value in node.parameters.items() if name in declared})
+        parameters = Map(
+            {name: value for name, value in node.parameters.items() if name in declared or name in ROS_PARAMETERS}
+        )
         return self.with_node(replace(node, component=component, parameters=parameters))
 
 

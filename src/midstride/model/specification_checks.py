@@ -12,7 +12,15 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 
 from midstride.model.best import best
-from midstride.model.component import ComponentSpec, Connector, InputAlternatives, PortRef, value_fits, value_kind
+from midstride.model.component import (
+    ROS_PARAMETERS,
+    ComponentSpec,
+    Connector,
+    InputAlternatives,
+    PortRef,
+    value_fits,
+    value_kind,
+)
 from midstride.model.component_rules import component_rules, number_problems, predicate_problems, value_problems
 from midstride.model.configuration import Configuration, to_fraction
 from midstride.model.contract import Contract, Predicate, explain, format_number, satisfies
@@ -144,8 +152,9 @@ def _node_problems(specification: Specification, node: Node, path: Path) -> Iter
     for name, value in node.parameters.items():
         yield from value_problems(value, (*path, "parameters", name))
         declared = component.parameters.get(name)
-        if declared is not None and not value_fits(value, declared.value):
-            kinds = f"{value_kind(declared.value)}, not {value_kind(value)}"
+        expected = ROS_PARAMETERS.get(name) if declared is None else declared.value
+        if expected is not None and not value_fits(value, expected):
+            kinds = f"{value_kind(expected)}, not {value_kind(value)}"
             yield Problem("E025", (*path, "parameters", name), f"parameter {name} of {component.name} takes {kinds}")
 
 

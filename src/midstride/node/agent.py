@@ -18,6 +18,7 @@ from typing import Any, Final
 from midstride.codec.component import NamedComponentForm
 from midstride.errors import CommandRefused, MidstrideError
 from midstride.model.component import ComponentSpec
+from midstride.node.clock_history import STILL
 from midstride.node.command_handlers import CommandHandlers, Revision
 from midstride.node.declaration import DeclaredParts
 from midstride.node.functionality_runner import FunctionalityRunner
@@ -233,6 +234,9 @@ class Agent:
             return "no manager has welcomed it yet"
         if self.host.now() == 0:
             return "use_sim_time is on, and nothing has arrived on /clock yet: modes with a rate are not called"
+        still = self.host.clock_history.still_for(self.host.steady()) if self.host.simulated_time else 0.0
+        if still > STILL:
+            return f"/clock has not moved for {still:.0f} s: modes with a rate are not called"
         return None
 
     def report_state(self) -> None:

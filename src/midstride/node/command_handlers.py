@@ -7,6 +7,7 @@ changed nothing.
 from __future__ import annotations
 
 import asyncio
+import bisect
 import contextlib
 import threading
 from collections.abc import Awaitable, Callable
@@ -179,6 +180,7 @@ class CommandHandlers:
             stopping=self.parts.callbacks.stop_timeout + SHUTDOWN_SECONDS,
             waiting=waiting,
             simulated_time=self.host.simulated_time,
+            clock_speed=self.host.clock_history.speed(self.host.steady()) if self.host.simulated_time else 1.0,
             declared={each.name: each.declared for each in parameters if each.value != each.declared},
         )
 
@@ -297,4 +299,15 @@ class CommandHandlers:
             info = self.host.read_info(native)
             rows.append(commands.Receipt(received, info.source, info.number, info.publisher))
         identity = bool(rows) and all(row.publisher is not None for row in rows)
-        return commands.Records(rows=rows, publisher_identity=identity, now=self.host.steady())
+        moments = None
+        if self.host.simulated_time:
+            known = self.host.clock_history.moments()
+            begin = bisect.bisect_left([steady for steady, _ in known], rows[0].received if rows else 0)
+            moments = known[max(0, begin - 1) :]
+        return commands.Records(
+            rows=rows,
+            publisher_identity=identity,
+            now=self.host.steady(),
+            moments=moments,
+            ros_sources=self.host.publishes_ros_time,
+        )

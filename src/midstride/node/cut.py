@@ -17,7 +17,7 @@ from typing import Any, Final
 from midstride.node.host import Host
 from midstride.node.ports import GatePolicy, OutputLink, OutputOwner
 from midstride.node.trigger import InfoSet
-from midstride.wire.commands import LastWrite
+from midstride.wire.commands import CutClock, LastWrite
 from midstride.wire.state import GateState
 
 # How long after T a message published before it may still be in transit (s).
@@ -26,18 +26,28 @@ GRACE: Final = 0.05
 Written = tuple[int, int]  # the publisher's number, and when
 
 
-def belongs_after(runner: OutputOwner, at: int, host: Host, slot: int = 0) -> bool:
-    """Whether what ``runner`` writes now belongs to the new side of a cut at ``at``.
+def belongs_after(runner: OutputOwner, at: int, host: Host, slot: int = 0, clock: CutClock = "ros") -> bool:
+    """Whether what ``runner`` writes now belongs to the new side of a cut at ``at`` on ``clock``.
 
-    ``slot``: which of the slots that a call accounts for counts, 0 for the first and 1 for the last.
+    ``slot``: which of the slots that a call accounts for counts, 0 for the first and 1 for the last. Where ``/clock``
+    drives the ROS clock, slots are not on the clock of messages; then the moment of the write decides.
     """
-    if runner.slots is not None:
+    if runner.slots is not None and comparable(host, clock, "ros"):
         # Both sides round their grid to whole nanoseconds: a slot is T if it is nearest to it.
         rate = runner.rate
         return runner.slots[slot] + (0 if rate is None else int(rate.period * 0.25e9)) >= at
-    if runner.info is not None:
+    if runner.info is not None and comparable(host, clock, "message"):
         return source_of(runner.info, host) > at
-    return host.now() >= at
+    return reading(host, clock) >= at
+
+
+def reading(host: Host, clock: CutClock) -> int:
+    return host.now() if clock == "ros" else host.message_now()
+
+
+def comparable(host: Host, clock: CutClock, other: CutClock) -> bool:
+    """Whether the times of both clocks are of one."""
+    return clock == other or not host.simulated_time or host.publishes_ros_time
 
 
 def source_of(info: Any, host: Host) -> int:
@@ -46,7 +56,7 @@ def source_of(info: Any, host: Host) -> int:
         return max(source_of(one, host) for one in info)
     facts = host.read_info(info)
     source = facts.stamp if facts.source is None else facts.source
-    return host.now() if source is None else source
+    return host.message_now() if source is None else source
 
 
 @dataclass(eq=False)
@@ -56,10 +66,15 @@ class _Side(GatePolicy):
     links: Sequence[OutputLink]
     at: int
     host: Host
+    clock: CutClock = field(default="ros", kw_only=True)
     written: dict[OutputLink, Written] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         self._runners = list(dict.fromkeys(link.output.owner for link in self.links))
+
+    def now(self) -> int:
+        """The clock of ``at``."""
+        return reading(self.host, self.clock)
 
     @property
     def driven_by_messages(self) -> bool:
@@ -86,6 +101,8 @@ class OutgoingCut(_Side):
     over = False
     # When the first message newer than T arrived (steady, ns): from then on a message-driven side should write.
     newer_at: int | None = None
+    # Since when its time grid seems to have stopped (steady, ns).
+    _stopped_at: int | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,7 +116,7 @@ class OutgoingCut(_Side):
             runner.watch = self._on_input
 
     def passes(self, link: OutputLink) -> bool:
-        return not belongs_after(link.output.owner, self.at, self.host)
+        return not belongs_after(link.output.owner, self.at, self.host, clock=self.clock)
 
     def shows(self, link: OutputLink) -> GateState:
         return "open"
@@ -107,7 +124,7 @@ class OutgoingCut(_Side):
     def passed(self) -> bool:
         """Whether everything that belongs before T has been written here. Then the gates close."""
         if not self.over and all(self._runner_passed(runner) for runner in self._runners):
-            self.over = self.host.now() >= self.at
+            self.over = self.now() >= self.at
             if self.over:
                 self._set_gates(False)
         return self.over
@@ -134,13 +151,14 @@ class OutgoingCut(_Side):
 
     def _on_input(self, info: Any) -> None:
         self._last_input = self.host.steady()
-        if self.newer_at is None and source_of(info, self.host) > self.at:
+        time = source_of(info, self.host) if comparable(self.host, self.clock, "message") else self.now()
+        if self.newer_at is None and time > self.at:
             self.newer_at = self._last_input
 
     def _runner_passed(self, runner: OutputOwner) -> bool:
-        if runner.busy is not None and not belongs_after(runner, self.at, self.host):
+        if runner.busy is not None and not belongs_after(runner, self.at, self.host, clock=self.clock):
             return False  # an async call from before T may still write
-        late = self.host.now() - self.at
+        late = self.now() - self.at
         if runner.driven == "message":
             # A newer message on one input says nothing about other inputs and publishers: what they published before
             # T may still be in transit.
@@ -150,8 +168,15 @@ class OutgoingCut(_Side):
         if rate is None:
             return late >= 0
         tolerance = int(rate.period * 0.25e9)
-        reached = rate.slot is not None and rate.slot + tolerance >= self.at
-        return reached or late > max(GRACE, 2 * rate.period) * 1e9  # a grid that has stopped writes nothing
+        reached = (
+            rate.slot is not None and comparable(self.host, self.clock, "ros") and rate.slot + tolerance >= self.at
+        )
+        stopped = late > max(GRACE, 2 * rate.period) * 1e9  # a grid that has stopped writes nothing
+        if stopped and self.host.simulated_time:  # a call may be late by as much, however fast its clock runs
+            if self._stopped_at is None:
+                self._stopped_at = self.host.steady()
+            stopped = self.host.steady() - self._stopped_at > GRACE * 1e9
+        return reached or stopped
 
 
 @dataclass(eq=False)
@@ -168,7 +193,7 @@ class IncomingCut(_Side):
                 runner.rate.regrid(epoch)
 
     def passes(self, link: OutputLink) -> bool:
-        return belongs_after(link.output.owner, self.at, self.host, slot=1)
+        return belongs_after(link.output.owner, self.at, self.host, slot=1, clock=self.clock)
 
     def shows(self, link: OutputLink) -> GateState:
         return "open" if link in self.written else "closed"

@@ -21,6 +21,10 @@ TICK: Final = 0.002
 # How long one attempt to report to the peer may take (s), and how many there are: a dead peer cannot write.
 REPORT_TIMEOUT: Final = 0.25
 REPORT_ATTEMPTS: Final = 20
+# A side whose clock has gone back by more than this gives the cut up (s): T may be far ahead again.
+JUMP: Final = 1.0
+# A new side may be late by so much, however fast the ROS clock runs (s).
+SHORTEST_SILENCE: Final = 0.1
 # How often a side that waits for T looks at the clock, and at what has happened meanwhile (s).
 LONGEST_WAIT: Final = 0.01
 
@@ -31,8 +35,10 @@ class _CutTask:
 
     host: Host
     changed: Callable[[], None]
+    side: OutgoingCut | IncomingCut
     outcome: CutOutcome | None = field(default=None, init=False)
     finished: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+    _latest: int = field(default=0, init=False)  # what the clock of the cut has shown
 
     def _going(self) -> bool:
         """Whether there is no outcome yet; a cancellation may come at any await."""
@@ -42,9 +48,17 @@ class _CutTask:
         """Whether this side will not write at T."""
         return False
 
+    def _jumped_back(self) -> bool:
+        """Whether the clock of the cut has been set back since this was first asked: a simulation has started again."""
+        now = self.side.now()
+        self._latest = max(self._latest, now)
+        return self._latest - now > JUMP * 1e9
+
     async def _until(self, at: int) -> None:
-        """Wait until ``at`` on the ROS clock, which may not run like the steady one; less long if this side fails."""
-        while self._going() and not self._failed() and (left := (at - self.host.now()) / 1e9) > 0:
+        """Wait until ``at`` on the clock of the cut, which may not run like the steady one; less long if it fails."""
+        while self._going() and not self._failed() and (left := (at - self.side.now()) / 1e9) > 0:
+            if self._jumped_back():
+                return
             await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
 
     async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
@@ -67,20 +81,32 @@ class CutOutTask(_CutTask):
         await self._until(self.side.at)
         passed_at = self.host.steady()
         while self._going():
+            if self._jumped_back() and not self._taken:
+                await self._end("resumed", self.side.reopen)
+                return
             passed = self.side.over or await self.host.on_data(self.side.passed)
             if not self._going():
                 return
             if passed and self._taken:
                 await self._end("done", self.side.relieved)
-            elif self._silent_for(passed_at) > self.resume_after and not self._taken:
+            elif self._is_overdue(passed_at) and not self._taken:
                 await self._end("resumed", self.side.reopen)
             else:
                 await self.host.sleep(TICK)
 
-    def _silent_for(self, passed_at: int) -> float:
-        """For how long the new side should have written (s); where messages drive it, since one arrived."""
+    def _is_overdue(self, passed_at: int) -> bool:
+        """Whether the new side should have written ``resume_after`` ago; where messages drive it, since one arrived.
+
+        A new side on a time grid that ``/clock`` drives writes nothing while that stands still.
+        """
         since = self.side.newer_at if self.side.driven_by_messages else passed_at
-        return 0.0 if since is None else (self.host.steady() - since) / 1e9
+        if since is None:
+            return False
+        silent = (self.host.steady() - since) / 1e9
+        if self.side.clock == "ros" and self.host.simulated_time:
+            on_clock = (self.side.now() - self.side.at) / 1e9
+            return on_clock > self.resume_after and silent > min(SHORTEST_SILENCE, self.resume_after)
+        return silent > self.resume_after
 
     async def taken(self, failed: bool) -> bool:
         """The new side has written, or has failed. Returns whether this one writes again."""
@@ -129,8 +155,9 @@ class CutInTask(_CutTask):
             await self.host.on_data(self.side.conclude)
 
     def _failed(self) -> bool:
-        """Whether the author's code has raised before the first write."""
-        return not self.side.written and any(link.output.owner.failed for link in self.side.links)
+        """Whether the author's code has raised, or the clock jumped back, before the first write."""
+        failed = self._jumped_back() or any(link.output.owner.failed for link in self.side.links)
+        return failed and not self.side.written
 
     async def _resumed(self, failed: bool) -> bool:
         """Report to the old side until it answers; whether it has resumed. One that cannot be reached has not."""

@@ -9,7 +9,7 @@ from typing import Final
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
 from midstride.node.attachments import Attachments
-from midstride.node.cut import IncomingCut, OutgoingCut
+from midstride.node.cut import IncomingCut, OutgoingCut, comparable, reading
 from midstride.node.cut_protocol import CutInTask, CutOutTask
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, within
@@ -55,11 +55,15 @@ class HandoverCommands:
     async def grid(self, command: commands.GridCommand) -> commands.Grid:
         owner = self.attachments.output(command.port).owner
         rate, topic = owner.rate, command.topic
+        clock: commands.CutClock = "ros" if rate is not None or comparable(self.host, "ros", "message") else "message"
+        simulated = clock == "ros" and self.host.simulated_time
         return commands.Grid(
             trigger=owner.driven,
+            clock=clock,
+            speed=self.host.clock_history.speed(self.host.steady()) if simulated else 1.0,
             epoch=None if rate is None else rate.slot,
             period=None if rate is None else rate.period,
-            now=self.host.now(),
+            now=reading(self.host, clock),
             readers=None if topic is None else self.attachments.link(command.port, topic).endpoint.matched(),
         )
 
@@ -82,8 +86,8 @@ class HandoverCommands:
 
     async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
         links = self._links_of(command.cut, command.swaps, CutOutTask, gate="open")
-        side = OutgoingCut(links, command.at, self.host)
-        await self._arm(command.at, side.arm)
+        side = OutgoingCut(links, command.at, self.host, clock=command.clock)
+        await self._arm(side, side.arm)
         self._begin(command.cut, CutOutTask(self.host, self.changed, side, command.resume_after))
         return commands.Done()
 
@@ -92,8 +96,8 @@ class HandoverCommands:
         if failed := [str(link) for link in links if link.output.owner.failed]:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
-        side = IncomingCut(links, command.at, self.host, latches)
-        await self._arm(command.at, lambda: side.arm(command.epoch))
+        side = IncomingCut(links, command.at, self.host, latches, clock=command.clock)
+        await self._arm(side, lambda: side.arm(command.epoch))
 
         async def report(timeout: float, failed: bool) -> bool:
             taken = commands.CutTakenCommand(cut=command.cut, failed=failed)
@@ -143,12 +147,12 @@ class HandoverCommands:
             raise CommandRefused("a cut needs at least one swap")
         return links
 
-    async def _arm(self, at: int, arm: Callable[[], None]) -> None:
+    async def _arm(self, side: OutgoingCut | IncomingCut, arm: Callable[[], None]) -> None:
         """Prepare the data thread for the cut, before its moment or not at all."""
-        left = (at - self.host.now()) / 1e9
+        left = (side.at - side.now()) / 1e9
 
         def in_time() -> None:
-            if self.host.now() >= at:
+            if side.now() >= side.at:
                 raise CommandRefused("the agreed moment of the cut has passed already")
             arm()
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, TypeVar
 
 from midstride.model.contract import QoS
+from midstride.node.clock_history import ClockHistory
 from midstride.wire.state import ComponentState, Endpoint
 from midstride.wire.transport import Transport
 
@@ -100,6 +101,16 @@ class Host(Protocol):
     @property
     def simulated_time(self) -> bool:
         """Whether ``/clock`` drives the ROS clock."""
+
+    # Whether messages' times of publication are on the ROS clock, also where `/clock` drives it.
+    publishes_ros_time: bool
+
+    def message_now(self) -> int:
+        """The clock of messages' times of publication (:class:`MessageInfo`), ns."""
+
+    @property
+    def clock_history(self) -> ClockHistory:
+        """How ``/clock`` has driven the ROS clock; empty where it does not."""
 
     def steady(self) -> int:
         """The steady clock, ns: for time-outs, heartbeats and times of receipt. Cheap: on the data path."""

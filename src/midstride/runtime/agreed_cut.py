@@ -19,7 +19,15 @@ from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
 from midstride.runtime.component_client import ComponentClient
-from midstride.wire.commands import AwaitMatchCommand, CutInCommand, CutOutCommand, CutSwap, GridCommand, Trigger
+from midstride.wire.commands import (
+    AwaitMatchCommand,
+    CutClock,
+    CutInCommand,
+    CutOutCommand,
+    CutSwap,
+    GridCommand,
+    Trigger,
+)
 
 # The old side resumes if the new side has not reported its first write for this many periods,
 RESUME_PERIODS: Final = 10
@@ -44,12 +52,13 @@ class Cut:
     swaps: list[Swap] = field(default_factory=list)
     id: str = field(default_factory=lambda: uuid.uuid4().hex)
     trigger: Trigger = "none"
+    clock: CutClock = "ros"
     epoch: int | None = None
     period: float | None = None
     at: int = 0
 
     def resume_after(self) -> float:
-        """How long the old side waits for the new one's first write (s)."""
+        """How long the old side waits for the new one's first write (s, on the clock of the cut)."""
         period = self.period if self.period is not None else self._declared_period()
         if period is None:
             return RESUME_WITHOUT_RATE
@@ -65,7 +74,7 @@ class Cut:
     def outgoing(self) -> CutOutCommand:
         """The cut as the old side is sent it."""
         swaps = [CutSwap(port=swap.old.port, topic=self.configuration.topic(swap.connector)) for swap in self.swaps]
-        return CutOutCommand(cut=self.id, swaps=swaps, at=self.at, resume_after=self.resume_after())
+        return CutOutCommand(cut=self.id, swaps=swaps, at=self.at, resume_after=self.resume_after(), clock=self.clock)
 
     def incoming(self, address: str) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
@@ -76,26 +85,33 @@ class Cut:
             for swap in self.swaps
         ]
         epoch = self.at if self.trigger == "rate" else None
-        return CutInCommand(cut=self.id, swaps=swaps, at=self.at, epoch=epoch, peer=self.old, address=address)
+        return CutInCommand(
+            cut=self.id, swaps=swaps, at=self.at, epoch=epoch, peer=self.old, address=address, clock=self.clock
+        )
 
 
 async def agree_cuts(
     client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap], lead: float
 ) -> list[Cut]:
-    """One cut for the outputs of each old functionality, all at the first slot after one common moment."""
+    """One cut for the outputs of each old functionality, all at the first slot after one common moment.
+
+    There is one such moment on each clock, ``lead`` seconds of real time ahead.
+    """
     cuts: dict[tuple[str, str, str], Cut] = {}
-    now = 0
+    moments: dict[CutClock, int] = {}
     for swap in swaps:
         old, new = swap.old.instance, swap.new.instance
         key = (old, new, configuration.component(old).owner(swap.old.port).name)
         if key not in cuts:
             grid = await client.read(old, GridCommand(port=swap.old.port))
-            cuts[key] = Cut(configuration, old, new, trigger=grid.trigger, epoch=grid.epoch, period=grid.period)
-            now = max(now, grid.now)
+            cuts[key] = Cut(
+                configuration, old, new, trigger=grid.trigger, clock=grid.clock, epoch=grid.epoch, period=grid.period
+            )
+            moment = grid.now + int(lead * (grid.speed or 1.0) * 1e9)
+            moments[grid.clock] = max(moments.get(grid.clock, 0), moment)
         cuts[key].swaps.append(swap)
-    moment = now + int(lead * 1e9)
     for cut in cuts.values():
-        cut.at = moment
+        cut.at = moment = moments[cut.clock]
         if cut.trigger == "rate" and cut.epoch is not None and cut.period:
             step = cut.period * 1e9
             cut.at = cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from midstride.codec.form import Form
 from midstride.runtime.clock import Clock
 from midstride.wire.transport import Transport
 
@@ -63,6 +64,15 @@ class Endpoints:
     subscribers: tuple[tuple[str, str], ...] = ()
 
 
+class Middleware(Form, frozen=True, kw_only=True, omit_defaults=False, forbid_unknown_fields=False):
+    """What a back end sets in the environment of the processes that it starts, and what it leaves as set."""
+
+    name: str
+    set: dict[str, str] = {}
+    kept: dict[str, str] = {}
+    notes: list[str] = []
+
+
 class Backend(Protocol):
     name: str
     clock: Clock
@@ -88,6 +98,9 @@ class Backend(Protocol):
 
     def disconnected(self, instance: str) -> None:
         """A component that was started by hand has exited, as its control connection shows."""
+
+    def middleware(self) -> Middleware:
+        """The middleware, and what is set for it. To be asked after ``open``."""
 
     async def endpoints(self) -> Endpoints:
         """The nodes, and the endpoints on each topic, as the middleware sees them."""

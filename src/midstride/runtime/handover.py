@@ -9,6 +9,7 @@ its first message: if the manager exits at any point, the topic is silent for at
 from __future__ import annotations
 
 import asyncio
+import contextlib
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -20,6 +21,7 @@ from midstride.model.configuration import Configuration
 from midstride.runtime.agreed_cut import Cut, agree_cuts, publishers_found, require_found, require_same_clock
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
+from midstride.runtime.simulated_time import stretch
 from midstride.wire import commands
 
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
@@ -202,15 +204,25 @@ class LiveHandover:
 
     async def _await_probation(self, swap: Swap) -> None:
         rate = self.configuration.rate(swap.new)
-        timeout = PROBATION + (10 / rate if rate else 0.0)
+        timeout = PROBATION + (10 / rate * self._stretch(swap.old.instance) if rate else 0.0)
         await_write = commands.AwaitWriteCommand(port=swap.new.port, topic=self._topic(swap), timeout=timeout)
         seen = await self.client.read(swap.new.instance, await_write)
         if seen.wrong_type:
             raise StepFailed(f"{swap.new} wrote a message of the wrong type behind its gate: {seen.wrong_type}")
         if not seen.gated:
-            waiting = (await self.client.peek(swap.new.instance)).waiting
-            because = "" if waiting is None else f": {waiting}"
+            because = await self._waits_for(swap.new.instance)
             raise StepFailed(f"{swap.new} has written nothing within {timeout:g} s, so it cannot take over{because}")
+
+    def _stretch(self, instance: str) -> float:
+        latest = self.client.latest(instance)
+        return stretch(None if latest is None else latest.state)
+
+    async def _waits_for(self, instance: str) -> str:
+        """What the component waits for, if anything, as the end of a sentence."""
+        with contextlib.suppress(MidstrideError):
+            if (waiting := (await self.client.peek(instance)).waiting) is not None:
+                return f": {waiting}"
+        return ""
 
     async def _meet(self, new: str, old: str) -> None:
         """Have the new side connect to the old one.
@@ -249,7 +261,8 @@ class LiveHandover:
                 self.client.read(cut.new, await_cut), self.client.read(cut.old, await_cut)
             )
             if incoming.outcome != "done" and not any(incoming.first.values()):
-                raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues")
+                because = await self._waits_for(cut.new)
+                raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues{because}")
             if incoming.outcome != "done" or outgoing.outcome != "done":
                 raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published")
             for swap in cut.swaps:
@@ -258,7 +271,8 @@ class LiveHandover:
         return last
 
     def _await_cut(self, cut: Cut) -> commands.AwaitCutCommand:
-        return commands.AwaitCutCommand(cut=cut.id, timeout=LEADS[-1] + cut.resume_after() + 2.0)
+        timeout = LEADS[-1] + cut.resume_after() * self._stretch(cut.old) + 2.0
+        return commands.AwaitCutCommand(cut=cut.id, timeout=timeout)
 
     async def _cancel(self, cuts: Iterable[Cut]) -> None:
         for cut in cuts:

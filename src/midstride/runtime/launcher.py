@@ -22,6 +22,7 @@ from midstride.errors import (
 from midstride.model.configuration import Instance
 from midstride.runtime.backend import Backend, Exited, Handle, Launch
 from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.process import end_orphans
 from midstride.runtime.registration import mismatches, unexpected_endpoints
 from midstride.runtime.timeouts import within
@@ -47,10 +48,13 @@ class Launcher:
     The back end's exit events are passed to :meth:`exited`.
     """
 
-    def __init__(self, backend: Backend, client: ComponentClient, directory: Path) -> None:
+    def __init__(
+        self, backend: Backend, client: ComponentClient, directory: Path, options: SystemOptions = NO_OPTIONS
+    ) -> None:
         self._backend = backend
         self._client = client
         self._directory = directory
+        self._options = options
         self._starting: dict[str, asyncio.Future[tuple[Greeting, Registration]]] = {}
         self._exits: dict[str, asyncio.Future[Exited]] = {}
         self._graces: dict[str, float] = {}
@@ -91,7 +95,8 @@ class Launcher:
             if not arguments:
                 raise StartFailed(f"{name}: component {instance.component.name} has an empty `run` command")
             namespace = instance.role.rpartition("/")[0]
-            parameters: dict[str, object] = dict(instance.parameters)
+            parameters: dict[str, object] = {"use_sim_time": True} if self._options.use_sim_time else {}
+            parameters.update(instance.parameters)
             token, directory = self._client.token, self._directory
             launch = Launch(name, namespace, arguments, token, directory, parameters, set_values)
             self.handles[name] = await self._backend.start(launch)

@@ -37,6 +37,7 @@ from midstride.runtime.events import EventLog, counted
 from midstride.runtime.executor import Executor
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import observe
+from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.runtime.reconciler import Reconciler
 from midstride.runtime.recovery import recover
 from midstride.runtime.reports import (
@@ -68,6 +69,7 @@ class Manager:
         workspace: Workspace,
         directory: Path,
         verifier: Verifier | None = None,
+        options: SystemOptions = NO_OPTIONS,
     ) -> None:
         self.system = RunningSystem(specification, Configuration(context=specification.context))
         self.events = EventLog()
@@ -78,7 +80,8 @@ class Manager:
         self._since = 0.0  # when it started (steady s)
         self._store = StateStore(workspace.state, lambda words: self.events.add("note", words))
         self._client = ComponentClient(backend.transport, backend.clock, secrets.token_hex(16))
-        self._launcher = Launcher(backend, self._client, directory)
+        self._options = options
+        self._launcher = Launcher(backend, self._client, directory, options)
         self._monitor = SilenceMonitor(self._client, backend.clock, self.events, self._launcher.ending)
         self._reconciler = Reconciler(
             self.system,
@@ -152,7 +155,7 @@ class Manager:
         parameters = of_change(change, self.system.values.by_role(self.configuration))
         plan = replace(await asyncio.to_thread(planner("minimal"), change), parameters=parameters)
         # Before any component has the token.
-        self._store.begin(self._backend.name, self._client.token, self.specification)
+        self._store.begin(self._backend.name, self._client.token, self.specification, self._options)
         if plan.steps:
             outcome = await self._session.carry_out(plan, self.specification)
             if outcome.outcome != "done":
@@ -219,7 +222,7 @@ class Manager:
         if self._current is not None:
             running = RunningCommand(self._current, round(self._backend.clock.steady() - self._since, 3))
         return status.status(
-            self.system, self._client, self._monitor, self._launcher, self._backend.name, running, self._store.unwritten
+            self.system, self._client, self._monitor, self._launcher, self._backend, running, self._store.unwritten
         )
 
     async def live(self) -> LiveConfiguration:

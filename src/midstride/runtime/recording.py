@@ -18,6 +18,7 @@ from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.measure import WINDOW_PERIODS, Observation, SwapReport, report, unknown_report
 from midstride.runtime.reports import SilenceFault
 from midstride.runtime.silence import UNRECEIVED, not_receiving
+from midstride.runtime.simulated_time import report_on_ros_clock, stretch
 from midstride.wire.commands import GridCommand, RecordCommand, Records, RecordsCommand
 
 _PortOnTopic: TypeAlias = tuple[PortRef, str]
@@ -136,7 +137,9 @@ class Recording:
         if not self.recorded:
             return self.unknown
         periods = [each.observation.guaranteed_period for each in self.recorded]
-        tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period for period in periods]
+        latest = [self.client.latest(each.input.instance) for each in self.recorded]
+        factor = max(stretch(None if known is None else known.state) for known in latest)
+        tails = [TAIL_WITHOUT_RATE if period is None else WINDOW_PERIODS * period * factor for period in periods]
         begun, before, after = self.clock.steady(), dict[_PortOnTopic, int](), dict[_PortOnTopic, int]()
         records: dict[PortRef, Records] = {}
         try:
@@ -161,7 +164,10 @@ class Recording:
             sources = None if driving is None else [row.source for row in driving.rows if row.source is not None]
             last = last_numbers.get(old)
             seen = replace(seen, rows=found.rows, ended=found.now, last_number=last, inputs=sources, resumed=resumed)
-            reports.append(report(seen))
+            if found.moments is None:
+                reports.append(report(seen))
+            else:
+                reports.append(report_on_ros_clock(seen, found.moments, ros_sources=found.ros_sources))
             attachment = old, seen.topic
             published = after.get(attachment, 0) - before.get(attachment, after.get(attachment, 0))
             if published >= UNRECEIVED and not any(row.received > found.now - watched * 1e9 for row in found.rows):

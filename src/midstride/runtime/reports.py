@@ -16,6 +16,7 @@ from midstride.codec.parameter import Value
 from midstride.plan.forms import PlanForm, PlanPreview
 from midstride.plan.runtime_values import RuntimeValue
 from midstride.plan.step_forms import AnyStep
+from midstride.runtime.backend import Middleware
 from midstride.runtime.measure import SwapReport
 from midstride.verify.verdict import Verdict
 
@@ -134,6 +135,11 @@ class ComponentStatus(Report, frozen=True, kw_only=True):
     functionalities: list[FunctionalityStatus]
     attachments: list[AttachmentStatus]
     parameters: Annotated[list[ParameterStatus], Meta(description="none where it does not answer")] = []
+    simulated_time: Annotated[bool, Meta(description="/clock drives its ROS clock")] = False
+    run: Annotated[str | None, Meta(description="the command it was started with; null: it was started elsewhere")] = (
+        None
+    )
+    log_file: str | None = None
 
 
 class CrashedInstance(Report, frozen=True):
@@ -174,6 +180,7 @@ class Status(Report, frozen=True, kw_only=True):
     revision: int
     running: RunningCommand | None
     unwritten: Annotated[str | None, Meta(description="why the state could not be written to disk")]
+    middleware: Middleware
 
 
 class LiveConfiguration(Report, frozen=True):

@@ -17,6 +17,7 @@ from midstride.runtime.clock import Clock
 from midstride.runtime.component_client import SILENCE, ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.reports import SilenceFault, SilenceKind
+from midstride.runtime.simulated_time import stretch
 from midstride.wire.state import ComponentState, LinkState
 
 # How long a port may be silent before that is a fault (s); for an output, also how many of its periods.
@@ -83,8 +84,8 @@ class SilenceMonitor:
         for (topic, port), link in current.items():
             links = self._links.setdefault(topic, {})
             known = links.get(port)
-            # Simulated time may stand still: what is published on it is not judged.
-            free = fresh or (state.simulated_time and link.gate is not None)
+            # While simulated time stands still, nothing is due on it.
+            free = fresh or (state.clock_speed == 0 and link.gate is not None)
             if known is None or free or (known.state.gate, known.state.count) != (link.gate, link.count):
                 links[port] = _Link(link, now)
                 if known is not None and not fresh and link.gate is not None:
@@ -149,7 +150,7 @@ class SilenceMonitor:
         if reported.mode != configuration.mode(ref).name:
             return  # a mode that has just been left guarantees nothing
         seconds = min(self.clock.steady() - since, reported.since)
-        if rate and seconds > max(PORT_SILENCE, SILENT_PERIODS / rate):
+        if rate and seconds > stretch(state) * max(PORT_SILENCE, SILENT_PERIODS / rate):
             words = f"{port} publishes nothing on {topic}, although mode {reported.mode} guarantees {rate:g} Hz"
             yield _port_fault("not_publishing", port, topic, seconds, words)
 

@@ -25,6 +25,7 @@ from midstride.errors import ManagerError, MidstrideError
 from midstride.model.configuration import Instance
 from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
+from midstride.runtime.options import NO_OPTIONS, SystemOptions
 from midstride.wire.folders import COMPONENTS
 
 # The form of the database; a manager of another version refuses it.
@@ -60,6 +61,7 @@ class SavedState:
     token: str
     specification: Specification
     instances: tuple[SavedInstance, ...]
+    options: SystemOptions = NO_OPTIONS
     values: dict[str, dict[str, Any]] = field(default_factory=dict)
 
 
@@ -96,6 +98,7 @@ class StateStore:
                 system["token"],
                 decode_specification(_assembled(parts)),
                 tuple(_instance(form, handle) for form, handle in rows),
+                msgspec.json.decode(system.get("options", "{}"), type=SystemOptions),
                 {
                     key.removeprefix(_VALUES): msgspec.json.decode(value, type=dict[str, Any])
                     for key, value in system.items()
@@ -121,9 +124,12 @@ class StateStore:
 
     # -- writing -----------------------------------------------------------------------------------
 
-    def begin(self, backend: str, token: str, specification: Specification) -> None:
+    def begin(
+        self, backend: str, token: str, specification: Specification, options: SystemOptions = NO_OPTIONS
+    ) -> None:
         """The system is being brought up or recovered."""
-        self._put("version", str(VERSION), "backend", backend, "token", token)
+        kept = msgspec.json.encode(options).decode()
+        self._put("version", str(VERSION), "backend", backend, "token", token, "options", kept)
         self._specification = Specification("")
         # At once: half a specification could not be read.
         self._write({"specification": ("DELETE FROM specification", ()), **self._parts(specification)})

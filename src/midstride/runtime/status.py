@@ -7,6 +7,7 @@ from midstride.model.component import FunctionalityRef, PortRef
 from midstride.model.configuration import Configuration, Instance
 from midstride.model.rules import Evaluator, violations
 from midstride.runtime import reports
+from midstride.runtime.backend import Backend
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.launcher import Launcher
 from midstride.runtime.running_system import RunningSystem
@@ -19,7 +20,7 @@ def status(
     client: ComponentClient,
     monitor: SilenceMonitor,
     launcher: Launcher,
-    backend: str,
+    backend: Backend,
     running: reports.RunningCommand | None,
     unwritten: str | None,
 ) -> reports.Status:
@@ -51,17 +52,19 @@ def status(
             for name in sorted(configuration.context.connectors)
         ],
         system=system.specification.name,
-        backend=backend,
+        backend=backend.name,
         revision=system.revision,
         running=running,
         unwritten=unwritten,
+        middleware=backend.middleware(),
     )
 
 
 def _component(
     configuration: Configuration, instance: Instance, state: ComponentState | None, launcher: Launcher
 ) -> reports.ComponentStatus:
-    process = state or launcher.handles.get(instance.name)
+    handle = launcher.handles.get(instance.name)
+    process = state or handle
     reported = {} if state is None else state.functionalities
     functionalities = [
         _functionality(configuration, ref, reported.get(ref.functionality)) for ref in instance.functionality_refs()
@@ -81,6 +84,9 @@ def _component(
             reports.AttachmentStatus(str(port), connector, _gate(state, port, configuration.topic(connector)))
             for port, connector in configuration.attached_ports(instance.name)
         ],
+        simulated_time=state is not None and state.simulated_time,
+        run=instance.component.run,
+        log_file=None if handle is None else handle.log,
     )
 
 

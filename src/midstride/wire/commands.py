@@ -22,6 +22,11 @@ Seconds: TypeAlias = Annotated[float, msgspec.Meta(ge=0)]
 Kind: TypeAlias = Literal["reading", "changing", "between"]
 Trigger: TypeAlias = Literal["rate", "message", "none"]
 CutOutcome: TypeAlias = Literal["waiting", "done", "resumed", "cancelled"]
+# On which clock a cut is agreed: that of time grids, or that of messages' times of publication. They differ where
+# ``/clock`` drives the ROS clock.
+CutClock: TypeAlias = Literal["ros", "message"]
+# A moment of the steady clock, and what the ROS clock then showed (ns).
+ClockMoment: TypeAlias = tuple[int, int]
 
 # -- replies -----------------------------------------------------------------------------------------
 
@@ -31,13 +36,16 @@ class Done(WireValue, frozen=True, kw_only=True):
 
 
 class Grid(WireValue, frozen=True, kw_only=True):
-    """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``; ``now`` is the ROS clock.
+    """The time grid of the mode that drives an output: slot n is at ``epoch + n * period``.
 
-    ``readers`` is the number of matched subscriptions on the topic asked about.
+    ``now`` is on the clock on which a cut of that output is agreed: ``clock``, which gains ``speed`` seconds in each
+    second. ``readers`` is the number of matched subscriptions on the topic asked about.
     """
 
     trigger: Trigger
     now: int
+    clock: CutClock = "ros"
+    speed: float = 1.0
     epoch: int | None = None
     period: float | None = None
     readers: int | None = None
@@ -53,11 +61,17 @@ class Receipt(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Records(WireValue, frozen=True, kw_only=True):
-    """What an input has recorded. ``now`` is the steady clock (ns)."""
+    """What an input has recorded. ``now`` is the steady clock (ns).
+
+    ``moments``: how the ROS clock has moved meanwhile, where ``/clock`` drives it; else None. ``ros_sources``: times of
+    publication are on that clock.
+    """
 
     rows: list[Receipt]
     publisher_identity: bool
     now: int
+    moments: list[ClockMoment] | None = None
+    ros_sources: bool = False
 
 
 class ExportedState(WireValue, frozen=True, kw_only=True):
@@ -284,13 +298,14 @@ class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     """The old side: write up to ``at``, then close the gates.
 
     It writes again if the new side has not reported its first write within ``resume_after`` seconds after ``at``; where
-    messages drive the output, after the first input newer than ``at``.
+    messages drive the output, after the first input newer than ``at``. Both are on ``clock``.
     """
 
     cut: str
     swaps: list[CutSwap]
     at: int
     resume_after: Seconds
+    clock: CutClock = "ros"
 
 
 class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
@@ -305,6 +320,7 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     peer: str
     address: str
     epoch: int | None = None
+    clock: CutClock = "ros"
 
 
 class CancelCutCommand(Command[Done], frozen=True, kw_only=True, tag="cancel_cut"):

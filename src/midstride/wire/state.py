@@ -40,7 +40,8 @@ class LinkState(WireValue, frozen=True, kw_only=True):
 class ComponentState(WireValue, frozen=True, kw_only=True):
     """``revision`` counts the component's changes. ``waiting``: what it waits for, if anything.
 
-    ``simulated_time``: its ROS clock follows ``/clock``. ``stopping`` is how long it may take to end in order (s).
+    ``simulated_time``: its ROS clock follows ``/clock``, and gains ``clock_speed`` seconds in each second (0: it stands
+    still, or that is not known yet). ``stopping`` is how long it may take to end in order (s).
     ``ports`` maps port -> topic -> attachment. ``declared`` has the parameters that were set while it ran, each with
     the value that it was started with.
     """
@@ -55,6 +56,7 @@ class ComponentState(WireValue, frozen=True, kw_only=True):
     stopping: float
     waiting: str | None = None
     simulated_time: bool = False
+    clock_speed: float = 1.0
     declared: dict[str, Any] = msgspec.field(default_factory=dict)
 
     def set_values(self) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from midstride.backends import processes
 from midstride.backends.ros1 import launching, master_process, names
 from midstride.backends.ros1.master import Master
 from midstride.errors import BackendError, StartFailed, Unreachable
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
@@ -124,6 +124,13 @@ class Ros1Backend(processes.ProcessBackend):
             async with within(_TIDY):
                 await self._opened().forget(node)
                 self._dead.discard(node)
+
+    def middleware(self) -> Middleware:
+        variables = (launching.MASTER_URI, "ROS_HOSTNAME", "ROS_IP")
+        kept = {name: value for name in variables if (value := os.environ.get(name))}
+        given = launching.environment(os.environ, launching.master_uri(os.environ))
+        added = {name: given[name] for name in variables if name in given and name not in kept}
+        return Middleware(name="TCPROS", set=added, kept=kept)
 
     async def endpoints(self) -> Endpoints:
         state = await self._opened().state()

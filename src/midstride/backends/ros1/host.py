@@ -31,6 +31,7 @@ from midstride.backends.ros1.subscribing import FramedTopic, PortSubscription
 from midstride.backends.ros1.timers import Ros1GridTimer, RosClock
 from midstride.errors import BackendError, NodeError
 from midstride.model.contract import QoS
+from midstride.node.clock_history import ClockHistory
 from midstride.node.host import MessageInfo
 from midstride.wire.environment import ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
@@ -78,6 +79,8 @@ class Ros1Host:
         self._ended = threading.Event()
         self._shut_down_because = ""
         self.simulated_time = False
+        self.clock_history = ClockHistory()
+        self.publishes_ros_time = True
         self.now: Callable[[], int] = time.time_ns  # until rospy knows whether the clock is simulated
         self.steady: Callable[[], int] = time.monotonic_ns
         self.read_info: Callable[[Any], MessageInfo] = subscribing.read_info
@@ -94,6 +97,9 @@ class Ros1Host:
                 f"a node {self._node} is running already; end it, or give this one another name "
                 "(the master would end the first of two of one name)"
             )
+
+    def message_now(self) -> int:
+        return self.now()
 
     # -- data thread ---------------------------------------------------------------------------------
 
@@ -176,6 +182,7 @@ class Ros1Host:
         self._node = rospy.get_name()
         self._clock = RosClock(self._data)
         self.now, self.simulated_time = self._clock.now, self._clock.simulated
+        self.clock_history = self._clock.history
         common.with_short_pauses()
 
     def _open(self, main: asyncio.Future[None]) -> None:

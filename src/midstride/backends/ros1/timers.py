@@ -9,6 +9,7 @@ from collections.abc import Awaitable, Callable
 import rospy
 
 from midstride.backends.ros1.data_thread import DataThread
+from midstride.node.clock_history import ClockHistory
 
 # A clock that was set back may wake a timer before its slot: if by more than this (ns), it sleeps again.
 _EARLY = 200_000
@@ -21,6 +22,7 @@ class RosClock:
         self.data = data
         self.simulated = not rospy.rostime.is_wallclock()
         self.now: Callable[[], int] = time.time_ns
+        self.history = ClockHistory()
         self._waiting: dict[object, tuple[int, Callable[[], None]]] = {}
         if self.simulated:
             self.now = lambda: int(rospy.get_rostime().to_nsec())
@@ -40,6 +42,8 @@ class RosClock:
 
     def _tick(self) -> None:
         now = self.now()
+        if now:
+            self.history.add(time.monotonic_ns(), now)
         for key, (when, function) in sorted(self._waiting.items(), key=lambda item: item[1][0]):
             if 0 < now >= when and self._waiting.pop(key, None) is not None:
                 function()

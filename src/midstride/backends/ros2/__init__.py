@@ -34,9 +34,11 @@ def create_host(name: str, namespace: str) -> Host:
     return Ros2Host(name, namespace)
 
 
-def create_backend(control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> Backend:
-    """See :class:`..processes.ProcessBackend`. Raises BackendError without ROS 2."""
+def create_backend(
+    control: Path, *, logs: Path | None = None, guardian: Reaper | None = None, middleware_settings: bool = True
+) -> Backend:
+    """See :class:`..processes.ProcessBackend` and :mod:`.dds_profiles`. Raises BackendError without ROS 2."""
     _require_rclpy()
     from midstride.backends.ros2.backend import Ros2Backend
 
-    return Ros2Backend(control, logs=logs, guardian=guardian)
+    return Ros2Backend(control, logs=logs, guardian=guardian, middleware_settings=middleware_settings)

@@ -27,7 +27,7 @@ from midstride.backends.processes import ProcessBackend
 from midstride.backends.ros2 import dds_profiles, launching, names
 from midstride.backends.ros2.graph import Graph
 from midstride.errors import BackendError, StartFailed, Unreachable
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.process import Process
 from midstride.runtime.reaper import Reaper
 from midstride.runtime.timeouts import within
@@ -43,8 +43,16 @@ log = logging.getLogger(__name__)
 class Ros2Backend(ProcessBackend):
     name = "ros2"
 
-    def __init__(self, control: Path, *, logs: Path | None = None, guardian: Reaper | None = None) -> None:
+    def __init__(
+        self,
+        control: Path,
+        *,
+        logs: Path | None = None,
+        guardian: Reaper | None = None,
+        middleware_settings: bool = True,
+    ) -> None:
         super().__init__(control, logs, guardian)
+        self._set_middleware = middleware_settings
         self.settings = dds_profiles.DdsSettings("")
         self.warnings: list[str] = []
         self._opened = 0.0
@@ -54,7 +62,7 @@ class Ros2Backend(ProcessBackend):
         self._on_exit = on_exit
         context = Context()
         try:
-            self.settings = dds_profiles.of_this_process()
+            self.settings = dds_profiles.of_this_process(enabled=self._set_middleware)
             with dds_profiles.applied_profile(self.settings) as self.warnings:
                 rclpy.init(args=[], context=context, signal_handler_options=SignalHandlerOptions.NO)
                 self._node = Node(
@@ -122,6 +130,9 @@ class Ros2Backend(ProcessBackend):
     def disconnected(self, instance: str) -> None:
         if self._context is not None:
             self._graph.forget(names.full(instance))
+
+    def middleware(self) -> Middleware:
+        return self.settings.described(os.environ, self.warnings)
 
     async def endpoints(self) -> Endpoints:
         return self._joined().endpoints()

@@ -19,11 +19,13 @@ from __future__ import annotations
 
 import ctypes
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
+
+from midstride.runtime.backend import Middleware
 
 PROFILES: Final = Path(__file__).parent / "profiles"
 TRANSPORTS: Final = "FASTDDS_BUILTIN_TRANSPORTS"
@@ -34,6 +36,19 @@ PROFILE_VARIABLES: Final = {3: "FASTDDS_DEFAULT_PROFILES_FILE", 2: "FASTRTPS_DEF
 _LIBRARIES: Final = {3: "libfastdds.so", 2: "libfastrtps.so"}
 _FAST_DDS: Final = frozenset({"rmw_fastrtps_cpp", "rmw_fastrtps_dynamic_cpp"})
 _IN_OPEN: Final = 0x20  # inotify: the file was opened
+
+# What ROS 2 and its middlewares read of a user's settings.
+USER_VARIABLES: Final = (
+    "RMW_IMPLEMENTATION",
+    *PROFILE_VARIABLES.values(),
+    TRANSPORTS,
+    RANGE,
+    "ROS_STATIC_PEERS",
+    "ROS_LOCALHOST_ONLY",
+    "ROS_DISCOVERY_SERVER",
+    "CYCLONEDDS_URI",
+    "ZENOH_SESSION_CONFIG_URI",
+)
 
 # The profiles that this process has read: Fast DDS keeps the first one, and so it is remembered here.
 _read: set[str] = set()
@@ -46,6 +61,13 @@ class DdsSettings:
     middleware: str
     variables: Mapping[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+
+    def described(self, environment: Mapping[str, str], notes: Iterable[str]) -> Middleware:
+        """What is set, and what the user has set in ``environment`` and is left."""
+        kept = {
+            name: value for name in USER_VARIABLES if (value := environment.get(name)) and name not in self.variables
+        }
+        return Middleware(name=self.middleware, set=dict(self.variables), kept=kept, notes=list(notes))
 
     @property
     def profile(self) -> str | None:
@@ -82,11 +104,16 @@ def _on_this_host_alone(environment: Mapping[str, str]) -> bool:
     return environment.get(RANGE, "").upper() == "LOCALHOST"
 
 
-def of_this_process() -> DdsSettings:
-    """What to set for this process and those it starts. Imports rclpy, which loads the middleware."""
+def of_this_process(*, enabled: bool = True) -> DdsSettings:
+    """What to set for this process and those it starts. Imports rclpy, which loads the middleware.
+
+    Nothing where that is not ``enabled``.
+    """
     from rclpy.utilities import get_rmw_implementation_identifier
 
     middleware = str(get_rmw_implementation_identifier())
+    if not enabled:
+        return DdsSettings(middleware, warnings=("discovery and transports: switched off (--no-middleware-settings)",))
     return choose(os.environ, middleware, loaded_major())
 
 

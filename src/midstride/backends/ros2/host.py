@@ -15,7 +15,8 @@ from collections.abc import Awaitable, Callable, Coroutine
 from typing import Any, Final, TypeVar
 
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.clock import JumpThreshold
+from rclpy.clock import ClockChange, JumpThreshold
+from rclpy.duration import Duration
 from rclpy.logging import get_logger
 from rclpy.task import Future
 
@@ -26,6 +27,7 @@ from midstride.backends.ros2.parameter_services import parameters_of
 from midstride.backends.ros2.timers import Ros2GridTimer
 from midstride.model.contract import QoS
 from midstride.node import process_context
+from midstride.node.clock_history import ClockHistory
 from midstride.node.host import MessageInfo, NodeParameters
 from midstride.wire.environment import ENV_TOKEN
 from midstride.wire.state import ComponentState, Endpoint
@@ -59,6 +61,9 @@ class Ros2Host:
         self._early: list[Callable[[], None]] = []
         self._post: Callable[[Callable[[], None]], object] = self._early.append
         self.steady: Callable[[], int] = time.monotonic_ns
+        self.message_now: Callable[[], int] = time.time_ns  # the middleware stamps with the system's clock
+        self.publishes_ros_time = False
+        self.clock_history = ClockHistory()
         self.read_info: Callable[[Any], MessageInfo] = endpoints.read_info
 
     # -- time ----------------------------------------------------------------------------------------
@@ -67,8 +72,13 @@ class Ros2Host:
         # Without a simulation the ROS clock is the system's, and asking Python for that is cheaper by far.
         return int(self._clock.now().nanoseconds) if self.simulated_time else time.time_ns()
 
-    def _clock_changed(self, jump: Any) -> None:
-        self.simulated_time = bool(self._clock.ros_time_is_active)
+    def _clock_moved(self, jump: Any) -> None:
+        """``/clock`` has moved the ROS clock, or begun or ceased to drive it."""
+        if jump.clock_change in (ClockChange.ROS_TIME_ACTIVATED, ClockChange.ROS_TIME_DEACTIVATED):
+            self.simulated_time = bool(self._clock.ros_time_is_active)
+            self.clock_history.clear()
+        elif self.simulated_time:
+            self.clock_history.add(self.steady(), self.now())
 
     # -- data thread -----------------------------------------------------------------------------------
 
@@ -185,9 +195,10 @@ class Ros2Host:
         self.parameters: NodeParameters = node_parameters.Ros2NodeParameters(self.ros_node, self._given)
         self._clock = self.ros_node.get_clock()
         self.simulated_time = bool(self._clock.ros_time_is_active)
-        self._clock_changes = self._clock.create_jump_callback(
-            JumpThreshold(min_forward=None, min_backward=None, on_clock_change=True), post_callback=self._clock_changed
+        any_move = JumpThreshold(
+            min_forward=Duration(nanoseconds=1), min_backward=Duration(nanoseconds=-1), on_clock_change=True
         )
+        self._clock_changes = self._clock.create_jump_callback(any_move, post_callback=self._clock_moved)
         self.logger = self.ros_node.get_logger()
         self._nodes = nodes
         return nodes

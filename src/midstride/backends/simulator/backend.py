@@ -5,8 +5,10 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Coroutine
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from midstride.backends import naming
 from midstride.backends.simulator import loop as virtual
 from midstride.backends.simulator import messages
 from midstride.backends.simulator.clock import SimulatedClock
@@ -18,7 +20,7 @@ from midstride.backends.simulator.network import Network
 from midstride.backends.simulator.process import SimulatedProcess
 from midstride.errors import BackendError, StartFailed
 from midstride.node.host import Host
-from midstride.runtime.backend import Endpoints, Exited, Handle, Launch
+from midstride.runtime.backend import Endpoints, Exited, Handle, Launch, Middleware
 from midstride.runtime.clock import Clock
 from midstride.wire.state import ComponentState
 from midstride.wire.transport import Transport
@@ -36,7 +38,7 @@ class Simulator:
 
     ``Simulator().run(main())`` runs a coroutine in virtual time and shuts the simulator down after it. On any other
     asyncio loop the simulator runs in real time; call :meth:`shutdown` at the end. All times are in seconds; the same
-    ``seed`` gives the same run.
+    ``seed`` gives the same run. ``logs``: the folder for the output of the components, each in a file of its own.
     """
 
     name = "sim"
@@ -49,6 +51,7 @@ class Simulator:
         discovery: float = 0.002,
         starting: float = 0.05,
         seed: int = 0,
+        logs: Path | None = None,
     ) -> None:
         if latency <= 0 or discovery <= 0 or jitter < 0 or starting < 0:
             raise BackendError("latency and discovery must be greater than 0, and jitter and starting not negative")
@@ -60,6 +63,7 @@ class Simulator:
         self.control = SimulatedControl(self.time, latency, self.faults)
         self.transport: Transport = self.control
         self._starting = starting
+        self._logs = logs
         self._on_exit: Callable[[Exited], None] = lambda exited: None
         self._patches = ExitStack()
         self._active = False
@@ -104,11 +108,13 @@ class Simulator:
         if launch.instance in self.processes:
             raise StartFailed(f"a component named {launch.instance} is running already")
         self._pids += 1
-        process = SimulatedProcess(launch, self._pids, self.time, self._host, self._exited)
+        name = naming.full(launch.instance, launch.namespace).strip("/").replace("/", ".")
+        log = None if self._logs is None else self._logs / f"{name}.log"
+        process = SimulatedProcess(launch, self._pids, self.time, self._host, self._exited, log)
         self.processes[launch.instance] = process
         self.time.loop.call_later(self._starting, process.resume)
         # No pid: it is not a process of this machine, and must not be sent a signal.
-        return Handle(launch.instance, None, self.time.steady(), None)
+        return Handle(launch.instance, None, self.time.steady(), None if log is None else str(log))
 
     async def adopt(self, handle: Handle) -> bool:
         return handle.instance in self.processes
@@ -126,6 +132,9 @@ class Simulator:
 
     def disconnected(self, instance: str) -> None:
         pass  # it has left the simulated graph
+
+    def middleware(self) -> Middleware:
+        return Middleware(name="none: messages stay in the manager's process")
 
     async def endpoints(self) -> Endpoints:
         topics = self.network.topics.items()

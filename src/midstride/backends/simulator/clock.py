@@ -1,22 +1,37 @@
-"""The simulator's two clocks, which are the loop's and so jump with it where it is virtual; and timers on them."""
+"""The simulator's clocks, which are the loop's and so jump with it where it is virtual; and timers on them."""
 
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Final
 
+from midstride.node.clock_history import ClockHistory
+
 # What the ROS clock reads at 0 of the steady one (ns): any time but 0, which would mean "no clock yet".
 EPOCH: Final = 1_000_000_000_000_000_000
+# How often a ROS clock that `/clock` drives is recorded (s).
+CLOCK_INTERVAL: Final = 0.01
 
 
 class SimulatedClock:
-    """A :class:`midstride.runtime.clock.Clock`. It does not advance until the simulator runs on a loop."""
+    """A :class:`midstride.runtime.clock.Clock`. It does not advance until the simulator runs on a loop.
+
+    The ROS clock is the system's, until :meth:`drive` has ``/clock`` drive it.
+    """
 
     def __init__(self) -> None:
         self._loop: asyncio.AbstractEventLoop | None = None
         self._zero = 0.0
+        self.driven = False
+        self.history = ClockHistory()
+        self.timers: set[SimulatedTimer] = set()
+        # Where `/clock` drives it: what it read at a moment of the steady clock (ns), and its speed since.
+        self._since = self._base = 0
+        self._speed = 1.0
+        self._recording: asyncio.TimerHandle | None = None
 
     def follow(self, loop: asyncio.AbstractEventLoop) -> None:
         """Follow ``loop`` from now on, starting at 0."""
@@ -34,12 +49,39 @@ class SimulatedClock:
     def steady_ns(self) -> int:
         return round(self.steady() * 1e9)
 
-    def ros_now(self) -> int:
+    def system_now(self) -> int:
         return EPOCH + self.steady_ns()
 
+    def ros_now(self) -> int:
+        if not self.driven:
+            return self.system_now()
+        return self._base + round((self.steady_ns() - self._since) * self._speed)
+
+    def drive(self, speed: float, at: int | None = None) -> None:
+        """Have ``/clock`` drive the ROS clock of every component, at ``speed`` from now on (0: it stands still).
+
+        It continues at ``at`` (ns), by default at what it shows now.
+        """
+        now = self.ros_now() if at is None else at
+        self.driven, self._base, self._since, self._speed = True, now, self.steady_ns(), speed
+        for timer in list(self.timers):
+            timer.clock_changed()
+        if self._recording is not None:
+            self._recording.cancel()
+        self._record()
+
+    def _record(self) -> None:
+        self.history.add(self.steady_ns(), self.ros_now())
+        self._recording = self.loop.call_later(CLOCK_INTERVAL, self._record)
+
     def loop_time(self, ros: int) -> float:
-        """When on the loop's clock the ROS clock reads ``ros``."""
-        return self._zero + (ros - EPOCH) / 1e9
+        """When on the loop's clock the ROS clock reads ``ros``; infinite where it stands still before that."""
+        if not self.driven:
+            return self._zero + (ros - EPOCH) / 1e9
+        left = ros - self.ros_now()
+        if left > 0 and self._speed == 0:
+            return math.inf
+        return self.loop.time() + max(0.0, left / 1e9 / (self._speed or 1.0))
 
     def idle(self) -> float:
         return 0.0  # that of this machine would make runs differ
@@ -69,6 +111,7 @@ class SimulatedTimer:
         self._cancelled = False
         self._handle: asyncio.TimerHandle | None = None
         self._due = clock.ros_now() if epoch is None else self._next(epoch, clock.ros_now())
+        clock.timers.add(self)
         self._arm()
 
     def regrid(self, epoch: int) -> None:
@@ -77,8 +120,16 @@ class SimulatedTimer:
 
     def cancel(self) -> None:
         self._cancelled = True
+        self._clock.timers.discard(self)
         if self._handle is not None:
             self._handle.cancel()
+
+    def clock_changed(self) -> None:
+        """The clock runs at another speed; where it jumped back, as rcl does: the next slot comes within a period."""
+        now = self._clock.ros_now()
+        if self._due - now > self._period:
+            self._due = self._next(self._due, now)
+        self._arm()
 
     def _next(self, epoch: int, after: int) -> int:
         """The first slot of the grid later than ``after``."""
@@ -87,8 +138,9 @@ class SimulatedTimer:
     def _arm(self) -> None:
         if self._handle is not None:
             self._handle.cancel()
-        call = partial(self._call, self._due)
-        self._handle = self._clock.loop.call_at(self._clock.loop_time(self._due), self._enqueue, call)
+            self._handle = None
+        if math.isfinite(at := self._clock.loop_time(self._due)):
+            self._handle = self._clock.loop.call_at(at, self._enqueue, partial(self._call, self._due))
 
     def _call(self, slot: int) -> None:
         if self._cancelled or slot != self._due:  # cancelled, or put on another grid, while it waited its turn

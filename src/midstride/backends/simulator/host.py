@@ -36,7 +36,7 @@ class SimulatedHost:
     """Implements :class:`midstride.node.host.Host`."""
 
     ros_node = None
-    simulated_time = False
+    publishes_ros_time = False
     reachable = "in this simulation"
 
     def __init__(self, process: SimulatedProcess, instance: str, network: Network, transport: Transport) -> None:
@@ -44,6 +44,8 @@ class SimulatedHost:
         self.transport: Transport | None = transport
         self.parameters: NodeParameters = KeptParameters()
         self.now = process.clock.ros_now
+        self.message_now = process.clock.system_now
+        self.clock_history = process.clock.history
         self.steady = process.clock.steady_ns
         self.logger = logging.Logger(instance)
         self._process = process
@@ -52,6 +54,10 @@ class SimulatedHost:
         handler = logging.StreamHandler(process.log)
         handler.setFormatter(logging.Formatter("[%(levelname)s] [%(name)s]: %(message)s"))
         self.logger.addHandler(handler)
+
+    @property
+    def simulated_time(self) -> bool:
+        return self._clock.driven
 
     # -- data thread -----------------------------------------------------------------------------
 

@@ -169,7 +169,7 @@ class Network:
         if writer not in topic.writers:
             return  # destroyed, or its process is gone
         writer.number += 1
-        info = (self.clock.ros_now(), writer.number, writer.identity)
+        info = (self.clock.system_now(), writer.number, writer.identity)
         if writer.qos.is_transient_local:
             writer.history.append((copy.deepcopy(message), info))
         if topic.dropping:

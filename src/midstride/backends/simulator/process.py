@@ -6,6 +6,7 @@ import asyncio
 import contextvars
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 
 from midstride.backends import naming
 from midstride.backends.simulator.clock import SimulatedClock
@@ -21,7 +22,7 @@ from midstride.wire.state import ComponentState
 class SimulatedProcess:
     """Runs ``launch``. ``on_exit(process)`` is called once, when it has ended; ``status`` is then its exit status.
 
-    ``host`` makes the component's host, given the name of the instance.
+    ``log`` is the file that gets its output, too. ``host`` makes the component's host, given the name of the instance.
     """
 
     def __init__(
@@ -31,11 +32,12 @@ class SimulatedProcess:
         clock: SimulatedClock,
         host: Callable[[SimulatedProcess, str], Host],
         on_exit: Callable[[SimulatedProcess], None],
+        log: Path | None = None,
     ) -> None:
         self.instance = launch.instance
         self.pid = pid
         self.clock = clock
-        self.log = ProcessOutput()
+        self.log = ProcessOutput(log)
         # The control thread of its component, once it has joined the platform, and the state that it last published.
         self.main: asyncio.Task[None] | None = None
         self.state: ComponentState | None = None

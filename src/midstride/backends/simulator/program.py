@@ -14,9 +14,11 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Final
 
+from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG
 from midstride.backends.simulator.cooperative_thread import Killed
 from midstride.errors import StartFailed
 from midstride.runtime.backend import Launch
+from midstride.runtime.process import shorten
 
 _PYTHON: Final = re.compile(r"python(3(\.\d+)?)?\Z")
 # Lines of output that are kept.
@@ -24,10 +26,11 @@ KEPT: Final = 1000
 
 
 class ProcessOutput(io.TextIOBase):
-    """What a process writes to its standard output and error: the last lines are kept."""
+    """What a process writes to its standard output and error: the last lines are kept, and ``file`` gets them all."""
 
-    def __init__(self) -> None:
+    def __init__(self, file: Path | None = None) -> None:
         self._lines: deque[str] = deque([""], maxlen=KEPT)
+        self._file = file
 
     def writable(self) -> bool:
         return True
@@ -36,6 +39,12 @@ class ProcessOutput(io.TextIOBase):
         first, *rest = text.split("\n")
         self._lines[-1] += first
         self._lines.extend(rest)
+        if self._file is not None:
+            with open(self._file, "a", encoding="utf-8", errors="backslashreplace") as file:
+                file.write(text)
+                too_long = file.tell() > LONGEST_LOG
+            if too_long:
+                shorten(self._file, LONGEST_LOG, KEPT_OF_LOG)
         return len(text)
 
     def tail(self, lines: int = KEPT) -> str:

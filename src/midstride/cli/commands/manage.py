@@ -11,13 +11,13 @@ import click
 from midstride import backends
 from midstride.backends.processes import KEPT_OF_LOG, LONGEST_LOG
 from midstride.cli.files import load
-from midstride.model.specification import Specification
 from midstride.runtime.backend import Handle
 from midstride.runtime.launcher import STOP_GRACE
 from midstride.runtime.manager import Manager
+from midstride.runtime.options import SystemOptions
 from midstride.runtime.process import end_orphans, shorten
 from midstride.runtime.reaper import process_info
-from midstride.runtime.state_store import StateStore
+from midstride.runtime.state_store import SavedState, StateStore
 from midstride.runtime.workspace import Workspace
 from midstride.server.serve import LOOPBACK, Tcp, serve
 
@@ -30,7 +30,16 @@ CHECK_LOG: Final = 1.0
 @click.option("--backend", required=True)
 @click.option("--http", type=int)
 @click.option("--http-host")
-def manager_command(file: Path, backend: str, http: int | None, http_host: str | None) -> int:
+@click.option("--use-sim-time", is_flag=True)
+@click.option("--no-middleware-settings", is_flag=True)
+def manager_command(
+    file: Path,
+    backend: str,
+    http: int | None,
+    http_host: str | None,
+    use_sim_time: bool,
+    no_middleware_settings: bool,
+) -> int:
     """Manage the system of FILE until it is down or SIGTERM arrives."""
     requested = load(file)
     workspace = Workspace.of(requested.name)
@@ -39,9 +48,13 @@ def manager_command(file: Path, backend: str, http: int | None, http_host: str |
     async def run() -> int:
         shortening = asyncio.ensure_future(_shorten_log(workspace.manager_log))
         try:
-            specification = await _still_running(workspace) or requested
-            platform = backends.make(backend, workspace)
-            manager = Manager(specification, platform, workspace, file.resolve().parent)
+            saved = await _still_running(workspace)
+            options = SystemOptions(use_sim_time, not no_middleware_settings)
+            if saved is not None:
+                options = saved.options.with_(options)
+            platform = backends.make(backend, workspace, middleware_settings=options.middleware_settings)
+            specification = requested if saved is None else saved.specification
+            manager = Manager(specification, platform, workspace, file.resolve().parent, options=options)
             return await serve(manager, workspace, backend=backend, tcp=tcp)
         finally:
             shortening.cancel()
@@ -56,8 +69,8 @@ async def _shorten_log(log: Path) -> None:
         shorten(log, LONGEST_LOG, KEPT_OF_LOG)
 
 
-async def _still_running(workspace: Workspace) -> Specification | None:
-    """The specification of the system that an earlier manager left running; it is reattached unchanged.
+async def _still_running(workspace: Workspace) -> SavedState | None:
+    """The state of the system that an earlier manager left running; it is reattached unchanged.
 
     If none of its recorded components runs any more, stop the unrecorded ones and delete the state.
     """
@@ -69,7 +82,7 @@ async def _still_running(workspace: Workspace) -> Specification | None:
         await end_orphans(saved.token, (), STOP_GRACE)
         store.forget()
         return None
-    return saved.specification
+    return saved
 
 
 def _runs(handle: Handle | None) -> bool:

@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import re
+import time
+from collections.abc import Sequence
+from typing import Any, Final
 
 import click
 
 from midstride.cli import completion
-from midstride.cli.client import Event
+from midstride.cli.client import Client, Event
+from midstride.cli.follow import last_event_number
 from midstride.cli.output import console, json_option, print_json, wants_json
 from midstride.cli.systems import find, system_option
 
 
 @click.command("status")
+@click.option("--verbose", "-v", is_flag=True, help="Also how each component was started, and what is set for it.")
 @system_option
 @json_option
-def status_command(system: str | None) -> int:
+def status_command(verbose: bool, system: str | None) -> int:
     """Show nodes, modes and topics, as the components report them. Exit status 1 if the system is not valid."""
     client, _ = find(system)
     document = client.get("/status")
@@ -25,6 +30,8 @@ def status_command(system: str | None) -> int:
         from midstride.cli import render
 
         console().print(render.status(document))
+        if verbose:
+            console().print(render.platform(document))
     return 0 if document["valid"] else 1
 
 
@@ -47,24 +54,62 @@ def why_command(functionality: str, system: str | None) -> int:
     return 0
 
 
+# How many events `log` shows to people.
+LATEST: Final = 20
+
+
+class Since(click.ParamType):  # type: ignore[type-arg]  # generic in the newest Click only
+    """The number of an event, or a time before now: ``90s``, ``5m``, ``2h``."""
+
+    name = "since"
+    _TIME: Final = re.compile(r"(\d+(?:\.\d+)?)(s|m|h)")
+    _SECONDS: Final = {"s": 1, "m": 60, "h": 3600}
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """The number, or minus the time of day (s) from which on."""
+        if isinstance(value, str) and (found := self._TIME.fullmatch(value)):
+            return float(found[1]) * self._SECONDS[found[2]] - time.time()
+        if isinstance(value, str) and not value.lstrip("-").isdecimal():
+            self.fail(f"{value!r} is neither the number of an event nor a time such as 90s, 5m or 2h", param, ctx)
+        return int(click.IntRange(0).convert(value, param, ctx))
+
+
+def _since_option(function: Any) -> Any:
+    summary = "Show the events after number N, or of the last 90s, 5m, 2h."
+    return click.option("--since", type=Since(), metavar="N|TIME", help=summary)(function)
+
+
+def _after(since: float, events: Sequence[Event]) -> int:
+    """The number of the last event that ``since`` leaves out."""
+    if since >= 0:
+        return int(since)
+    return max((event["n"] for event in events if event["at"] < -since), default=0)
+
+
 @click.command("log")
-@click.option(
-    "--since",
-    type=click.IntRange(0),
-    default=0,
-    show_default=True,
-    metavar="N",
-    help="Skip the events up to number N.",
-)
+@_since_option
+@click.option("--all", "-a", "all_", is_flag=True, help="Show all events since the manager started.")
+@click.option("--follow", "-f", is_flag=True, help="Continue with the events that come, until Ctrl-C.")
 @system_option
 @json_option
-def log_command(since: int, system: str | None) -> int:
-    """Show the events since the manager started."""
+def log_command(since: float | None, all_: bool, follow: bool, system: str | None) -> int:
+    """Show the latest 20 events; with --json, all since the manager started.
+
+    What a component has written shows `midstride logs NODE`.
+    """
     client, _ = find(system)
-    events = client.get("/log", since=since)
+    known: list[Event] = client.get("/log")
+    last = known[-1]["n"] if known else 0
+    events = known if since is None else [event for event in known if event["n"] > _after(since, known)]
+    if follow:
+        begin = events if all_ or since is not None or wants_json() else events[-LATEST:]
+        return _follow(client, begin[0]["n"] - 1 if begin else last)
     if wants_json():
         print_json(events)
         return 0
+    if since is None and not all_ and len(events) > LATEST:
+        click.echo(f"({len(events) - LATEST} earlier events: `midstride log --all`)", err=True)
+        events = events[-LATEST:]
     from midstride.cli import render
 
     for event in events:
@@ -73,37 +118,40 @@ def log_command(since: int, system: str | None) -> int:
 
 
 @click.command("watch")
+@_since_option
+@click.option("--all", "-a", "all_", is_flag=True, help="Begin with all events since the manager started.")
 @system_option
 @json_option
-def watch_command(system: str | None) -> int:
+def watch_command(since: float | None, all_: bool, system: str | None) -> int:
     """Watch the running system until Ctrl-C, which does not affect it.
 
-    With --json: the events as one JSON array, one per line, as they come.
+    With --json: the events as they come, a JSON document on each line.
     """
     client, workspace = find(system)
+    if all_ or since is not None:
+        begin = 0 if all_ or since is None else _after(since, client.get("/log"))
+    else:
+        begin = last_event_number(client)
     if wants_json():
-        _stream(client.events())
-        return 0
+        return _follow(client, begin)
     from midstride.cli.view import watch
 
-    return watch(client, workspace.name)
+    return watch(client, workspace.name, begin)
 
 
-def _stream(events: Iterable[Event]) -> None:
-    """Write an array event by event; Ctrl-C ends it between two events, so that it stays valid JSON."""
-    import json
-    import signal
+def _follow(client: Client, since: int) -> int:
+    """Print the events after number ``since`` and those that come, one on each line, until Ctrl-C."""
+    from midstride.cli import render
 
-    lead = "["
     try:
-        for event in events:
-            signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-            print(f"{lead}\n{json.dumps(event)}", end="", flush=True)
-            lead = ","
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
+        for event in client.events(since):
+            if wants_json():
+                print_json(event, lines=True)
+            else:
+                console().print(render.event(event))
     except KeyboardInterrupt:
         pass
-    print("[]" if lead == "[" else "\n]")
+    return 0
 
 
 @click.command("down")

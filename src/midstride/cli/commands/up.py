@@ -44,8 +44,24 @@ POLL = 0.02
 @click.option("--detach", "-d", is_flag=True, help="Return as soon as the system is up.")
 @click.option("--http", type=click.IntRange(1, 65535), metavar="PORT", help="Serve the API on loopback TCP as well.")
 @click.option("--http-host", metavar="ADDRESS", help="With --http: listen on this address instead of loopback.")
+@click.option(
+    "--use-sim-time", is_flag=True, help="Have /clock drive every node that does not set use_sim_time itself (ROS 2)."
+)
+@click.option(
+    "--no-middleware-settings",
+    is_flag=True,
+    help="Leave transports and discovery of the middleware as they are: see docs/how-to/middleware-settings.md.",
+)
 @json_option
-def up_command(file: Path, backend: str, detach: bool, http: int | None, http_host: str | None) -> int:
+def up_command(
+    file: Path,
+    backend: str,
+    detach: bool,
+    http: int | None,
+    http_host: str | None,
+    use_sim_time: bool,
+    no_middleware_settings: bool,
+) -> int:
     """Start the system of FILE and its manager, and watch them.
 
     Ctrl-C leaves the view; components and manager keep running. If the manager is killed, the next `up` reattaches to
@@ -53,6 +69,10 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     """
     if http_host is not None and http is None:
         raise click.UsageError("--http-host needs --http PORT")
+    if use_sim_time and backend != "ros2":
+        raise click.UsageError(
+            "--use-sim-time is for ROS 2; on ROS 1, `rosparam set use_sim_time true` before `up` does it for every node"
+        )
     specification = load(file)
     workspace = Workspace.of(specification.name)
     client = Client(workspace.socket)
@@ -65,6 +85,7 @@ def up_command(file: Path, backend: str, detach: bool, http: int | None, http_ho
     arguments = [str(file.resolve()), "--backend", backend]
     if http is not None:
         arguments += ["--http", str(http), *(["--http-host", http_host] if http_host else [])]
+    arguments += ["--use-sim-time"] * use_sim_time + ["--no-middleware-settings"] * no_middleware_settings
     log = workspace.manager_log
     try:
         with _interrupt_deferred():  # until the manager's process is known and can be stopped

@@ -1,0 +1,93 @@
+"""The log files of a node's instances: which they are, and what is appended to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from midstride.runtime.workspace import Workspace
+
+# How much of the end of a file is read for its last lines, and how much at once of what is appended to it (bytes).
+LONGEST_TAIL: Final = 4 * 1024 * 1024
+LONGEST_PIECE: Final = 1024 * 1024
+
+
+def log_files(workspace: Workspace, node: str, status: dict[str, Any] | None) -> list[Path]:
+    """The logs of ``node``, a role or an instance: those of instances that crashed first, the live one's last.
+
+    Without the manager's ``status``, those of every instance that has had its name, the newest last.
+    """
+    if status is not None:
+        live = [each["name"] for each in status["components"] if node in (each["role"], each["name"])]
+        crashed = [each["name"] for each in status["crashed"] if _is_of(each["name"], node)]
+        names = [*(name for name in crashed if name not in live), *live]
+        return [path for name in names if (path := _path(workspace, name)).exists()]
+    found = [path for path in workspace.logs.glob("*.log") if _is_of(path.stem, _stem(node))]
+    return sorted((path for path in found if path != workspace.manager_log), key=lambda path: path.stat().st_mtime)
+
+
+def known_nodes(workspace: Workspace, status: dict[str, Any] | None) -> list[str]:
+    """What ``logs`` can be asked for."""
+    if status is None:
+        return sorted(path.stem for path in workspace.logs.glob("*.log") if path != workspace.manager_log)
+    return sorted({name for each in status["components"] for name in (each["role"], each["name"])})
+
+
+def _is_of(instance: str, node: str) -> bool:
+    """Whether ``instance`` is ``node``, or an instance of that role, by its name: ``talker``, ``talker_2``."""
+    return instance == node or (instance.startswith(f"{node}_") and instance[len(node) + 1 :].isdecimal())
+
+
+def _stem(name: str) -> str:
+    return name.strip("/").replace("/", ".")
+
+
+def _path(workspace: Workspace, instance: str) -> Path:
+    return workspace.logs / f"{_stem(instance)}.log"
+
+
+def last_lines(path: Path, count: int | None) -> tuple[list[str], int]:
+    """The last ``count`` lines of a file (None: all of the last 4 MB), and where it ended."""
+    with path.open("rb") as file:
+        end = file.seek(0, 2)
+        file.seek(max(0, end - LONGEST_TAIL))
+        text = file.read(min(end, LONGEST_TAIL))
+    lines = text.decode(errors="replace").removesuffix("\n").split("\n") if text else []
+    if end > LONGEST_TAIL:
+        del lines[0]  # it began before
+    return (lines if count is None else lines[len(lines) - min(count, len(lines)) :]), end
+
+
+@dataclass
+class Appended:
+    """What is appended to some files, in whole lines, from where they ended when they were given."""
+
+    _ends: dict[Path, int] = field(default_factory=dict)
+    _parts: dict[Path, bytes] = field(default_factory=dict)
+
+    def follow(self, path: Path, end: int) -> None:
+        self._ends.setdefault(path, end)
+
+    def followed(self, paths: Iterable[Path]) -> list[Path]:
+        """Those of ``paths`` that are not followed yet."""
+        return [path for path in paths if path not in self._ends]
+
+    def lines(self) -> Iterator[tuple[Path, str]]:
+        """The new lines. A file that has been shortened is read on from its new end."""
+        for path, end in self._ends.items():
+            try:
+                with path.open("rb") as file:
+                    size = file.seek(0, 2)
+                    if size < end:
+                        self._ends[path], self._parts[path] = size, b""
+                        continue
+                    file.seek(end)
+                    new = file.read(LONGEST_PIECE)
+            except OSError:
+                continue
+            self._ends[path] = end + len(new)
+            *whole, rest = (self._parts.get(path, b"") + new).split(b"\n")
+            self._parts[path] = rest
+            yield from ((path, line.decode(errors="replace")) for line in whole)

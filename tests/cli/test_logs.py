@@ -1,0 +1,141 @@
+"""``midstride logs``: what components have written, also across replacements and crashes."""
+
+from __future__ import annotations
+
+import json
+import select
+import signal
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from midstride.cli.logs import LONGEST_TAIL, Appended, last_lines, log_files
+from midstride.runtime.workspace import Workspace
+from tests.cli.conftest import EXAMPLES, Midstride, running
+
+TALKER = str(EXAMPLES / "talker" / "talker.json")
+
+
+@pytest.fixture(scope="module")
+def talker() -> Iterator[Midstride]:
+    for midstride in running():
+        done = midstride("up", TALKER, "--backend", "sim", "--detach")
+        assert done.status == 0, done.err
+        yield midstride
+
+
+def test_a_nodes_log_is_printed(talker: Midstride) -> None:
+    deadline = time.monotonic() + 30
+    while len(talker("logs", "listener").out.splitlines()) < 5:
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    every = talker("logs", "listener").out.splitlines()
+    assert all(line.startswith("[INFO] [listener]: ") for line in every) and "I heard" in every[-1]
+    assert len(talker("logs", "listener", "-n", "2").out.splitlines()) == 2
+    assert talker("logs", "listener", "-n", "0").out == ""
+    document = json.loads(talker("logs", "listener", "--lines", "1", "--json").out)
+    assert document["instance"] == "listener" and "I heard" in document["line"]
+
+
+def test_an_unknown_node_is_an_error_with_a_near_miss(talker: Midstride) -> None:
+    refused = talker("logs", "listner")
+    assert (refused.status, refused.out) == (1, "")
+    assert refused.err == "midstride logs: talker has no log of listner; did you mean `listener`?\n"
+
+
+def test_without_a_manager_the_files_are_there_all_the_same(tmp_path: Path) -> None:
+    for name in ("talker", "talker_2", "talker_x", "front.talker", "manager"):
+        workspace(tmp_path, **{name: f"of {name}"})
+    space = Workspace(tmp_path)
+    assert [path.stem for path in log_files(space, "talker", None)] == ["talker", "talker_2"]
+    assert [path.stem for path in log_files(space, "front/talker", None)] == ["front.talker"]
+    assert [path.stem for path in log_files(space, "talker_2", None)] == ["talker_2"]
+    assert log_files(space, "manager", None) == []
+
+
+def test_after_a_crash_the_log_of_the_instance_that_crashed_is_shown_too(tmp_path: Path) -> None:
+    space = workspace(tmp_path, talker="of the first", talker_2="of the second", talker_3="of the third")
+
+    def found(live: dict[str, str], crashed: list[str], node: str) -> list[str]:
+        status: dict[str, Any] = {
+            "components": [{"name": name, "role": role} for name, role in live.items()],
+            "crashed": [{"name": name} for name in crashed],
+        }
+        return [path.stem for path in log_files(space, node, status)]
+
+    assert found({"talker_3": "talker"}, [], "talker") == ["talker_3"]
+    assert found({"talker_3": "talker"}, [], "talker_3") == ["talker_3"]
+    assert found({"talker_3": "talker"}, ["talker_2"], "talker") == ["talker_2", "talker_3"]
+    assert found({}, ["talker_2"], "talker") == ["talker_2"]
+    assert found({}, ["talker_2"], "talker_2") == ["talker_2"]
+
+
+def workspace(folder: Path, **logs: str) -> Workspace:
+    (folder / "logs").mkdir(exist_ok=True)
+    for name, text in logs.items():
+        (folder / "logs" / f"{name}.log").write_text(text + "\n")
+    return Workspace(folder)
+
+
+def test_the_end_of_a_long_log_is_read_and_no_more(tmp_path: Path) -> None:
+    log = tmp_path / "a.log"
+    log.write_text("".join(f"{number:09d}\n" for number in range(LONGEST_TAIL // 5)))
+    lines, end = last_lines(log, None)
+    assert end == log.stat().st_size and len(lines) == LONGEST_TAIL // 10
+    assert lines[-1] == f"{LONGEST_TAIL // 5 - 1:09d}" and all(len(line) == 9 for line in lines[:100])
+    assert last_lines(log, 2)[0] == lines[-2:]
+
+
+def test_whole_lines_are_followed_also_where_a_log_is_shortened(tmp_path: Path) -> None:
+    log, appended = tmp_path / "a.log", Appended()
+    log.write_text("before\n")
+    appended.follow(log, log.stat().st_size)
+    with log.open("a") as file:
+        file.write("one\ntw")
+    assert [line for _, line in appended.lines()] == ["one"]
+    with log.open("a") as file:
+        file.write("o\n")
+    assert [line for _, line in appended.lines()] == ["two"]
+    log.write_text("kept\n")
+    assert list(appended.lines()) == []
+    with log.open("a") as file:
+        file.write("three\n")
+    assert [line for _, line in appended.lines()] == ["three"]
+    log.unlink()
+    assert list(appended.lines()) == []
+
+
+def test_following_goes_on_across_a_replacement(talker: Midstride) -> None:
+    following = talker.start("logs", "listener", "--follow")
+    try:
+        assert following.stdout is not None
+        until(following, "I heard")
+        assert talker("restart", "listener", "--yes").status == 0
+        until(following, "==> listener_2 <==")
+        until(following, "I heard")
+        following.send_signal(signal.SIGINT)
+        following.stdout.read()
+        assert following.wait(20) == 0
+    finally:
+        following.kill()
+        following.communicate()
+
+
+def until(process: Any, words: str) -> list[str]:
+    """The lines up to the first with these words."""
+    lines: list[str] = []
+    while not (lines and words in lines[-1]):
+        assert select.select([process.stdout], [], [], 30)[0] or process.stdout.buffer.peek(1), lines
+        lines.append(process.stdout.readline())
+        assert lines[-1], lines
+    return lines
+
+
+def test_what_a_component_writes_cannot_move_the_cursor(talker: Midstride) -> None:
+    name = next(entry["name"] for entry in talker("status", "--json").json["components"] if entry["role"] == "talker")
+    with (talker.runtime / "midstride" / "talker" / "logs" / f"{name}.log").open("ab") as file:
+        file.write(b"\x1b[2Jgone\xff\n")
+    assert talker("logs", "talker", "-n", "1").out == "\\x1b[2Jgone\ufffd\n"
