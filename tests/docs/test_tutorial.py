@@ -23,7 +23,7 @@ from pathlib import Path
 import pytest
 
 TUTORIAL = Path(__file__).parents[2] / "docs" / "tutorial.md"
-QUERY = re.compile(r"midstride (status|why)\b")
+QUERY = re.compile(r"midstride (status|why|logs)\b")
 _BLOCK = re.compile(r"^```(\w+)([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
