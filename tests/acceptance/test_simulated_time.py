@@ -100,7 +100,8 @@ def test_nothing_is_missed_in_simulated_time_and_a_bare_recorder_agrees(
     # A busy machine calls a publisher of 100 messages per second too late now and then.
     missed = [swap.missed for swap in swaps]
     assert missed == [0] * 3 if speed < 1 else 0 in missed
-    assert len({row.publisher for row in rows}) == 4
+    publishers = {row.publisher for row in rows}
+    assert len(publishers) == 4 or None in publishers  # jazzy identifies none
 
 
 @pytest.mark.full

@@ -111,3 +111,11 @@ def test_unexpected_degradation_is_reported() -> None:
     assert shown(render.outcome(done(degraded=["talker_2.talk"])))[1:] == [
         "Degraded unexpectedly meanwhile: talker_2.talk; see `midstride why talker_2.talk`."
     ]
+
+
+def test_a_first_slot_that_was_late_is_in_the_report() -> None:
+    assert shown(render.outcome(done(late={"counter_2": 0.25}))) == [
+        "Done in 270 ms.",
+        "Nothing fell below its level.",
+        "The first slot of counter_2 was 250 ms late; its state moved before.",
+    ]

@@ -65,6 +65,7 @@ class Owner:
     info: Any = None
     busy: int | None = None
     watch: Any = None
+    driving: Any = ()
     failed: bool = False
 
 
@@ -222,3 +223,16 @@ def test_messages_that_reach_the_old_side_are_watched_until_it_is_relieved() -> 
     assert seen == [None, 20, 20]
     side.relieved()
     assert owner.watch is None
+
+
+@pytest.mark.parametrize("in_order", [False, True])
+def test_of_one_publisher_a_newer_message_shows_that_all_older_have_arrived(in_order: bool) -> None:
+    owner, clocks = Owner(driven="message", rate=None), Clocks(T)
+    link, _ = link_of(owner)
+    side = OutgoingCut([link], T, clocks.host, in_order=in_order)
+    side.arm()
+    owner.watch(T)
+    assert not side.passed(), "a message of the moment itself says nothing about others of that moment"
+    clocks.time += 1
+    owner.watch(T + 1)
+    assert side.passed() is in_order

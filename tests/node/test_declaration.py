@@ -323,3 +323,23 @@ def test_starting_without_any_ros_says_what_to_do(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setenv("MIDSTRIDE_BACKEND", "ros9")
     with pytest.raises(NodeError, match="ros2, ros1"):
         parts.comp.start()
+
+
+@pytest.mark.parametrize("what", ["export", "import"])
+def test_changes_alone_are_no_state(what: str) -> None:
+    comp = Component("counter")
+    count = comp.create_functionality("count")
+    count.set_normal_mode(nothing)
+    count.set_degraded_mode(nothing)
+    getattr(comp, f"on_{what}_changes")(nothing)
+    with pytest.raises(NodeError, match=rf"on_{what}_changes\(\) adds to what on_{what}_state\(\) {what}s"):
+        comp.declaration()
+    getattr(comp, f"on_{what}_state")(nothing)
+    comp.declaration()
+
+
+def test_a_component_that_is_attached_to_nothing_is_not_live() -> None:
+    comp = Component("counter")
+    assert not comp.is_live
+    comp.create_output("out", String)
+    assert not comp.is_live

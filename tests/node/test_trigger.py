@@ -20,7 +20,6 @@ class Recorder:
     """A functionality that notes its calls: the widths of the images of each."""
 
     def __init__(self) -> None:
-        self.ready = True
         self.watch: Callable[[Any], None] | None = None
         self.calls: list[tuple[int, ...]] = []
         self.infos: list[Any] = []
@@ -30,8 +29,7 @@ class Recorder:
         self.calls.append(tuple(image.width for image in arguments))
         self.infos.append(info)
 
-    def postpone(self, function: Any, arguments: tuple[Any, ...], info: Any) -> None:
-        raise AssertionError("it is ready")
+    request = call
 
 
 def inputs(runner: Recorder, slop: float = 0.04) -> tuple[Input, Input]:

@@ -52,11 +52,13 @@ from midstride.wire.commands import (
     GridCommand,
     ModesCommand,
     ObserveCommand,
+    PrepareStateCommand,
     RecordCommand,
     RecordingSwitched,
     Records,
     RecordsCommand,
     SetParametersCommand,
+    StateOffer,
     WelcomeCommand,
 )
 from midstride.wire.frames import PROTOCOL, Greeting, Registration
@@ -85,6 +87,7 @@ REPLIES: dict[type[Command[Any]], Any] = {
     ExportStateCommand: ExportedState(state=None),
     GridCommand: Grid(trigger="rate", now=0, epoch=0, period=0.1, readers=1),
     ModesCommand: Before(before={}),
+    PrepareStateCommand: StateOffer(exports="nothing"),
     RecordCommand: RecordingSwitched(now=0),
     RecordsCommand: Records(rows=[], publisher_identity=True, now=0),
     SetParametersCommand: Before(before={}),

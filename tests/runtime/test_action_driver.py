@@ -31,6 +31,7 @@ from midstride.wire.commands import (
     Before,
     Command,
     CutInCommand,
+    CutOutCommand,
     CutResult,
     DetachCommand,
     Detached,
@@ -42,8 +43,10 @@ from midstride.wire.commands import (
     ImportStateCommand,
     LastWrite,
     ModesCommand,
+    PrepareStateCommand,
     ReleaseCommand,
     SetParametersCommand,
+    StateOffer,
 )
 from tests.model import build
 from tests.model.build import work
@@ -344,9 +347,9 @@ def test_a_roll_back_exports_nothing_from_what_it_removes(tmp_path: Path) -> Non
 # -- handing over --------------------------------------------------------------------------------------
 
 
-def test_state_travels_before_the_hand_over_of_a_role(tmp_path: Path) -> None:
+def test_state_travels_at_the_cut_of_a_role(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.client.reply("talker", ExportStateCommand, EXPORTED)
+        b.client.reply("talker_2", PrepareStateCommand, StateOffer(exports="whole"))
         seen: list[list[str]] = []
 
         async def before(configuration: Configuration, action: Handover) -> None:
@@ -355,9 +358,25 @@ def test_state_travels_before_the_hand_over_of_a_role(tmp_path: Path) -> None:
 
         b.driver.before_handover = before
         await perform(b, HANDOVER)
-        assert seen == [["export_state", "import_state"]]
-        assert EXPORTED.state is not None
-        assert b.client.of(ImportStateCommand, "talker_2") == [ImportStateCommand(state=EXPORTED.state)]
+        assert seen == [[]]
+        [prepare] = b.client.of(PrepareStateCommand, "talker_2")
+        assert (prepare.peer, prepare.bulk) == ("talker", False)
+        [out], [into] = b.client.of(CutOutCommand, "talker"), b.client.of(CutInCommand, "talker_2")
+        assert out.state is not None and out.state == into.state
+        assert (out.state.cuts, out.state.at, out.state.changes, out.state.required) == (1, out.at, False, True)
+        assert b.client.of(ImportStateCommand) == []
+        assert b.client.of(ExportStateCommand) == []
+
+    bench(replacing(), tmp_path, body)
+
+
+def test_the_bulk_of_a_state_travels_before_the_cut(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", PrepareStateCommand, StateOffer(exports="changes"))
+        await perform(b, HANDOVER)
+        assert [prepare.bulk for prepare in b.client.of(PrepareStateCommand, "talker_2")] == [False, True]
+        [out] = b.client.of(CutOutCommand, "talker")
+        assert out.state is not None and out.state.changes
 
     bench(replacing(), tmp_path, body)
 
@@ -365,31 +384,67 @@ def test_state_travels_before_the_hand_over_of_a_role(tmp_path: Path) -> None:
 def test_one_that_keeps_no_state_hands_none_on(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
         await perform(b, HANDOVER)
-        assert b.client.of(ExportStateCommand, "talker")
-        assert b.client.of(ImportStateCommand, "talker_2") == []
+        assert b.client.of(PrepareStateCommand, "talker_2")
+        [out], [into] = b.client.of(CutOutCommand, "talker"), b.client.of(CutInCommand, "talker_2")
+        assert out.state is None and into.state is None
 
     bench(replacing(), tmp_path, body)
 
 
 def test_another_role_has_a_state_of_its_own(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.client.reply("talker", ExportStateCommand, EXPORTED)
         await perform(b, HANDOVER)
-        assert b.client.of(ExportStateCommand) == []
+        assert b.client.of(CutOutCommand, "talker") and b.client.of(PrepareStateCommand) == []
 
     bench(replacing(role="second talker"), tmp_path, body)
 
 
 def test_a_state_that_cannot_be_had_fails_the_hand_over_but_not_a_roll_back(tmp_path: Path) -> None:
     async def body(b: Bench) -> None:
-        b.client.reply("talker", ExportStateCommand, TIMEOUT)
-        with pytest.raises(CallTimeout):
+        b.client.reply("talker_2", PrepareStateCommand, REFUSED)
+        with pytest.raises(StepFailed, match=str(REFUSED)):
             await perform(b, HANDOVER)
-        assert b.client.changes == []
+        assert b.client.of(CutOutCommand) == []
         b.driver.rolling_back = True
         await perform(b, HANDOVER)
-        assert b.words("note") == [f"talker_2 keeps its own state: {TIMEOUT}"]
-        assert b.client.changes
+        assert b.words("note") == [f"talker_2 keeps its own state: {REFUSED}"]
+        assert b.client.of(CutOutCommand)
+
+    bench(replacing(), tmp_path, body)
+
+
+def test_in_a_roll_back_the_state_is_not_required_at_the_cut_either(tmp_path: Path) -> None:
+    async def body(b: Bench) -> None:
+        b.client.reply("talker_2", PrepareStateCommand, StateOffer(exports="whole"))
+        b.client.reply("talker_2", AwaitCutCommand, CutResult(outcome="done", because="it raised"))
+        b.driver.rolling_back = True
+        await perform(b, HANDOVER)
+        [out] = b.client.of(CutOutCommand, "talker")
+        assert out.state is not None and not out.state.required
+        assert b.words("note") == ["talker_2 keeps its own state: it raised"]
+
+    bench(replacing(), tmp_path, body)
+
+
+@pytest.mark.parametrize(("late", "reported"), [(0.099, {}), (0.25, {"talker_2": 0.25})])
+def test_a_first_slot_that_waited_for_the_state_is_reported(
+    late: float, reported: dict[str, float], tmp_path: Path
+) -> None:
+    """From one period on, which is 0.1 s here."""
+
+    async def body(b: Bench) -> None:
+        def written(_: object) -> CutResult:
+            at = b.client.of(CutInCommand, "talker_2")[0].at
+            write = LastWrite(number=1, source=at + round(late * 1e9))
+            return CutResult(outcome="done", first={"out /chatter": write})
+
+        b.client.reply("talker_2", PrepareStateCommand, StateOffer(exports="whole"))
+        b.client.reply("talker_2", AwaitCutCommand, written)
+        await perform(b, HANDOVER)
+        assert b.driver.late == reported
+        assert [words for words in b.words("note") if "late" in words] == [
+            "talker_2 wrote its first slot 250 ms late, after its state had moved" for _ in reported
+        ]
 
     bench(replacing(), tmp_path, body)
 
@@ -420,7 +475,7 @@ def test_a_hand_over_that_fails_keeps_no_number(tmp_path: Path) -> None:
 # -- what degrades by itself ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("command", [ImportStateCommand, AttachCommand, AwaitWriteCommand, GridCommand, CutInCommand])
+@pytest.mark.parametrize("command", [PrepareStateCommand, AttachCommand, AwaitWriteCommand, GridCommand, CutInCommand])
 @pytest.mark.parametrize("name", ["talker", "talker_2"])
 def test_a_side_that_degraded_is_the_reason_whatever_is_refused(
     name: str, command: type[Command[Any]], tmp_path: Path
@@ -430,7 +485,6 @@ def test_a_side_that_degraded_is_the_reason_whatever_is_refused(
             b.client.report(reported(b.configuration.instances[name], modes={"work": "degraded"}))
             return REFUSED
 
-        b.client.reply("talker", ExportStateCommand, EXPORTED)
         b.client.reply("talker" if command is GridCommand else "talker_2", command, degrades)
         with pytest.raises(
             StepFailed, match=rf"^{name}\.work entered mode degraded unexpectedly: it entered degraded$"

@@ -42,7 +42,8 @@ def test_a_replacement_nobody_notices(name: str, role: str, component: str, tmp_
     assert outcome.swaps
     for swap in outcome.swaps:
         assert (swap.missed, swap.lost, swap.duplicates) == (0, 0, 0)
-        assert swap.gap_periods == pytest.approx(1.0, abs=0.05)
+        # The filter's state moves in between: at 200 Hz, 1.5 ms are that many periods.
+        assert swap.gap_periods == pytest.approx(1.3 if name == "filter" else 1.0, abs=0.05)
 
 
 @pytest.mark.parametrize(("name", "role", "component"), CHANGES)

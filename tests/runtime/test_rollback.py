@@ -34,7 +34,7 @@ from tests.runtime.systems import (
 WATCHING = {"observe", "grid", "record", "records", "export_state", "await_match"}
 # What is tried again: a cut with another moment, a meeting in short turns.
 TRIED_AGAIN = {"cut_out", "cut_in", "meet"}
-BETWEEN_PEERS = {"ping", "taken"}
+BETWEEN_PEERS = {"ping", "taken", "offer_state", "fetch_state", "importing"}
 
 
 class Failing(Simulator):
@@ -102,7 +102,7 @@ def test_one_lost_message_is_made_good(name: str, request_: PlanRequest, how: st
     for at, (_, op) in enumerate(whole.calls):
         outcome = change(Failing(at, how, times), name, request_, tmp_path / str(at))
         # A cut is agreed for a moment, which a repetition may miss.
-        assert outcome.outcome == "done" or op in {"cut_out", "cut_in", "taken"}, op
+        assert outcome.outcome == "done" or op in {"cut_out", "cut_in", "taken", "fetch_state", "importing"}, op
 
 
 @pytest.mark.parametrize(("name", "request_"), CASES, ids=lambda value: getattr(value, "strategy", value))
@@ -327,7 +327,7 @@ def test_a_new_side_that_has_degraded_by_itself_is_the_reason(tmp_path: Path) ->
     assert told in str(outcome.because)
 
 
-@pytest.mark.parametrize("command", ["export_state", "import_state", "attach", "await_write", "meet", "cut_in"])
+@pytest.mark.parametrize("command", ["attach", "await_write", "meet", "prepare_state", "cut_in", "fetch_state"])
 @pytest.mark.parametrize("call", [1, 2])
 def test_a_message_of_the_wrong_type_is_the_reason_whenever_it_is_written(
     call: int, command: str, tmp_path: Path

@@ -39,7 +39,9 @@ def test_a_replacement_in_simulated_time_misses_nothing_and_the_report_says_so(
     assert outcome.swaps
     for swap in outcome.swaps:
         assert (swap.missed, swap.lost, swap.duplicates) == (0, 0, 0)
-        assert swap.gap_periods == pytest.approx(1.0, abs=0.2)
+        # State takes real time to move, which is more than one period of a fast clock.
+        assert swap.gap is not None and swap.period is not None
+        assert 0.8 * swap.period <= swap.gap <= 1.2 * swap.period + 0.02 * max(0.0, speed - 1)
 
 
 def test_what_is_missed_in_simulated_time_is_counted(tmp_path: Path) -> None:

@@ -29,16 +29,21 @@ from midstride.wire.commands import (
     Done,
     ExportedState,
     ExportStateCommand,
+    FetchedState,
+    FetchStateCommand,
     GateCommand,
     GatedWrites,
     Grid,
     GridCommand,
+    ImportingCommand,
     ImportStateCommand,
     LastWrite,
     MeetCommand,
     ModesCommand,
     ObserveCommand,
+    OfferStateCommand,
     PingCommand,
+    PrepareStateCommand,
     Receipt,
     RecordCommand,
     RecordingSwitched,
@@ -47,6 +52,8 @@ from midstride.wire.commands import (
     ReleaseCommand,
     Relieved,
     SetParametersCommand,
+    StateOffer,
+    StateTransfer,
     StopCommand,
     WelcomeCommand,
 )
@@ -86,6 +93,7 @@ STATE = ComponentState(
     declared={"speed": 1.0},
 )
 SWAPS = [CutSwap(port="out", topic="/chatter", latch=True)]
+TRANSFER = StateTransfer(id="t", cuts=2, at=10**18, clock="message", changes=True, required=False, timeout=0.5)
 ROW = Receipt(1, 2, 3, "p")
 WRITE = {"out /chatter": LastWrite(number=4, source=5), "log /log": None}
 
@@ -119,9 +127,26 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (ImportStateCommand(state=b"\x00\xff\n", timeout=1.5), Done()),
     (RecordCommand(inputs=["in"], on=True, timeout=1.5), RecordingSwitched(now=3)),
     (MeetCommand(peer="old", address="unix:/x", timeout=1.5), Done()),
-    (CutOutCommand(cut="c", swaps=SWAPS, at=10**18, resume_after=0.5, clock="message", timeout=1.5), Done()),
     (
-        CutInCommand(cut="c", swaps=SWAPS, at=1, peer="old", address="unix:/x", epoch=2, clock="message", timeout=1.5),
+        PrepareStateCommand(peer="old", address="unix:/x", bulk=True, timeout=1.5),
+        StateOffer(exports="changes"),
+    ),
+    (
+        CutOutCommand(cut="c", swaps=SWAPS, at=10**18, resume_after=0.5, clock="message", state=TRANSFER, timeout=1.5),
+        Done(),
+    ),
+    (
+        CutInCommand(
+            cut="c",
+            swaps=SWAPS,
+            at=1,
+            peer="old",
+            address="unix:/x",
+            epoch=2,
+            clock="message",
+            state=TRANSFER,
+            timeout=1.5,
+        ),
         Done(),
     ),
     (CancelCutCommand(cut="c", timeout=1.5), Done()),
@@ -129,6 +154,12 @@ SAMPLES: list[tuple[Command[Any], WireValue]] = [
     (ReleaseCommand(timeout=1.5), Done()),
     (StopCommand(timeout=1.5), Done()),
     (CutTakenCommand(cut="c", failed=True, timeout=1.5), Relieved(resumed=True)),
+    (OfferStateCommand(changes=True, timeout=1.5), StateOffer(exports="nothing")),
+    (
+        FetchStateCommand(transfer="t", timeout=1.5),
+        FetchedState(state=b"\x00\xff\n", handled={"p": 10**18}, since=1),
+    ),
+    (ImportingCommand(transfer="t", done=True, timeout=1.5), Relieved(resumed=False)),
 ]
 ids = [command.name for command, _ in SAMPLES]
 

@@ -164,6 +164,10 @@ def outcome(document: Document) -> RenderableType:
         for swap in document["swaps"]:
             swaps.add_row(swap["topic"], swap["subscriber"], *measurements(swap))
         lines.append(swaps)
+    late = sorted((document.get("late") or {}).items())
+    lines += [
+        Text(f"The first slot of {name} was {seconds(spent)} late; its state moved before.") for name, spent in late
+    ]
     return Group(*lines)
 
 

@@ -22,6 +22,7 @@ from midstride.node.functionality_runner import CAUGHT, FunctionalityRunner, for
 from midstride.node.handover_commands import HandoverCommands
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, ModeSwitch, within
+from midstride.node.state_hooks import StateHooks
 from midstride.wire import commands
 from midstride.wire.commands import Command
 from midstride.wire.state import ComponentState, LinkState, WireValue
@@ -69,7 +70,10 @@ class CommandHandlers:
         self._runners: list[FunctionalityRunner] = []
         self._data = DataExecutor(self.host, self._busy_words)
         self._attachments = Attachments(self.parts, self.host, self._data)
-        self._handovers = HandoverCommands(self._attachments, self.host, self._data, self.changed, self.token)
+        self._hooks = StateHooks(self.parts.callbacks, self._data)
+        self._handovers = HandoverCommands(
+            self._attachments, self.host, self._data, self.changed, self.token, self._hooks, self._runners
+        )
         self._handlers: dict[type[Command[Any]], Handler] = {
             commands.AttachCommand: self._attachments.attach,
             commands.DetachCommand: self._attachments.detach,
@@ -83,6 +87,10 @@ class CommandHandlers:
             commands.CancelCutCommand: self._handovers.cancel_cut,
             commands.AwaitCutCommand: self._handovers.await_cut,
             commands.CutTakenCommand: self._handovers.taken,
+            commands.PrepareStateCommand: self._handovers.prepare_state,
+            commands.OfferStateCommand: self._handovers.offer_state,
+            commands.FetchStateCommand: self._handovers.fetch_state,
+            commands.ImportingCommand: self._handovers.importing,
             commands.SetParametersCommand: self._set_parameters,
             commands.ExportStateCommand: self._export_state,
             commands.ImportStateCommand: self._import_state,
@@ -255,31 +263,11 @@ class CommandHandlers:
         return await self._data.run(set_all, command.timeout)
 
     async def _export_state(self, command: commands.ExportStateCommand) -> commands.ExportedState:
-        export = self.parts.callbacks.export_state
-        if export is None:
-            return commands.ExportedState(state=None)
-        state = await self._run_callback(export, "on_export_state", command.timeout)
-        if not isinstance(state, (bytes, bytearray)):
-            raise CommandRefused(f"on_export_state returned {type(state).__name__}, not bytes")
-        return commands.ExportedState(state=bytes(state))
+        return commands.ExportedState(state=await self._hooks.export(command.timeout))
 
     async def _import_state(self, command: commands.ImportStateCommand) -> commands.Done:
-        hook = self.parts.callbacks.import_state
-        if hook is None:
-            raise CommandRefused("the component cannot import state: it has no on_import_state")
-        await self._run_callback(lambda: hook(command.state), "on_import_state", command.timeout)
+        await self._hooks.import_(command.state, command.timeout)
         return commands.Done()
-
-    async def _run_callback(self, function: Callable[[], T], what: str, timeout: float) -> T:
-        """Run one of the author's functions. Raises CommandRefused with what it raised."""
-
-        def guarded() -> T:
-            try:
-                return function()
-            except CAUGHT as error:
-                raise CommandRefused(f"{what} raised: {format_error(error)}") from None
-
-        return await self._data.run(guarded, timeout)
 
     async def _record(self, command: commands.RecordCommand) -> commands.RecordingSwitched:
         ports = [self._attachments.input(name) for name in command.inputs]

@@ -151,16 +151,37 @@ class Component:
         return fn
 
     def on_export_state(self, fn: F) -> F:
-        """``fn() -> bytes``: the state for a replacement of this component. Called just before the hand-over.
+        """``fn() -> bytes``: the state for a replacement of this component.
 
-        If it raises, that step fails (docs/semantics.md section 7, State).
+        Called once, after the last write of this component and before the first of its replacement: no call of a mode
+        comes in between. If it raises, the hand-over is rolled back, and this component continues (docs/semantics.md
+        section 7, State).
         """
         self._parts.callbacks.export_state = self._callback("on_export_state", fn)
         return fn
 
     def on_import_state(self, fn: F) -> F:
-        """``fn(state: bytes)``: restore the state of the replaced component. If it raises, that step fails."""
+        """``fn(state: bytes)``: restore the state of the replaced component.
+
+        Called between two calls of the modes, which have run until then, with their outputs held back: replace what
+        they have computed. If it raises, the hand-over is rolled back.
+        """
         self._parts.callbacks.import_state = self._callback("on_import_state", fn)
+        return fn
+
+    def on_export_changes(self, fn: F) -> F:
+        """``fn() -> bytes``: what has changed since ``on_export_state`` was last called.
+
+        For a state that takes longer than a period to move: it is exported and imported as a whole while this component
+        works, and only the changes move between the last write and the first. It may be called more than once for one
+        ``on_export_state``. Used where the replacement has ``on_import_changes``.
+        """
+        self._parts.callbacks.export_changes = self._callback("on_export_changes", fn)
+        return fn
+
+    def on_import_changes(self, fn: F) -> F:
+        """``fn(changes: bytes)``: add the changes to the state that ``on_import_state`` was called with."""
+        self._parts.callbacks.import_changes = self._callback("on_import_changes", fn)
         return fn
 
     def on_stop(self, fn: F, timeout: float = 2.0) -> F:
@@ -174,6 +195,19 @@ class Component:
         return fn
 
     # -- running -----------------------------------------------------------------------------------
+
+    @property
+    def is_live(self) -> bool:
+        """Whether what a mode writes now is published on some topic.
+
+        False behind the gate: before this component takes over from another, and after another has taken over from it.
+        Ask it on the data thread before you act otherwise than by an output, as with a device or a service. A component
+        without outputs has no gate, and is live while an input is attached (docs/semantics.md section 7, State).
+        """
+        outputs = self._parts.outputs.values()
+        if not outputs:
+            return any(port.attached for port in self._parts.inputs.values())
+        return any(link.lets_pass for port in outputs for link in port.links)
 
     def declaration(self) -> model.ComponentSpec:
         """The component in the model's terms. Raises NodeError where it is incomplete."""

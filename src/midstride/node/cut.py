@@ -27,17 +27,30 @@ Written = tuple[int, int]  # the publisher's number, and when
 
 
 def belongs_after(runner: OutputOwner, at: int, host: Host, slot: int = 0, clock: CutClock = "ros") -> bool:
-    """Whether what ``runner`` writes now belongs to the new side of a cut at ``at`` on ``clock``.
+    """Whether what ``runner`` writes now belongs to the new side of a cut at ``at`` on ``clock``; ``slot`` as below."""
+    return call_belongs_after(runner, runner.slots, runner.info, at, host, slot, clock)
+
+
+def call_belongs_after(
+    runner: OutputOwner,
+    slots: tuple[int, int] | None,
+    info: Any,
+    at: int,
+    host: Host,
+    slot: int,
+    clock: CutClock = "ros",
+) -> bool:
+    """The same for a call of ``slots`` or of the message of ``info``.
 
     ``slot``: which of the slots that a call accounts for counts, 0 for the first and 1 for the last. Where ``/clock``
     drives the ROS clock, slots are not on the clock of messages; then the moment of the write decides.
     """
-    if runner.slots is not None and comparable(host, clock, "ros"):
+    if slots is not None and comparable(host, clock, "ros"):
         # Both sides round their grid to whole nanoseconds: a slot is T if it is nearest to it.
         rate = runner.rate
-        return runner.slots[slot] + (0 if rate is None else int(rate.period * 0.25e9)) >= at
-    if runner.info is not None and comparable(host, clock, "message"):
-        return source_of(runner.info, host) > at
+        return slots[slot] + (0 if rate is None else int(rate.period * 0.25e9)) >= at
+    if info is not None and comparable(host, clock, "message"):
+        return source_of(info, host) > at
     return reading(host, clock) >= at
 
 
@@ -95,14 +108,16 @@ class _Side(GatePolicy):
                 link.set_gate(open_)
 
 
+@dataclass(eq=False)
 class OutgoingCut(_Side):
-    """The old side."""
+    """The old side. ``in_order``: whether all messages that drive it come from one publisher, and so in order."""
 
+    in_order: bool = False
     over = False
     # When the first message newer than T arrived (steady, ns): from then on a message-driven side should write.
-    newer_at: int | None = None
+    newer_at: int | None = field(default=None, init=False)
     # Since when its time grid seems to have stopped (steady, ns).
-    _stopped_at: int | None = None
+    _stopped_at: int | None = field(default=None, init=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -162,6 +177,8 @@ class OutgoingCut(_Side):
         if runner.driven == "message":
             # A newer message on one input says nothing about other inputs and publishers: what they published before
             # T may still be in transit.
+            if self.in_order and self.newer_at is not None:
+                return True
             quiet = self.host.steady() - self._last_input
             return late > GRACE * 1e9 and (self.newer_at is not None or quiet > GRACE * 1e9)
         rate = runner.rate

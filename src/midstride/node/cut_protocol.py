@@ -14,6 +14,7 @@ from typing import Final
 from midstride.errors import BackendError
 from midstride.node.cut import GRACE, IncomingCut, OutgoingCut
 from midstride.node.host import Host
+from midstride.node.state_transfer import StateExport, StateImport
 from midstride.wire.commands import CutOutcome, CutResult
 
 # How often a side checks whether it can go on (s): shorter than a period at 200 Hz.
@@ -29,7 +30,7 @@ SHORTEST_SILENCE: Final = 0.1
 LONGEST_WAIT: Final = 0.01
 
 
-@dataclass
+@dataclass(eq=False)
 class _CutTask:
     """What both sides share: an outcome, and cancellation."""
 
@@ -69,12 +70,13 @@ class _CutTask:
         self.changed()
 
 
-@dataclass
+@dataclass(eq=False)
 class CutOutTask(_CutTask):
     """The old side: writes up to T, and resumes where `taken` does not arrive in time."""
 
     side: OutgoingCut
     resume_after: float
+    export: StateExport | None = None
     _taken: bool = field(default=False, init=False)
 
     async def run(self) -> None:
@@ -87,12 +89,21 @@ class CutOutTask(_CutTask):
             passed = self.side.over or await self.host.on_data(self.side.passed)
             if not self._going():
                 return
+            if passed and self.export is not None:
+                await self.export.passed(self)
+                if not self._going():
+                    return
             if passed and self._taken:
                 await self._end("done", self.side.relieved)
-            elif self._is_overdue(passed_at) and not self._taken:
+            elif not self._taken and self._given_up(passed_at):
                 await self._end("resumed", self.side.reopen)
             else:
-                await self.host.sleep(TICK)
+                await (self.host.sleep(TICK) if self.export is None else self.export.pause())
+
+    def _given_up(self, passed_at: int) -> bool:
+        if self.export is not None and self.export.given_up(self.resume_after):
+            return True
+        return self._is_overdue(passed_at)
 
     def _is_overdue(self, passed_at: int) -> bool:
         """Whether the new side should have written ``resume_after`` ago; where messages drive it, since one arrived.
@@ -100,6 +111,8 @@ class CutOutTask(_CutTask):
         A new side on a time grid that ``/clock`` drives writes nothing while that stands still.
         """
         since = self.side.newer_at if self.side.driven_by_messages else passed_at
+        if since is not None and self.export is not None:
+            since = max(since, self.export.heard_at)
         if since is None:
             return False
         silent = (self.host.steady() - since) / 1e9
@@ -107,6 +120,19 @@ class CutOutTask(_CutTask):
             on_clock = (self.side.now() - self.side.at) / 1e9
             return on_clock > self.resume_after and silent > min(SHORTEST_SILENCE, self.resume_after)
         return silent > self.resume_after
+
+    async def _end(self, outcome: CutOutcome, gates: Callable[[], None]) -> None:
+        export = self.export
+        if export is None:
+            await super()._end(outcome, gates)
+            return
+        export.end(self, resumed=outcome != "done")
+
+        def gates_then_calls() -> None:
+            gates()
+            export.release_if_over()
+
+        await super()._end(outcome, gates_then_calls)
 
     async def taken(self, failed: bool) -> bool:
         """The new side has written, or has failed. Returns whether this one writes again."""
@@ -121,20 +147,24 @@ class CutOutTask(_CutTask):
         await self._end("cancelled", self.side.reopen)
 
     def result(self) -> CutResult:
-        return CutResult(outcome=self.outcome or "waiting", last=self.side.last())
+        because = None if self.export is None else self.export.because
+        return CutResult(outcome=self.outcome or "waiting", because=because, last=self.side.last())
 
 
-@dataclass
+@dataclass(eq=False)
 class CutInTask(_CutTask):
     """The new side: writes from T on, and reports its first write to its peer."""
 
     side: IncomingCut
     # Reports the first write, or a failure, to the old side within so many seconds; returns whether that has resumed.
     report: Callable[[float, bool], Awaitable[bool]]
+    state: StateImport | None = None
 
     async def run(self) -> None:
         latched = all(link.output.owner.rate is not None for link in self.side.links)  # a time grid needs no latch
         await self._until(self.side.at)
+        if self.state is not None and self._going():
+            await self.state.settled()
         waited_from = self.host.steady()
         while self._going() and not self.side.written and not self._failed():
             # A message in transit at T may still make the new side write; nothing else will.
@@ -146,16 +176,28 @@ class CutInTask(_CutTask):
                 await self.host.sleep(TICK)
         failed = self._failed()
         if self._going() and (await self._resumed(failed) or failed):
-            await self._end("cancelled", self.side.close)
+            await self._end("cancelled", self._close)
         if self._going():
             self.outcome = "done"
             self.finished.set()
             self.changed()
             await self.host.sleep(GRACE)  # messages from before T may still be in transit to here
-            await self.host.on_data(self.side.conclude)
+            await self.host.on_data(self._conclude)
+
+    def _conclude(self) -> None:
+        self.side.conclude()
+        if self.state is not None:
+            self.state.end(self)
+
+    def _close(self) -> None:
+        self.side.close()
+        if self.state is not None:
+            self.state.end(self)
 
     def _failed(self) -> bool:
-        """Whether the author's code has raised, or the clock jumped back, before the first write."""
+        """Whether, before the first write, the author's code has raised, the clock jumped back, or no state came."""
+        if self.state is not None and self.state.failed:
+            return True
         failed = self._jumped_back() or any(link.output.owner.failed for link in self.side.links)
         return failed and not self.side.written
 
@@ -171,7 +213,10 @@ class CutInTask(_CutTask):
         return False
 
     async def cancel(self) -> None:
-        await self._end("cancelled", self.side.close)
+        if self.state is not None:
+            await self.state.cancel()
+        await self._end("cancelled", self._close)
 
     def result(self) -> CutResult:
-        return CutResult(outcome=self.outcome or "waiting", first=self.side.first())
+        because = None if self.state is None else self.state.problem
+        return CutResult(outcome=self.outcome or "waiting", because=because, first=self.side.first())

@@ -28,6 +28,8 @@ class Callbacks:
     stop_timeout: float = 2.0
     export_state: Callable[[], bytes] | None = None
     import_state: Callable[[bytes], None] | None = None
+    export_changes: Callable[[], bytes] | None = None
+    import_changes: Callable[[bytes], None] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,11 @@ def declare(name: str, parts: DeclaredParts) -> model.ComponentSpec:
             raise NodeError(
                 f"output {port.name} belongs to no functionality; write create_functionality(…, outputs=[{port.name}])"
             )
+    callbacks = parts.callbacks
+    if callbacks.export_changes is not None and callbacks.export_state is None:
+        raise NodeError("on_export_changes() adds to what on_export_state() exports; declare that as well")
+    if callbacks.import_changes is not None and callbacks.import_state is None:
+        raise NodeError("on_import_changes() adds to what on_import_state() imports; declare that as well")
     return model.ComponentSpec.of(
         name,
         inputs={name: port.assumption for name, port in parts.inputs.items()},

@@ -10,17 +10,34 @@ import inspect
 import traceback
 from collections import deque
 from collections.abc import Callable, Coroutine
-from typing import Any, Final
+from typing import Any, Final, Literal, NamedTuple, TypeAlias
 
 from midstride.node.functionality import Functionality
 from midstride.node.host import Host
 from midstride.node.modes import DeclaredMode, Function
-from midstride.node.ports import Driven, OutputOwner
+from midstride.node.ports import Driven, Input, OutputOwner
 from midstride.node.trigger import OnRate, Trigger, trigger_of
 from midstride.wire.state import FunctionalityState
 
 # What user code may raise without taking the node down; sys.exit() in a callback is one of its errors.
 CAUGHT: Final = (Exception, SystemExit)
+
+
+# How many calls a functionality holds back for a transfer of state; the oldest are dropped first.
+HELD: Final = 1000
+
+
+class Call(NamedTuple):
+    """A call that a trigger has asked for: of a message (``info``), or of the slots that it accounts for."""
+
+    function: Function
+    arguments: tuple[Any, ...]
+    slots: tuple[int, int] | None
+    info: Any
+
+
+# During a transfer of state: whether a call is made, held back, or dropped (midstride.node.state_transfer).
+Admission: TypeAlias = Literal["make", "hold", "drop"]
 
 
 class FunctionalityRunner(OutputOwner):
@@ -45,7 +62,10 @@ class FunctionalityRunner(OutputOwner):
         # Attempts the mode switch that waits for the async call to end (midstride.node.mode_switch).
         self._switch: Callable[[], None] | None = None
         depths = [port.assumption.qos.effective().depth or 1 for port in functionality.inputs]
-        self._postponed: deque[tuple[Function, tuple[Any, ...], Any]] = deque(maxlen=max(depths, default=1))
+        self._depth = max(depths, default=1)
+        self._postponed: deque[Call] = deque(maxlen=self._depth)
+        self.admission: Callable[[FunctionalityRunner, Call], Admission] | None = None
+        self._held: deque[Call] = deque(maxlen=HELD)
 
     @property
     def mode(self) -> DeclaredMode:
@@ -68,6 +88,10 @@ class FunctionalityRunner(OutputOwner):
         return self.mode.driven
 
     @property
+    def driving(self) -> tuple[Input, ...]:
+        return self.mode.synchronised or tuple(port for port, _ in self.mode.handlers)
+
+    @property
     def last(self) -> int:
         return len(self.chain) - 1
 
@@ -82,6 +106,7 @@ class FunctionalityRunner(OutputOwner):
             self._trigger.end()
             self._trigger = None
         self._postponed.clear()
+        self._held.clear()
 
     def enter_mode(self, index: int, because: str, failed: bool = False) -> None:
         """Switch to mode ``index``; :meth:`start_calls` starts its calls."""
@@ -110,6 +135,37 @@ class FunctionalityRunner(OutputOwner):
             self.ready = not self.asynchronous
             self._catch_up()
 
+    def request(self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any) -> None:
+        """A trigger asks for a call: it is made now, later or never."""
+        if self.admission is not None and not self._admitted(Call(function, arguments, slots, info)):
+            return
+        if self.ready:
+            self.call(function, arguments, slots, info)
+        elif slots is None:  # queued as the middleware would; a slot that comes during a call is skipped
+            self._postponed.append(Call(function, arguments, slots, info))
+
+    def _admitted(self, call: Call) -> bool:
+        assert self.admission is not None
+        admission = self.admission(self, call)
+        if admission == "hold":
+            if call.slots is not None and self._held:  # one late call accounts for all these slots
+                first, last = self._held.pop().slots or call.slots, call.slots
+                call = call._replace(slots=(first[0], last[1]))
+            self._held.append(call)
+        return admission == "make"
+
+    def make_held(self) -> None:
+        """Make the calls that were held back and are not to be dropped, in order, before any other."""
+        admission = self.admission
+        held = [call for call in self._held if admission is None or admission(self, call) == "make"]
+        waiting = [*held, *self._postponed]
+        self._held.clear()
+        self._postponed = deque(waiting, maxlen=max(self._depth, len(waiting)))
+        self._catch_up()
+
+    def drop_held(self) -> None:
+        self._held.clear()
+
     def call(self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any) -> None:
         """Call user code. The caller has checked ``ready``."""
         self.slots = slots
@@ -127,10 +183,6 @@ class FunctionalityRunner(OutputOwner):
             self._host.run_coroutine(self._guarded(result), self._returned)
         else:
             self._ended()
-
-    def postpone(self, function: Function, arguments: tuple[Any, ...], info: Any) -> None:
-        """Queue a message that arrives during an async call, as the middleware would."""
-        self._postponed.append((function, arguments, info))
 
     def _ended(self) -> None:
         self.busy = None
@@ -159,8 +211,7 @@ class FunctionalityRunner(OutputOwner):
 
     def _catch_up(self) -> None:
         while self._postponed and self.ready:
-            function, arguments, info = self._postponed.popleft()
-            self.call(function, arguments, None, info)
+            self.call(*self._postponed.popleft())
 
     def _fail(self, error: BaseException) -> None:
         """User code has raised: go to the last mode at once, with the traceback as the reason."""

@@ -3,22 +3,27 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Any, Final, TypeVar
 
 from midstride.errors import BackendError, CommandRefused, Unreachable
 from midstride.node.attachments import Attachments
 from midstride.node.cut import IncomingCut, OutgoingCut, comparable, reading
 from midstride.node.cut_protocol import CutInTask, CutOutTask
+from midstride.node.functionality_runner import FunctionalityRunner
 from midstride.node.host import Host
 from midstride.node.mode_switch import DataExecutor, within
 from midstride.node.ports import OutputLink
+from midstride.node.state_hooks import StateHooks
+from midstride.node.state_transfer import StateExport, StateImport
 from midstride.wire import commands
 from midstride.wire.channel import Channel, result_of
 from midstride.wire.commands import Command
 from midstride.wire.frames import Reply
 from midstride.wire.state import GateState
+
+R = TypeVar("R")
 
 # How long one attempt to reach a peer may take (s).
 MEET_ATTEMPT: Final = 0.5
@@ -35,8 +40,12 @@ class HandoverCommands:
     data: DataExecutor
     changed: Callable[[], None]
     token: Callable[[], str]
+    hooks: StateHooks
+    runners: Sequence[FunctionalityRunner]
     # Both sides of a cut may be here: one output of a component can hand over to another.
     _sides: dict[str, list[CutOutTask | CutInTask]] = field(default_factory=dict)
+    _exports: dict[str, StateExport] = field(default_factory=dict)
+    _imports: dict[str, StateImport] = field(default_factory=dict)
     _tasks: set[asyncio.Task[None]] = field(default_factory=set)
     _channels: dict[str, Channel] = field(default_factory=dict)
 
@@ -69,26 +78,37 @@ class HandoverCommands:
 
     async def meet(self, command: commands.MeetCommand) -> commands.Done:
         """Connect to the peer and ping it; the connection is kept for the report of the first write."""
+        await self._ask(command, commands.PingCommand())
+        return commands.Done()
+
+    async def _ask(self, command: commands.MeetCommand | commands.PrepareStateCommand, question: Command[R]) -> R:
+        """What the peer of ``command`` replies, in several short attempts. Raises CommandRefused."""
         deadline = self.host.steady() + int(command.timeout * 1e9)
         while True:
             try:
-                reply = await self._call(command.address, commands.PingCommand(), MEET_ATTEMPT)
-                break
+                return result_of(await self._call(command.address, question, MEET_ATTEMPT), question)
+            except CommandRefused as error:
+                raise CommandRefused(f"{command.peer} refused `{question.name}`: {error}") from None
             except BackendError as error:
                 if self.host.steady() >= deadline:
                     raise CommandRefused(
                         f"{command.peer} did not answer within {command.timeout:g} s: {error}"
                     ) from None
                 await self.host.sleep(0.02)
-        if not reply.ok:
-            raise CommandRefused(f"{command.peer} refused a ping: {reply.refused}")
-        return commands.Done()
 
     async def cut_out(self, command: commands.CutOutCommand) -> commands.Done:
         links = self._links_of(command.cut, command.swaps, CutOutTask, gate="open")
-        side = OutgoingCut(links, command.at, self.host, clock=command.clock)
-        await self._arm(side, side.arm)
-        self._begin(command.cut, CutOutTask(self.host, self.changed, side, command.resume_after))
+        export = None if command.state is None else self._export(command.state)
+        in_order = export is not None and _in_order(links)
+        side = OutgoingCut(links, command.at, self.host, in_order=in_order, clock=command.clock)
+
+        def arm() -> None:
+            side.arm()
+            if export is not None:
+                export.arm(links, side)
+
+        await self._arm(side, arm)
+        self._begin(command.cut, CutOutTask(self.host, self.changed, side, command.resume_after, export))
         return commands.Done()
 
     async def cut_in(self, command: commands.CutInCommand) -> commands.Done:
@@ -97,14 +117,23 @@ class HandoverCommands:
             raise CommandRefused(f"{', '.join(failed)} cannot take over: its functionality has failed")
         latches = [link for link, swap in zip(links, command.swaps, strict=True) if swap.latch]
         side = IncomingCut(links, command.at, self.host, latches, clock=command.clock)
-        await self._arm(side, lambda: side.arm(command.epoch))
+        state = None if command.state is None else self._import(command.state, command.peer, command.address)
+
+        def arm() -> None:
+            side.arm(command.epoch)
+            if state is not None:
+                state.arm(links, side)
+
+        await self._arm(side, arm)
 
         async def report(timeout: float, failed: bool) -> bool:
             taken = commands.CutTakenCommand(cut=command.cut, failed=failed)
             reply = await self._call(command.address, taken, timeout)
             return not reply.ok or result_of(reply, taken).resumed
 
-        self._begin(command.cut, CutInTask(self.host, self.changed, side, report))
+        self._begin(command.cut, CutInTask(self.host, self.changed, side, report, state))
+        if state is not None and state.complete:
+            self._start(state.run())
         return commands.Done()
 
     async def cancel_cut(self, command: commands.CancelCutCommand) -> commands.Done:
@@ -123,13 +152,57 @@ class HandoverCommands:
         outcome: commands.CutOutcome = next((each.outcome for each in results if each.outcome != "done"), "done")
         last = {name: write for result in results for name, write in result.last.items()}
         first = {name: write for result in results for name, write in result.first.items()}
-        return commands.CutResult(outcome=outcome, last=last, first=first)
+        because = next((result.because for result in results if result.because is not None), None)
+        return commands.CutResult(outcome=outcome, because=because, last=last, first=first)
 
     async def taken(self, command: commands.CutTakenCommand) -> commands.Relieved:
         """From the new side. Where the cut is unknown, this side has not stopped writing."""
         old = [side for side in self._sides.get(command.cut, []) if isinstance(side, CutOutTask)]
         resumed = [await side.taken(command.failed) for side in old]
         return commands.Relieved(resumed=any(resumed) if old else True)
+
+    # -- state ---------------------------------------------------------------------------------------
+
+    async def prepare_state(self, command: commands.PrepareStateCommand) -> commands.StateOffer:
+        if command.bulk:
+            export = commands.ExportStateCommand(timeout=command.timeout)
+            state = result_of(await self._call(command.address, export, command.timeout), export).state
+            if state is not None:
+                await self.hooks.import_(state, command.timeout)
+            return commands.StateOffer(exports="changes")
+        offered = await self._ask(command, commands.OfferStateCommand(changes=self.hooks.imports_changes))
+        if offered.exports != "nothing":
+            self.hooks.check_import()
+        return offered
+
+    async def offer_state(self, command: commands.OfferStateCommand) -> commands.StateOffer:
+        return commands.StateOffer(exports=self.hooks.exports(command.changes))
+
+    async def fetch_state(self, command: commands.FetchStateCommand) -> commands.FetchedState:
+        return await self._exporting(command.transfer).fetch()
+
+    async def importing(self, command: commands.ImportingCommand) -> commands.Relieved:
+        return self._exporting(command.transfer).importing(command.done)
+
+    def _exporting(self, transfer: str) -> StateExport:
+        if (export := self._exports.get(transfer)) is None:
+            raise CommandRefused(f"there is no transfer {transfer}")
+        return export
+
+    def _export(self, transfer: commands.StateTransfer) -> StateExport:
+        if transfer.id not in self._exports:
+            self._exports = {transfer.id: StateExport(transfer, self.hooks, self.host, self.runners)}
+        return self._exports[transfer.id]
+
+    def _import(self, transfer: commands.StateTransfer, peer: str, address: str) -> StateImport:
+        if transfer.id not in self._imports:
+
+            def request(command: Command[Any], timeout: float) -> Awaitable[Reply]:
+                return self._call(address, command, timeout)
+
+            state = StateImport(transfer, self.hooks, self.host, self.runners, peer, request)
+            self._imports = {transfer.id: state}
+        return self._imports[transfer.id]
 
     def _links_of(self, cut: str, swaps: Sequence[commands.CutSwap], kind: type, gate: GateState) -> list[OutputLink]:
         """The attachments that take part in a cut. Raises CommandRefused where one cannot."""
@@ -165,7 +238,10 @@ class HandoverCommands:
         over = [cut for cut, sides in self._sides.items() if all(earlier.finished.is_set() for earlier in sides)]
         for old in over[:-REMEMBERED]:
             del self._sides[old]
-        task = asyncio.get_running_loop().create_task(side.run())
+        self._start(side.run())
+
+    def _start(self, work: Coroutine[Any, Any, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
         self._tasks.add(task)
         task.add_done_callback(self._ended)
 
@@ -174,9 +250,7 @@ class HandoverCommands:
         if not task.cancelled() and (error := task.exception()) is not None:
             self.host.logger.error(f"a side of a cut failed: {type(error).__name__}: {error}")
 
-    async def _call(
-        self, address: str, command: Command[commands.Done] | Command[commands.Relieved], timeout: float
-    ) -> Reply:
+    async def _call(self, address: str, command: Command[Any], timeout: float) -> Reply:
         """Raises CallTimeout or Unreachable."""
         channel = self._channels.get(address)
         if channel is None or channel.closed.is_set():
@@ -188,3 +262,10 @@ class HandoverCommands:
             if channel is not made:  # another cut has connected to the same peer meanwhile
                 made.close()
         return await channel.request(command, timeout=timeout)
+
+
+def _in_order(links: Sequence[OutputLink]) -> bool:
+    """Whether all messages that drive these outputs come from one publisher: a newer one then follows all older."""
+    inputs = {port for link in links for port in link.output.owner.driving}
+    attachments = [link for port in inputs for link in port.links]
+    return len(attachments) == 1 and attachments[0].endpoint.matched() == 1

@@ -8,7 +8,7 @@ thread; other threads only read counters.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, Generic, Literal, Protocol, TypeAlias, TypeVar
 
 from midstride.errors import NodeError
@@ -66,6 +66,10 @@ class OutputOwner(Protocol):
     @property
     def rate(self) -> TimeGrid | None: ...
 
+    @property
+    def driving(self) -> Sequence[Input]:
+        """The inputs whose messages it is called for."""
+
 
 class OutputLink:
     """One attachment of an output: a publisher behind a gate. Created closed.
@@ -85,6 +89,11 @@ class OutputLink:
         self.gated = 0
         self.last_gated: Any = None
         self.cut: GatePolicy | None = None
+
+    @property
+    def lets_pass(self) -> bool:
+        """Whether a message that is written now is published."""
+        return self.open or (self.cut is not None and self.cut.passes(self))
 
     def write_gated(self, message: Any) -> None:
         """A write while the gate is not open: a cut may let it pass, else it is counted, and kept for late joiners."""

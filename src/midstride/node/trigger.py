@@ -19,13 +19,14 @@ class Caller(Protocol):
     """Calls user code: the running functionality, as far as a trigger needs to know it."""
 
     watch: Callable[[Any], None] | None
-    ready: bool  # whether a call may start
 
     def call(
         self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any
     ) -> None: ...
 
-    def postpone(self, function: Function, arguments: tuple[Any, ...], info: Any) -> None: ...
+    def request(
+        self, function: Function, arguments: tuple[Any, ...], slots: tuple[int, int] | None, info: Any
+    ) -> None: ...
 
 
 class InfoSet(tuple[Any, ...]):
@@ -73,9 +74,7 @@ class OnRate:
 
     def _on_slot(self, first: int, last: int) -> None:
         self.slot = first
-        runner = self._runner
-        if runner.ready:
-            runner.call(self._function, (), (first, last), None)
+        self._runner.request(self._function, (), (first, last), None)
 
 
 class _Listening:
@@ -103,21 +102,16 @@ class _Listening:
 
         return on_message
 
-    def _call(self, function: Function, arguments: tuple[Any, ...], info: Any) -> None:
-        if self._runner.ready:
-            self._runner.call(function, arguments, None, info)
-        else:
-            self._runner.postpone(function, arguments, info)
-
 
 class OnMessage(_Listening):
     """Called for every message of its inputs."""
 
     def __init__(self, runner: Caller, handlers: tuple[tuple[Input, Function], ...]) -> None:
-        super().__init__(runner, [(port, self._handler(function)) for port, function in handlers])
+        super().__init__(runner, [(port, self._handler(runner, function)) for port, function in handlers])
 
-    def _handler(self, function: Function) -> Listener:
-        return lambda message, info: self._call(function, (message,), info)
+    @staticmethod
+    def _handler(runner: Caller, function: Function) -> Listener:
+        return lambda message, info: runner.request(function, (message,), None, info)
 
 
 class OnSet(_Listening):
@@ -165,7 +159,7 @@ class OnSet(_Listening):
             while waiting and waiting[0][0] <= time:
                 waiting.popleft()
         messages, infos = tuple(message for _, message, _ in chosen), InfoSet(info for _, _, info in chosen)
-        self._call(self._function, messages, infos)
+        self._runner.request(self._function, messages, None, infos)
 
 
 Trigger: TypeAlias = OnEntry | OnRate | OnMessage | OnSet

@@ -22,6 +22,7 @@ from midstride.runtime.launcher import Launcher
 from midstride.runtime.observed_configuration import own_degradations_in
 from midstride.runtime.parameter_transfer import ParameterTransfer
 from midstride.runtime.running_system import RunningSystem
+from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
 from midstride.wire.commands import Command
 
@@ -49,6 +50,7 @@ class ActionDriver:
     drain_timeout: float = DRAIN_TIMEOUT
     rolling_back: bool = False
     last_numbers: dict[PortRef, int | None] = field(default_factory=dict)
+    late: dict[str, float] = field(default_factory=dict)
     parameters: ParameterTransfer | None = None
     _before_setting: dict[str, commands.Before] = field(default_factory=dict)  # by instance
     _exported: dict[str, bytes] = field(default_factory=dict)  # by role: a change removes at most one instance of each
@@ -219,32 +221,24 @@ class ActionDriver:
 
     async def _hand_over(self, action: Handover) -> None:
         configuration = self.configuration
-        for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in action.swaps}):
-            same_role = configuration.instances[old].role == configuration.instances[new].role
-            if old != new and same_role:  # else nothing is replaced
-                await self._transfer_state(old, new)
+        pairs = {(swap.old.instance, swap.new.instance) for swap in action.swaps}
+        roles = {name: instance.role for name, instance in configuration.instances.items()}
         if self.before_handover is not None:
             await self.before_handover(configuration, action)
+        # Where the outputs of other roles are swapped, nothing is replaced.
+        replaced = [(old, new) for old, new in pairs if old != new and roles[old] == roles[new]]
+        states = StateTransfers(self.client, self.events, replaced, required=not self.rolling_back)
         lingering_readers = self.backend.lingering_readers
-        handover = LiveHandover(self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone)
+        handover = LiveHandover(
+            self.client, self.events, configuration, action.swaps, lingering_readers, self._is_gone, states
+        )
         handover.before_cut = self._carry_parameters
         self.last_numbers |= await handover.run()
+        self.late |= states.late
 
     async def _carry_parameters(self, old: str, new: str) -> None:
         if self.parameters is not None and not self.rolling_back:
             await self.parameters.before_cut(old, self.configuration.instances[new])
-
-    async def _transfer_state(self, old: str, new: str) -> None:
-        try:
-            exported = await self.client.read(old, commands.ExportStateCommand())
-        except MidstrideError as error:
-            if not self.rolling_back and not self._is_gone(old):
-                raise
-            lost = f"{old} has exited" if self._is_gone(old) else str(error)
-            self.events.add("note", f"{new} keeps its own state: {lost}")
-            return
-        if exported.state is not None:
-            await self._import_state(new, exported.state)
 
 
 def by_instance(modes: Mapping[FunctionalityRef, int]) -> dict[str, dict[FunctionalityRef, int]]:

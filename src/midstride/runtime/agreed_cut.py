@@ -14,6 +14,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final
 
+from msgspec import structs
+
 from midstride.errors import CallTimeout, StepFailed, Unreachable
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
@@ -25,7 +27,9 @@ from midstride.wire.commands import (
     CutInCommand,
     CutOutCommand,
     CutSwap,
+    Grid,
     GridCommand,
+    StateTransfer,
     Trigger,
 )
 
@@ -44,7 +48,10 @@ LEAVE_INTERVAL: Final = 0.05
 
 @dataclass(slots=True)
 class Cut:
-    """One cut between two components, for the outputs of one functionality, which share a time grid."""
+    """One cut between two components, for the outputs of one functionality, which share a time grid.
+
+    ``lead`` is how far ahead it was agreed (s); ``state`` how state moves at the cuts of these two components.
+    """
 
     configuration: Configuration
     old: str
@@ -56,6 +63,8 @@ class Cut:
     epoch: int | None = None
     period: float | None = None
     at: int = 0
+    lead: float = 0.0
+    state: StateTransfer | None = None
 
     def resume_after(self) -> float:
         """How long the old side waits for the new one's first write (s, on the clock of the cut)."""
@@ -74,7 +83,18 @@ class Cut:
     def outgoing(self) -> CutOutCommand:
         """The cut as the old side is sent it."""
         swaps = [CutSwap(port=swap.old.port, topic=self.configuration.topic(swap.connector)) for swap in self.swaps]
-        return CutOutCommand(cut=self.id, swaps=swaps, at=self.at, resume_after=self.resume_after(), clock=self.clock)
+        return CutOutCommand(
+            cut=self.id,
+            swaps=swaps,
+            at=self.at,
+            resume_after=self.resume_after(),
+            clock=self.clock,
+            state=self.state,
+        )
+
+    def timeout(self, stretch: float) -> float:
+        """How long it may take until both sides know how it ended (s); ``stretch`` as for a slow clock."""
+        return self.lead + self.resume_after() * stretch + 2.0 + (0.0 if self.state is None else self.state.timeout)
 
     def incoming(self, address: str) -> CutInCommand:
         """The cut as the new side is sent it; ``address`` is that of the old side."""
@@ -86,24 +106,38 @@ class Cut:
         ]
         epoch = self.at if self.trigger == "rate" else None
         return CutInCommand(
-            cut=self.id, swaps=swaps, at=self.at, epoch=epoch, peer=self.old, address=address, clock=self.clock
+            cut=self.id,
+            swaps=swaps,
+            at=self.at,
+            epoch=epoch,
+            peer=self.old,
+            address=address,
+            clock=self.clock,
+            state=self.state,
         )
 
 
 async def agree_cuts(
-    client: ComponentClient, configuration: Configuration, swaps: Iterable[Swap], lead: float
+    client: ComponentClient,
+    configuration: Configuration,
+    swaps: Iterable[Swap],
+    lead: float,
+    states: Mapping[tuple[str, str], StateTransfer],
 ) -> list[Cut]:
     """One cut for the outputs of each old functionality, all at the first slot after one common moment.
 
-    There is one such moment on each clock, ``lead`` seconds of real time ahead.
+    There is one such moment on each clock, ``lead`` seconds of real time ahead. ``states`` says how state moves between
+    two components. There the slowest grid is cut first, and each faster one at its first slot after that, so the slots
+    that wait for the last cut do so for a short part of their period.
     """
     cuts: dict[tuple[str, str, str], Cut] = {}
+    grids: dict[tuple[str, str, str], Grid] = {}
     moments: dict[CutClock, int] = {}
     for swap in swaps:
         old, new = swap.old.instance, swap.new.instance
         key = (old, new, configuration.component(old).owner(swap.old.port).name)
         if key not in cuts:
-            grid = await client.read(old, GridCommand(port=swap.old.port))
+            grid = grids[key] = await client.read(old, GridCommand(port=swap.old.port))
             cuts[key] = Cut(
                 configuration, old, new, trigger=grid.trigger, clock=grid.clock, epoch=grid.epoch, period=grid.period
             )
@@ -111,11 +145,27 @@ async def agree_cuts(
             moments[grid.clock] = max(moments.get(grid.clock, 0), moment)
         cuts[key].swaps.append(swap)
     for cut in cuts.values():
-        cut.at = moment = moments[cut.clock]
-        if cut.trigger == "rate" and cut.epoch is not None and cut.period:
-            step = cut.period * 1e9
-            cut.at = cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
+        cut.at = _first_slot(cut, moments[cut.clock])
+    for pair, state in states.items():
+        own = sorted((cut for cut in cuts.values() if (cut.old, cut.new) == pair), key=lambda cut: -(cut.period or 0.0))
+        latest = dict(moments)
+        for cut in own:
+            latest[cut.clock] = cut.at = _first_slot(cut, latest[cut.clock])
+        last = own[-1]
+        transfer = structs.replace(state, id=uuid.uuid4().hex, cuts=len(own), at=last.at, clock=last.clock)
+        for cut in own:
+            cut.state = transfer
+    for key, cut in cuts.items():
+        cut.lead = (cut.at - grids[key].now) / 1e9 / (grids[key].speed or 1.0)
     return list(cuts.values())
+
+
+def _first_slot(cut: Cut, moment: int) -> int:
+    """The first slot of its grid that is not before ``moment``, which itself is one where there is no grid."""
+    if cut.trigger != "rate" or cut.epoch is None or not cut.period:
+        return moment
+    step = cut.period * 1e9
+    return cut.epoch + round(math.ceil((moment - cut.epoch) / step) * step)
 
 
 async def publishers_found(
@@ -145,6 +195,7 @@ async def require_found(
     swaps: Iterable[Swap],
     connector: str,
     before: Mapping[PortRef, int],
+    is_gone: Callable[[str], bool],
 ) -> None:
     """Raises StepFailed unless the subscribers of ``connector`` have found the new publishers.
 
@@ -153,9 +204,10 @@ async def require_found(
     may also not have noticed who left, so the number of publishers there are would not do.
     """
     new = {swap.new for swap in swaps if swap.connector == connector}
+    gone = sum(is_gone(port.instance) for port in configuration.publishers_on(connector))
     topic = configuration.topic(connector)
     for port, counted in before.items():
-        wanted = counted + len(new)
+        wanted = counted + len(new) - gone  # whether one that has exited is still counted is not known
         await_match = AwaitMatchCommand(port=port.port, topic=topic, peers=wanted, timeout=FIND_TIMEOUT)
         try:
             matched = (await client.read(port.instance, await_match)).matched

@@ -166,6 +166,7 @@ class ChangeSession:
             seconds=round(seconds, 6),
             fallen=degraded_seconds,
             swaps=swaps,
+            late=executor.driver.late,
             because=because,
             parameters=transfer.report(outcome == "done"),
             ended=sorted(exited | {name for name, event in system.missing.items() if missing.get(name) is not event}),

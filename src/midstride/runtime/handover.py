@@ -18,10 +18,17 @@ from midstride.errors import CommandRefused, MidstrideError, StepFailed, Unreach
 from midstride.model.action import Swap
 from midstride.model.component import PortRef
 from midstride.model.configuration import Configuration
-from midstride.runtime.agreed_cut import Cut, agree_cuts, publishers_found, require_found, require_same_clock
+from midstride.runtime.agreed_cut import (
+    Cut,
+    agree_cuts,
+    publishers_found,
+    require_found,
+    require_same_clock,
+)
 from midstride.runtime.component_client import ComponentClient
 from midstride.runtime.events import EventLog
 from midstride.runtime.simulated_time import stretch
+from midstride.runtime.state_transfers import StateTransfers
 from midstride.wire import commands
 
 # How far ahead the cut is (s): many round trips, so that both sides know it in time. If the machine is too busy for one
@@ -47,7 +54,8 @@ class LiveHandover:
     """One hand-over on the components of ``configuration``.
 
     ``lingering_readers`` says how many readers on a topic the middleware still counts although their processes have
-    exited, ``is_gone`` whether a component has exited. ``before_cut(old, new)`` is called when both are ready for it.
+    exited, ``is_gone`` whether a component has exited. ``states`` moves their state. ``before_cut(old, new)`` is called
+    when both are ready for it.
     """
 
     client: ComponentClient
@@ -56,6 +64,7 @@ class LiveHandover:
     swaps: Sequence[Swap]
     lingering_readers: Callable[[str], Awaitable[int]]
     is_gone: Callable[[str], bool]
+    states: StateTransfers
     before_cut: Callable[[str, str], Awaitable[None]] | None = None
     _begun: list[Swap] = field(default_factory=list)
     _attached: list[Swap] = field(default_factory=list)
@@ -102,15 +111,17 @@ class LiveHandover:
         for swap in self.swaps:
             await self._attach_gated(swap)
         for connector in connectors:
-            await require_found(self.client, self.configuration, self.swaps, connector, found[connector])
+            await require_found(self.client, self.configuration, self.swaps, connector, found[connector], self.is_gone)
         for swap in self.swaps:
             await self._await_probation(swap)
         for old, new in pairs:
             await self._meet(new, old)
+        await self.states.prepare()
+        for old, new in pairs:
             if self.before_cut is not None:
                 await self.before_cut(old, new)
         for lead in LEADS:
-            self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead)
+            self._cuts = await agree_cuts(self.client, self.configuration, self.swaps, lead, self.states.agreed)
             if await self._announce(last_try=lead == LEADS[-1]):
                 break
         return await self._await_cuts()
@@ -136,12 +147,20 @@ class LiveHandover:
             await self.client.change(swap.new.instance, opening)
         for old, new in sorted({(swap.old.instance, swap.new.instance) for swap in self.swaps}):
             self.events.add("note", f"{old} exited during the hand-over, and {new} took over at once")
+            moved = any(
+                (cut.old, cut.new) == (old, new) and swap in publishing for cut in self._cuts for swap in cut.swaps
+            )
+            if (old, new) in self.states.agreed and not moved:
+                self.states.note_own_state(new, f"{old} has exited")
         return {}
 
     async def _publishes(self, cut: Cut) -> bool:
         """Whether the new side of ``cut`` has published, or will at the agreed moment."""
         try:
-            return (await self.client.read(cut.new, self._await_cut(cut))).outcome == "done"
+            incoming = await self.client.read(cut.new, self._await_cut(cut))
+            if incoming.outcome == "done":
+                self.states.ended(cut, incoming)
+            return incoming.outcome == "done"
         except CommandRefused:
             return False  # it was not sent the cut
 
@@ -260,18 +279,21 @@ class LiveHandover:
             incoming, outgoing = await asyncio.gather(
                 self.client.read(cut.new, await_cut), self.client.read(cut.old, await_cut)
             )
+            because = incoming.because or outgoing.because
+            reason = "" if because is None else f": {because}"
             if incoming.outcome != "done" and not any(incoming.first.values()):
-                because = await self._waits_for(cut.new)
-                raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues{because}")
+                reason = reason or await self._waits_for(cut.new)
+                raise StepFailed(f"{cut.new} did not publish after the cut; {cut.old} continues{reason}")
             if incoming.outcome != "done" or outgoing.outcome != "done":
-                raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published")
+                raise StepFailed(f"{cut.old} resumed before it learned that {cut.new} had published{reason}")
+            self.states.ended(cut, incoming)
             for swap in cut.swaps:
                 write = outgoing.last.get(f"{swap.old.port} {self._topic(swap)}")
                 last[swap.old] = None if write is None else write.number
         return last
 
     def _await_cut(self, cut: Cut) -> commands.AwaitCutCommand:
-        timeout = LEADS[-1] + cut.resume_after() * self._stretch(cut.old) + 2.0
+        timeout = max(each.timeout(self._stretch(each.old)) for each in self._cuts)
         return commands.AwaitCutCommand(cut=cut.id, timeout=timeout)
 
     async def _cancel(self, cuts: Iterable[Cut]) -> None:

@@ -61,6 +61,10 @@ class Outcome(Report, frozen=True, kw_only=True):
     seconds: float = 0.0
     fallen: Annotated[dict[str, float], Meta(description="measured seconds below the baseline")] = {}
     swaps: list[SwapReport] = []
+    late: Annotated[
+        dict[str, float],
+        Meta(description="seconds by which a new component's first slot waited for its state, over a period"),
+    ] = {}
     because: str | None = None
     parameters: Annotated[list[RuntimeValue], Meta(description="what became of values that were set at run time")] = []
     ended: Annotated[list[str], Meta(description="instances that exited unexpectedly meanwhile")] = []

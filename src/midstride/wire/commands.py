@@ -80,6 +80,24 @@ class ExportedState(WireValue, frozen=True, kw_only=True):
     state: bytes | None
 
 
+class FetchedState(WireValue, frozen=True, kw_only=True):
+    """The state at a cut. ``handled``: by publisher, the time of the newest message that it includes (ns).
+
+    That is for functionalities without an output in the cut. Of other publishers, it includes what was published until
+    ``since``.
+    """
+
+    state: bytes | None
+    handled: dict[str, int]
+    since: int
+
+
+class StateOffer(WireValue, frozen=True, kw_only=True):
+    """What a component exports at a cut: of ``changes``, the bulk has to move before."""
+
+    exports: Literal["nothing", "whole", "changes"]
+
+
 class GatedWrites(WireValue, frozen=True, kw_only=True):
     """How many messages were written behind the gate; ``wrong_type``: what was wrong with the last refused one."""
 
@@ -98,9 +116,11 @@ class CutResult(WireValue, frozen=True, kw_only=True):
     """How a cut ended here, by ``"port topic"``: ``last`` for the old side, ``first`` for the new side.
 
     Old side: *done* once it has passed the cut and the new side has written. *waiting*: not finished in time.
+    ``because``: what was wrong with the transfer of state.
     """
 
     outcome: CutOutcome
+    because: str | None = None
     last: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
     first: dict[str, LastWrite | None] = msgspec.field(default_factory=dict)
 
@@ -294,6 +314,31 @@ class CutSwap(WireValue, frozen=True, kw_only=True):
     latch: bool = False
 
 
+class StateTransfer(WireValue, frozen=True, kw_only=True):
+    """State moves from the old component to the new one once the last of their ``cuts`` has passed.
+
+    That is at ``at`` on ``clock``. ``changes``: a bulk has moved before, and only what has changed since follows. It
+    may take ``timeout`` seconds. If it fails, the new side does not take over where the state is ``required``; else it
+    continues with its own.
+    """
+
+    id: str
+    cuts: int
+    at: int
+    clock: CutClock = "ros"
+    changes: bool = False
+    required: bool = True
+    timeout: Seconds = 2.0
+
+
+class PrepareStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="prepare_state"):
+    """The new side: ask the peer what it exports at the cut, or, with ``bulk``, import the whole of it now."""
+
+    peer: str
+    address: str
+    bulk: bool = False
+
+
 class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     """The old side: write up to ``at``, then close the gates.
 
@@ -306,6 +351,7 @@ class CutOutCommand(Command[Done], frozen=True, kw_only=True, tag="cut_out"):
     at: int
     resume_after: Seconds
     clock: CutClock = "ros"
+    state: StateTransfer | None = None
 
 
 class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
@@ -321,6 +367,7 @@ class CutInCommand(Command[Done], frozen=True, kw_only=True, tag="cut_in"):
     address: str
     epoch: int | None = None
     clock: CutClock = "ros"
+    state: StateTransfer | None = None
 
 
 class CancelCutCommand(Command[Done], frozen=True, kw_only=True, tag="cancel_cut"):
@@ -352,6 +399,28 @@ class CutTakenCommand(Command[Relieved], frozen=True, kw_only=True, tag="taken")
     kind = "between"
     cut: str
     failed: bool = False
+
+
+class OfferStateCommand(Command[StateOffer], frozen=True, kw_only=True, tag="offer_state"):
+    """From the new side to the old one, before the cut. ``changes``: it can import changes."""
+
+    kind = "between"
+    changes: bool
+
+
+class FetchStateCommand(Command[FetchedState], frozen=True, kw_only=True, tag="fetch_state"):
+    """From the new side to the old one: wait for the state after the last write."""
+
+    kind = "between"
+    transfer: str
+
+
+class ImportingCommand(Command[Relieved], frozen=True, kw_only=True, tag="importing"):
+    """From the new side to the old one: it is importing the state, or has ``done`` so and is about to write."""
+
+    kind = "between"
+    transfer: str
+    done: bool = False
 
 
 # Every command by its name on the wire.

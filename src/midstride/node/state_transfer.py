@@ -1,0 +1,334 @@
+"""The state of a component at a cut: exported after the old one's last write, imported before the new one's first.
+
+docs/semantics.md section 7, *State*. From T on, both components hold back calls of the author's functions: the old one
+those that belong to the new side, until it knows that they are not its own after all; the new one those that belong to
+it, until the state has arrived. A functionality without an output in a cut, which only receives, goes on at the old
+side until the export; the new one holds all its messages back, and drops those that the old one has received. The new
+side asks for the state, and reports that it is importing it, so the old side
+can tell a slow import from a dead peer. None of this needs the manager.
+
+The methods ``arm``, ``admit`` and ``release`` run on the data thread, the others on the control thread.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from midstride.errors import BackendError, CallTimeout, CommandRefused, Unreachable
+from midstride.node.cut import IncomingCut, OutgoingCut, call_belongs_after, reading
+from midstride.node.functionality_runner import Admission, Call, FunctionalityRunner
+from midstride.node.host import Host
+from midstride.node.mode_switch import within
+from midstride.node.ports import OutputLink, OutputOwner
+from midstride.node.state_hooks import StateHooks
+from midstride.node.trigger import InfoSet
+from midstride.wire import commands
+from midstride.wire.channel import result_of
+from midstride.wire.commands import Command, CutClock
+from midstride.wire.frames import Reply
+
+# How often a side checks whether a cut has passed, and async calls have ended (s).
+TICK: Final = 0.002
+# How long before T the new side asks for the state (s): a request that waited for long would be repeated.
+FETCH_LEAD: Final = 0.05
+# How often a side that waits for a moment of the ROS clock looks at it (s).
+LONGEST_WAIT: Final = 0.01
+# How often a peer that cannot be reached is tried, and how soon again (s).
+FETCH_ATTEMPTS: Final = 5
+FETCH_INTERVAL: Final = 0.01
+# How often the new side reports that it is still importing (s): often enough for the shortest time before a resumption.
+REPORT_INTERVAL: Final = 0.03
+REPORT_TIMEOUT: Final = 0.25
+# How long a state may take on its way (s per byte), besides the time in which the new side must report.
+TRANSIT_PER_BYTE: Final = 2e-8
+
+
+@dataclass(eq=False)
+class _Transfer:
+    """What both sides share. ``_armed``: how many cuts the pair has agreed so far; ``_ended``: those that are over."""
+
+    transfer: commands.StateTransfer
+    hooks: StateHooks
+    host: Host
+    runners: Sequence[FunctionalityRunner]
+    _moments: dict[OutputOwner, tuple[int, CutClock]] = field(default_factory=dict, init=False)
+    _armed: int = field(default=0, init=False)
+    _ended: set[object] = field(default_factory=set, init=False)
+
+    @property
+    def complete(self) -> bool:
+        """Whether all cuts of the pair have been agreed."""
+        return self._armed == self.transfer.cuts
+
+    @property
+    def over(self) -> bool:
+        return len(self._ended) == self._armed
+
+    def arm(self, links: Iterable[OutputLink], side: OutgoingCut | IncomingCut) -> None:
+        self._armed += 1
+        self._moments.update({link.output.owner: (side.at, side.clock) for link in links})
+        for runner in self.runners:
+            runner.admission = self.admit
+
+    def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
+        raise NotImplementedError
+
+    def release(self, make: bool) -> None:
+        """Hold nothing back any more; ``make`` the calls that were, or drop them."""
+        for runner in self.runners:
+            if runner.admission == self.admit:
+                runner.admission = None
+                if make:
+                    runner.make_held()
+                else:
+                    runner.drop_held()
+
+    def _origin(self, runner: FunctionalityRunner, call: Call) -> tuple[str, int] | None:
+        """The publisher of a message and its time, where known, of a functionality that has no output in a cut."""
+        if runner in self._moments or call.info is None or isinstance(call.info, InfoSet):
+            return None
+        facts = self.host.read_info(call.info)
+        return None if facts.publisher is None or facts.source is None else (facts.publisher, facts.source)
+
+    def _belongs_after(self, runner: FunctionalityRunner, call: Call, slot: int) -> bool:
+        at, clock = self._moments.get(runner, (self.transfer.at, self.transfer.clock))
+        return call_belongs_after(runner, call.slots, call.info, at, self.host, slot, clock)
+
+    def _now(self) -> int:
+        """The clock of the last cut."""
+        return reading(self.host, self.transfer.clock)
+
+    async def _quiet(self) -> None:
+        """Wait until no async call is under way, but for loops that a mode has begun on entry."""
+        while any(runner.asynchronous and runner.driven != "none" for runner in self.runners):
+            await self.host.sleep(TICK)
+
+
+@dataclass(eq=False)
+class StateExport(_Transfer):
+    """The old side. Where it resumes, it makes the calls that it held back: one for all slots, one for each message."""
+
+    because: str | None = field(default=None, init=False)
+    _passed: set[object] = field(default_factory=set, init=False)
+    _all_passed: bool = field(default=False, init=False)
+    _state: bytes | None = field(default=None, init=False)
+    # When the last cut was due; and when the state was exported, or the new side last reported (steady, ns).
+    _due_at: int | None = field(default=None, init=False)
+    _heard_at: int | None = field(default=None, init=False)
+    # By publisher, the newest message that a functionality without an output in a cut has received since ``_since``.
+    _handled: dict[str, int] = field(default_factory=dict, init=False)
+    _since: int = field(default=0, init=False)
+    _imported: bool = field(default=False, init=False)
+    _resumed: bool = field(default=False, init=False)
+    _held: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+    _settled: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+
+    def __post_init__(self) -> None:
+        self._loop = asyncio.get_running_loop()
+
+    def arm(self, links: Iterable[OutputLink], side: OutgoingCut | IncomingCut) -> None:
+        super().arm(links, side)
+        self._since = self._since or self.host.message_now()
+
+    def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
+        if not self._all_passed:
+            if (origin := self._origin(runner, call)) is not None:
+                publisher, source = origin
+                self._handled[publisher] = max(source, self._handled.get(publisher, 0))
+                return "make"
+            if not self._belongs_after(runner, call, slot=0):
+                return "make"
+        if not self._loop.is_closed():
+            self._loop.call_soon_threadsafe(self._held.set)
+        return "hold"
+
+    async def pause(self) -> None:
+        """Wait until a call is held back, which may show that a cut has passed, or for a short time."""
+        await within(self.host, self._held.wait(), TICK)
+        self._held.clear()
+
+    async def passed(self, cut: object) -> None:
+        """A cut has passed. After the last one the state is exported, once."""
+        self._passed.add(cut)
+        if self._all_passed or len(self._passed) < self.transfer.cuts:
+            return
+        self._all_passed = True
+        try:
+            if await within(self.host, self._quiet(), self.transfer.timeout) is None:
+                raise CommandRefused(f"user code did not return within {self.transfer.timeout:g} s")
+            self._state = await self.hooks.export(self.transfer.timeout, self.transfer.changes)
+        except CommandRefused as error:
+            self.because = self.because or str(error)
+        self._heard_at = self.host.steady() + int(len(self._state or b"") * TRANSIT_PER_BYTE * 1e9)
+        self._settled.set()
+
+    @property
+    def heard_at(self) -> int:
+        """When the new side last showed that it works (steady, ns). Nothing is expected of it before the export."""
+        return self.host.steady() if self._heard_at is None else self._heard_at
+
+    def given_up(self, patience: float) -> bool:
+        """Whether the old side resumes because of the transfer: another cut has, or it takes too long."""
+        now = self.host.steady()
+        if self._due_at is None and self._now() >= self.transfer.at:
+            self._due_at = now
+        if self._resumed or self._imported or self._due_at is None:
+            return self._resumed
+        if now - self._due_at <= (self.transfer.timeout + patience) * 1e9:
+            return False
+        self.because = self.because or _too_long(self.transfer)
+        return True
+
+    async def fetch(self) -> commands.FetchedState:
+        """Raises CommandRefused where the state could not be exported, or the old side has resumed."""
+        await self._settled.wait()
+        if self.because is not None:
+            raise CommandRefused(self.because)
+        return commands.FetchedState(state=self._state, handled=self._handled, since=self._since)
+
+    def importing(self, done: bool) -> commands.Relieved:
+        if not self._resumed:
+            self._heard_at = max(self.host.steady(), self.heard_at)
+            self._imported = self._imported or done
+        return commands.Relieved(resumed=self._resumed)
+
+    def end(self, cut: object, resumed: bool) -> None:
+        """A cut has ended. Once all have, calls are no longer held back."""
+        self._ended.add(cut)
+        self._resumed = self._resumed or resumed
+        if self._resumed:
+            self.because = self.because or "the old component has resumed"
+        self._settled.set()
+        if self.over:
+            self._state = None
+
+    def release_if_over(self) -> None:
+        if self.over:
+            self.release(make=self._resumed)
+
+
+@dataclass(eq=False)
+class StateImport(_Transfer):
+    """The new side. ``request`` sends a command to ``peer``. ``problem``: why the state has not been imported."""
+
+    peer: str
+    request: Callable[[Command[Any], float], Awaitable[Reply]]
+    problem: str | None = field(default=None, init=False)
+    # Whether it cannot take over; without its peer, or where the state is not required, it continues with its own.
+    failed: bool = field(default=False, init=False)
+    _imported: bool = field(default=False, init=False)
+    _open: bool = field(default=False, init=False)
+    # As the old side reports them.
+    _handled: dict[str, int] = field(default_factory=dict, init=False)
+    _since: int = field(default=0, init=False)
+    _settled: asyncio.Event = field(default_factory=asyncio.Event, init=False)
+
+    def admit(self, runner: FunctionalityRunner, call: Call) -> Admission:
+        origin = self._origin(runner, call)
+        if origin is None:
+            included = not self._belongs_after(runner, call, slot=1)
+            if included and not self._imported:
+                return "make"
+        else:
+            publisher, source = origin
+            included = self._imported and source <= self._handled.get(publisher, self._since)
+        if not self._open:
+            return "drop" if included and origin is None else "hold"
+        return "drop" if included else "make"
+
+    async def run(self) -> None:
+        """Fetch and import the state; then make the calls that were held back."""
+        try:
+            fetched = await self._fetch()
+            if fetched is not None and fetched.state is not None:
+                self._handled, self._since = fetched.handled, fetched.since
+                await self._import(fetched.state)
+        except CommandRefused as error:
+            await self._settle(str(error), self.transfer.required)
+        except Unreachable:
+            await self._settle(f"{self.peer} has exited", False)
+        else:
+            await self._settle(None, False)
+
+    async def settled(self) -> None:
+        """At T: wait until the state has been imported, or cannot be in time."""
+        if not self.complete:
+            await self._settle("the manager has not sent every cut", True)
+        else:
+            await self._until(0.0)  # the last cut of the pair may be later
+            if await within(self.host, self._settled.wait(), self.transfer.timeout) is None:
+                await self._settle(_too_long(self.transfer), self.transfer.required)
+
+    def end(self, cut: object) -> None:
+        """On the data thread: a cut has ended. Once all have, calls from before T are no longer dropped."""
+        self._ended.add(cut)
+        if self.over:
+            self.release(make=False)
+
+    async def cancel(self) -> None:
+        await self._settle("the cut was cancelled", True)
+
+    async def _settle(self, problem: str | None, failed: bool) -> None:
+        """The first outcome counts."""
+        if self._settled.is_set():
+            return
+        self.problem, self.failed = problem, failed
+        self._settled.set()
+        if not failed:
+            await self.host.on_data(self._begin)
+
+    def _begin(self) -> None:
+        self._open = True
+        for runner in self.runners:
+            runner.make_held()
+
+    async def _fetch(self) -> commands.FetchedState | None:
+        """Raises CommandRefused, or Unreachable where the old side has exited."""
+        await self._until(FETCH_LEAD)
+        fetch = commands.FetchStateCommand(transfer=self.transfer.id)
+        attempts = 0
+        while not self._settled.is_set():
+            try:
+                return result_of(await self.request(fetch, FETCH_LEAD + self.transfer.timeout), fetch)
+            except CallTimeout:
+                continue  # on a clock that follows /clock, T may be far ahead
+            except Unreachable:
+                attempts += 1
+                if attempts == FETCH_ATTEMPTS:
+                    raise
+                await self.host.sleep(FETCH_INTERVAL)
+        return None
+
+    async def _until(self, lead: float) -> None:
+        """Wait until so long (s) before the last cut, on its clock."""
+        while not self._settled.is_set() and (left := (self.transfer.at - self._now()) / 1e9 - lead) > 0:
+            await self.host.sleep(min(max(left, 0.0001), LONGEST_WAIT))
+
+    async def _import(self, state: bytes) -> None:
+        """Raises CommandRefused where the import fails, or the old side has resumed."""
+        work = asyncio.ensure_future(self._import_quietly(state))
+        while (finished := await within(self.host, work, REPORT_INTERVAL)) is None:
+            await self._report(done=False)
+        finished.result()
+        await self._report(done=True)
+
+    async def _import_quietly(self, state: bytes) -> None:
+        await self._quiet()
+        self._imported = True
+        await self.hooks.import_(state, self.transfer.timeout, self.transfer.changes)
+
+    async def _report(self, done: bool) -> None:
+        importing = commands.ImportingCommand(transfer=self.transfer.id, done=done)
+        try:
+            reply = await self.request(importing, REPORT_TIMEOUT)
+        except BackendError:
+            return  # it has exited, or is stopped: it writes nothing
+        if not reply.ok or result_of(reply, importing).resumed:
+            raise CommandRefused("the old component has resumed")
+
+
+def _too_long(transfer: commands.StateTransfer) -> str:
+    return f"the state took longer than {transfer.timeout:g} s"

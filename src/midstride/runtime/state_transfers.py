@@ -1,0 +1,78 @@
+"""The manager's part in moving state at a cut: what moves, the bulk beforehand, and what became of it.
+
+The transfer itself is between the two components (:mod:`midstride.node.state_transfer`, docs/semantics.md section 7).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from typing import Final
+
+from msgspec import structs
+
+from midstride.errors import MidstrideError
+from midstride.runtime.agreed_cut import Cut
+from midstride.runtime.component_client import ComponentClient
+from midstride.runtime.events import EventLog
+from midstride.wire.commands import CutResult, PrepareStateCommand, StateTransfer
+
+# How long state may take to move at a cut (s): the topic is silent meanwhile.
+STATE_TIMEOUT: Final = 2.0
+# How long the bulk of a state, which moves while the old component works, may take (s).
+BULK_TIMEOUT: Final = 30.0
+
+
+@dataclass(slots=True)
+class StateTransfers:
+    """Those of one hand-over, for ``pairs`` of old and new components.
+
+    If a transfer fails, so does the hand-over, unless state is not ``required``: then the new one continues with its
+    own.
+    """
+
+    client: ComponentClient
+    events: EventLog
+    pairs: Collection[tuple[str, str]] = ()
+    required: bool = True
+    # How state moves at the cuts of a pair; and by how much the first slot of a new component was late (s).
+    agreed: dict[tuple[str, str], StateTransfer] = field(default_factory=dict)
+    late: dict[str, float] = field(default_factory=dict)
+
+    async def prepare(self) -> None:
+        """Find out what is exported at the cuts, and move the bulks that can move before. Raises MidstrideError."""
+        for old, new in sorted(self.pairs):
+            try:
+                await self._prepare(old, new)
+            except MidstrideError as error:
+                if self.required:
+                    raise
+                self.note_own_state(new, str(error))
+
+    async def _prepare(self, old: str, new: str) -> None:
+        prepare = PrepareStateCommand(peer=old, address=self.client.address(old))
+        offer = await self.client.change(new, prepare)
+        changes = offer.exports == "changes"
+        if changes:
+            await self.client.change(new, structs.replace(prepare, bulk=True, timeout=BULK_TIMEOUT))
+        if offer.exports != "nothing":
+            self.agreed[old, new] = StateTransfer(
+                id="", cuts=0, at=0, changes=changes, required=self.required, timeout=STATE_TIMEOUT
+            )
+
+    def note_own_state(self, new: str, because: str) -> None:
+        self.events.add("note", f"{new} keeps its own state: {because}")
+
+    def ended(self, cut: Cut, incoming: CutResult) -> None:
+        """A cut is done on its new side: note what is missing, and a first slot that was late by more than a period."""
+        if incoming.because is not None:
+            self.note_own_state(cut.new, incoming.because)
+        written = [write.source for write in incoming.first.values() if write is not None and write.source is not None]
+        if cut.state is None or cut.trigger != "rate" or not cut.period or not written:
+            return
+        late = (min(written) - cut.at) / 1e9
+        if late > cut.period:
+            self.late[cut.new] = max(round(late, 6), self.late.get(cut.new, 0.0))
+            self.events.add(
+                "note", f"{cut.new} wrote its first slot {late * 1e3:.0f} ms late, after its state had moved"
+            )
