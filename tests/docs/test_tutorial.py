@@ -12,6 +12,7 @@ import os
 import re
 import shlex
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -62,6 +63,39 @@ def answers(expected: list[str], out: str) -> bool:
     return re.fullmatch(pattern, out if out.endswith("\n") or not out else out + "\n") is not None
 
 
+class Terminal:
+    """A command that keeps running while the tutorial goes on, and what it has printed."""
+
+    def __init__(self, command: str, folder: Path, environment: dict[str, str]) -> None:
+        self.file = folder / ".terminal"
+        self.read = 0
+        with self.file.open("wb") as out:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", *shlex.split(command)],
+                cwd=folder,
+                env={**environment, "PYTHONUNBUFFERED": "1"},
+                stdin=subprocess.DEVNULL,
+                stdout=out,
+                stderr=subprocess.STDOUT,
+            )
+
+    def expect(self, lines: list[str]) -> None:
+        """Wait until these lines have been printed, after those that were expected before."""
+        end = time.monotonic() + 60
+        while not answers(lines, (printed := self.file.read_text(encoding="utf-8")[self.read :])):
+            assert self.process.poll() is None and time.monotonic() < end, f"{printed}\n-- instead of --\n{lines}"
+            time.sleep(0.1)
+        self.read += len(printed)
+
+    def interrupt(self) -> None:
+        """Press Ctrl-C, and wait for the end."""
+        self.process.send_signal(signal.SIGINT)
+        try:
+            self.process.wait(30)
+        finally:
+            self.process.kill()
+
+
 def play(folder: Path, backend: str) -> None:
     """Follow the tutorial in ``folder`` on ``backend``, and compare the output of each command."""
     runtime = tempfile.mkdtemp(prefix="ms")  # sockets have short paths
@@ -82,6 +116,7 @@ def play(folder: Path, backend: str) -> None:
         )
 
     commands = 0
+    terminals: dict[str, Terminal] = {}
     try:
         for block in blocks():
             if block.kind == "diff":
@@ -89,6 +124,13 @@ def play(folder: Path, backend: str) -> None:
                 path.write_text(edited(path.read_text(encoding="utf-8"), block.text), encoding="utf-8")
             elif "file" in block.options:
                 (folder / block.options["file"]).write_text(block.text, encoding="utf-8")
+            elif "terminal" in block.options:
+                name, text = block.options["terminal"], block.text
+                if text.startswith("$ "):
+                    command, _, text = text[2:].partition("\n")
+                    terminals[name] = Terminal(command, folder, environment)
+                    commands += 1
+                terminals[name].expect(text.splitlines())
             else:
                 assert block.kind == "console", block.kind
                 text = block.text.replace("--backend sim", f"--backend {backend}").replace("on sim", f"on {backend}")
@@ -103,6 +145,8 @@ def play(folder: Path, backend: str) -> None:
                     commands += 1
         assert run("midstride status").returncode == 1, "the last chapter ends it"
     finally:
+        for terminal in terminals.values():
+            terminal.interrupt()
         run("midstride down")
         shutil.rmtree(runtime)
     assert commands >= 12
